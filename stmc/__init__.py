@@ -1,0 +1,1 @@
+"""Text-driven 3D human motion from a multi-track timeline (STMC, Petrovich et al., CVPRW 2024)."""

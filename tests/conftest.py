@@ -1,0 +1,42 @@
+"""Where tests find what is not committed: the golden numbers of the published code, and the real data."""
+
+import gzip
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+GOLDEN = Path(os.environ.get("STMC_GOLDEN", ROOT / "../shared/golden"))
+DATA = Path(os.environ.get("STMC_DATA", ROOT / "../shared/data"))
+
+
+def golden_sets(area: str) -> list:
+    """Every set folder of one area ("stmc", "mdm", "flow"), or one parameter that skips where there is none."""
+    folders = sorted(path for path in (GOLDEN / area).glob("*") if path.is_dir() and path.name != "state_dicts")
+    if folders:
+        return [pytest.param(folder, id=folder.name) for folder in folders]
+    reason = f"no golden numbers at {GOLDEN / area} (set STMC_GOLDEN)"
+    return [pytest.param(None, id="absent", marks=pytest.mark.skip(reason=reason))]
+
+
+def golden(folder: Path, name: str):
+    """The content of one golden file: a dict of arrays for `.npz`, plain data for `.json` and `.json.gz`."""
+    path = folder / name
+    if not path.exists():
+        pytest.skip(f"{path.parent.name} has no {name}")
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as archive:
+            return dict(archive)
+    text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+    return json.loads(text)
+
+
+def data_file(name: str) -> Path:
+    """A file of the real data, or a skip that says where it was looked for."""
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"no {name} at {DATA} (set STMC_DATA)")
+    return path
