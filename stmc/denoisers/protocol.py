@@ -1,0 +1,31 @@
+"""What every denoiser is: noisy crops, a step and a text in; a prediction for each frame out.
+
+Knows nothing of schedules, plans or features: whether the prediction is the clean motion, the noise or a velocity is
+the affair of whoever trained it.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+
+class Denoiser(Protocol):
+    """A network that predicts for crops of motion; rows of the batch never see each other."""
+
+    def __call__(
+        self,
+        x: Float[Tensor, "batch frames features"],
+        t: Int[Tensor, " batch"],
+        text: Float[Tensor, "batch words width"],
+        text_mask: Bool[Tensor, "batch words"] | None = None,
+        mask: Bool[Tensor, "batch frames"] | None = None,
+    ) -> Float[Tensor, "batch frames features"]:
+        """The prediction for noisy `x` at the steps `t` (0 is the least noisy).
+
+        The masks are True where there is something; None says that nothing is padded. Frames outside `mask` influence
+        no other frame, and what comes out there is arbitrary.
+        """
+        ...

@@ -1,0 +1,32 @@
+"""Padding and masks: sequences of different lengths as one batch.
+
+Knows nothing of what the frames mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Int, Shaped
+from torch import Tensor
+
+
+def pad(
+    sequences: Sequence[Shaped[Tensor, "_ ..."]],
+) -> tuple[Shaped[Tensor, "batch frames ..."], Int[Tensor, " batch"]]:
+    """Sequences stacked in a batch, zeros after the end of each, and their lengths.
+
+    Every sequence is [frames, ...] with the same trailing shape, dtype and device. Returns the batch, as long as the
+    longest sequence, and the lengths [batch] as int64 on the same device. Raises `ValueError` for no sequence at all.
+    """
+    if not sequences:
+        raise ValueError("nothing to pad: the batch needs at least one sequence")
+    batch = torch.nn.utils.rnn.pad_sequence(list(sequences), batch_first=True)
+    return batch, torch.tensor([len(sequence) for sequence in sequences], device=batch.device)
+
+
+def mask(lengths: Int[Tensor, " batch"], frames: int | None = None) -> Bool[Tensor, "batch frames"]:
+    """True where a frame exists, False in the padding; as long as the longest sequence if `frames` does not say."""
+    frames = int(lengths.max()) if frames is None else frames
+    return torch.arange(frames, device=lengths.device) < lengths[:, None]
