@@ -1,0 +1,6 @@
+"""Motions as feature vectors with named layouts."""
+
+from stmc.representation.layout import HUMANML3D_LAYOUT, SMPL_LAYOUT, Field, Layout
+from stmc.representation.smpl import SmplRepresentation
+
+__all__ = ["HUMANML3D_LAYOUT", "SMPL_LAYOUT", "Field", "Layout", "SmplRepresentation"]

@@ -1,0 +1,157 @@
+"""A person moving: the rotations, root and joints of a body over time.
+
+Knows SMPL's joint order and the world's axes (metres, radians, z up). Knows no body's proportions (see `body_model`)
+and no feature vector (see `representation`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body import JOINTS, MIRROR, ROTATED
+from stmc.geometry import heading, mirror_positions, mirror_rotations, resample_positions, resample_rotations
+
+
+@runtime_checkable
+class Posable(Protocol):
+    """Whatever turns local rotations and pelvis positions into joint positions, as `Skeleton` does."""
+
+    def pose(
+        self, rotations: Float[Tensor, "*batch 22 3 3"], translation: Float[Tensor, "*batch 3"]
+    ) -> Float[Tensor, "*batch 24 3"]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A body moving through a z-up world, frame by frame.
+
+    `rotations` are local (relative to the parent joint); the root's, which carries the heading, turns SMPL's rest pose
+    (x left, y up, z forward) into the world. `translation` is the position of the pelvis: SMPL's own translation is
+    this minus the pelvis of the rest pose (`Skeleton.smpl_translation`). All three tensors share dtype and device.
+
+    Raises `ValueError` for wrong shapes, no frames, values that are not finite, matrices that are not rotations, or a
+    frame rate that is not positive.
+    """
+
+    rotations: Float[Tensor, "frames 22 3 3"]
+    """Local rotations of SMPL's first 22 joints."""
+    translation: Float[Tensor, "frames 3"]
+    """Pelvis positions in metres."""
+    joints: Float[Tensor, "frames 24 3"]
+    """Positions of all 24 joints in metres, in the order of `body.JOINTS`."""
+    fps: float
+    """Frames per second."""
+
+    def __post_init__(self) -> None:
+        _check(self.rotations, self.translation, self.joints, self.fps)
+
+    @classmethod
+    def posed(
+        cls,
+        rotations: Float[Tensor, "frames 22 3 3"],
+        translation: Float[Tensor, "frames 3"],
+        fps: float,
+        skeleton: Posable,
+    ) -> Motion:
+        """The motion of `skeleton` with these local rotations and pelvis positions."""
+        return cls(rotations, translation, skeleton.pose(rotations, translation), fps)
+
+    def __repr__(self) -> str:
+        return f"Motion({self.frames} frames at {self.fps:g} fps, {self.duration:.2f} s)"
+
+    def __len__(self) -> int:
+        return self.frames
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, at least one."""
+        return len(self.translation)
+
+    @property
+    def duration(self) -> float:
+        """Seconds: frames over frame rate."""
+        return self.frames / self.fps
+
+    @property
+    def heading(self) -> Float[Tensor, " frames"]:
+        """Angle about the up axis in radians, counter-clockwise seen from above, within [-pi, pi]; 0 faces -y."""
+        return heading(self.rotations[:, 0])
+
+    @property
+    def facing(self) -> Float[Tensor, "frames 3"]:
+        """Horizontal unit vectors, the direction the pelvis faces: -y turned by the heading."""
+        angle = self.heading
+        return torch.stack([torch.sin(angle), -torch.cos(angle), torch.zeros_like(angle)], dim=-1)
+
+    def mirrored(self) -> Motion:
+        """The mirror image in the plane x = 0: left and right change places. Twice is the motion itself."""
+        return Motion(
+            mirror_rotations(self.rotations, MIRROR[:ROTATED]),
+            self.translation * self.translation.new_tensor([-1.0, 1.0, 1.0]),
+            mirror_positions(self.joints, MIRROR),
+            self.fps,
+        )
+
+    def resampled(self, fps: float) -> Motion:
+        """The same movement at another frame rate: rotations on the sphere, positions on straight lines.
+
+        Joints and rotations are resampled each for itself, so the bones of fast movements may shorten a little: pose
+        the skeleton again (`Motion.posed`) where that matters. Raises `ValueError` where not one frame remains.
+        """
+        _check_fps(fps)
+        return Motion(
+            resample_rotations(self.rotations, self.fps, fps),
+            resample_positions(self.translation, self.fps, fps),
+            resample_positions(self.joints, self.fps, fps),
+            fps,
+        )
+
+    def trimmed(self, start: int, end: int) -> Motion:
+        """Frames `[start, end)`, in place in the world. Raises `ValueError` unless `0 <= start < end <= frames`."""
+        if not 0 <= start < end <= self.frames:
+            raise ValueError(f"cannot trim {self.frames} frames to [{start}, {end}): need 0 <= start < end <= frames")
+        return Motion(self.rotations[start:end], self.translation[start:end], self.joints[start:end], self.fps)
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Motion:
+        """The motion on another device or in another floating dtype."""
+        values = (self.rotations, self.translation, self.joints)
+        return Motion(*(value.to(device=device, dtype=dtype) for value in values), self.fps)
+
+
+def _check_fps(fps: float) -> None:
+    if not 0 < fps < float("inf"):
+        raise ValueError(f"fps must be a positive number, not {fps}")
+
+
+def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float) -> None:
+    _check_fps(fps)
+    frames = len(translation)
+    if frames == 0:
+        raise ValueError("a motion needs at least one frame")
+    wanted = {
+        "rotations": (rotations, (frames, ROTATED, 3, 3)),
+        "translation": (translation, (frames, 3)),
+        "joints": (joints, (frames, len(JOINTS), 3)),
+    }
+    for name, (value, shape) in wanted.items():
+        if tuple(value.shape) != shape:
+            raise ValueError(f"{name} must have shape {shape}, not {tuple(value.shape)}")
+        if value.dtype != joints.dtype or value.device != joints.device or not value.is_floating_point():
+            raise ValueError(f"{name} is {value.dtype} on {value.device}, joints are {joints.dtype} on {joints.device}")
+        bad = ~torch.isfinite(value).flatten(start_dim=1).all(dim=1)
+        if bad.any():
+            raise ValueError(f"{name} has values that are not finite, first in frame {int(bad.nonzero()[0])}")
+    _check_rotations(rotations)
+
+
+def _check_rotations(rotations: Tensor) -> None:
+    excess = (rotations @ rotations.mT - torch.eye(3, dtype=rotations.dtype, device=rotations.device)).abs()
+    bad = (excess.amax(dim=(-2, -1)) > 1e-2) | (torch.linalg.det(rotations) < 0)
+    if bad.any():
+        frame, joint = (int(index) for index in bad.nonzero()[0])
+        raise ValueError(f"rotations[{frame}, {joint}] ({JOINTS[joint]}) is not a rotation matrix")

@@ -1,0 +1,128 @@
+"""The 205 numbers per frame of MDM-SMPL (STMC, section 3.4 and appendix D): motions to features and back.
+
+Knows the formulas; where each number stands is `layout.SMPL_LAYOUT`'s to say. Not normalised.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body import BodyPart
+from stmc.geometry import heading as heading_of
+from stmc.geometry import matrix_to_rows, rotation_z, rows_to_matrix, wrap
+from stmc.motion import Motion, Posable
+from stmc.representation.layout import SMPL_LAYOUT, Layout
+
+
+class SmplRepresentation:
+    """Motion ⇄ features, the same wherever the body stands and wherever it looks.
+
+    Per frame, in metres, radians and *per frame* (not per second), z up:
+
+    - `root_height`: of the pelvis above the lowest joint of the whole motion;
+    - `root_velocity`: horizontal step of the pelvis to the next frame, in this frame's heading frame;
+    - `yaw_velocity`: turn of the heading to the next frame;
+    - `rotations`: 22 local rotations, each the first two rows of its matrix; the root's without the heading;
+    - `positions`: of joints 1 to 23 relative to the pelvis, in the heading frame.
+    """
+
+    layout: ClassVar[Layout] = SMPL_LAYOUT
+
+    @property
+    def width(self) -> int:
+        """Numbers per frame: 205."""
+        return self.layout.width
+
+    @property
+    def columns(self) -> dict[BodyPart, tuple[int, ...]]:
+        """The columns that each body part owns."""
+        return self.layout.columns
+
+    def encode(self, motion: Motion) -> Float[Tensor, "frames features"]:
+        """Features of `motion`, in its dtype.
+
+        The last frame has no next one: its velocities continue the line through the two before (constant for two
+        frames, zero for one).
+        """
+        root, pelvis = motion.rotations[:, 0], motion.joints[:, 0]
+        yaw = heading_of(root)
+        to_heading = rotation_z(-yaw)
+        steps = pelvis[:, :2].diff(dim=0)
+        velocity = to_heading[:, :2, :2] @ _continued(steps)[..., None]
+        turn = wrap(_continued(wrap(yaw.diff(dim=0))))
+        rotations = torch.cat([(to_heading @ root)[:, None], motion.rotations[:, 1:]], dim=1)
+        positions = (motion.joints[:, 1:] - pelvis[:, None]) @ to_heading.mT
+        fields = {
+            "root_height": (pelvis[:, 2] - motion.joints[..., 2].min())[:, None],
+            "root_velocity": velocity[..., 0],
+            "yaw_velocity": turn[:, None],
+            "rotations": rearrange(matrix_to_rows(rotations), "frames joints width -> frames (joints width)"),
+            "positions": rearrange(positions, "frames joints width -> frames (joints width)"),
+        }
+        return torch.cat([fields[field.name] for field in self.layout.fields], dim=-1)
+
+    def decode(
+        self,
+        features: Float[Tensor, "frames features"],
+        fps: float,
+        skeleton: Posable | None = None,
+        heading: float = 0.0,
+    ) -> Motion:
+        """The motion that starts above the origin with `heading` radians; any finite features give one.
+
+        Joints are the features' own positions; with a `skeleton` they follow from the rotations, so that bones keep
+        their length (what exports and viewers want). Raises `ValueError` for another width than 205.
+        """
+        rotations, translation, joints = self.integrate(features, heading)
+        if skeleton is not None:
+            return Motion.posed(rotations, translation, fps, skeleton)
+        return Motion(rotations, translation, joints, fps)
+
+    def integrate(
+        self, features: Float[Tensor, "*batch frames features"], heading: float | Float[Tensor, "*batch"] = 0.0
+    ) -> tuple[
+        Float[Tensor, "*batch frames 22 3 3"], Float[Tensor, "*batch frames 3"], Float[Tensor, "*batch frames 24 3"]
+    ]:
+        """Rotations, pelvis positions and joints of one or many feature sequences: what `decode` makes motions of.
+
+        A heading that the predicted root rotation has beyond the integrated one is dropped, as published. Padded frames
+        come after the valid ones and change nothing before them.
+        """
+        if features.shape[-1] != self.width:
+            raise ValueError(f"features must have {self.width} columns, not {features.shape[-1]}")
+        first = torch.as_tensor(heading, dtype=features.dtype, device=features.device)
+        yaw = first[..., None] + _integrated(features[..., self.layout["yaw_velocity"]])[..., 0]
+        from_heading = rotation_z(yaw)
+        velocity = features[..., self.layout["root_velocity"], None]
+        path = _integrated((from_heading[..., :2, :2] @ velocity)[..., 0])
+        translation = torch.cat([path, features[..., self.layout["root_height"]]], dim=-1)
+
+        rows = rearrange(features[..., self.layout["rotations"]], "... (joints width) -> ... joints width", width=6)
+        local = rows_to_matrix(rows)
+        root = rotation_z(yaw - heading_of(local[..., 0, :, :])) @ local[..., 0, :, :]
+        rotations = torch.cat([root[..., None, :, :], local[..., 1:, :, :]], dim=-3)
+
+        positions = rearrange(
+            features[..., self.layout["positions"]], "... (joints width) -> ... joints width", width=3
+        )
+        relative = positions @ from_heading.mT
+        pelvis = translation[..., None, :]
+        return rotations, translation, torch.cat([pelvis, pelvis + relative], dim=-2)
+
+
+def _continued(steps: Float[Tensor, " frames *width"]) -> Float[Tensor, " _ *width"]:
+    """One value more than `steps`: the last ones continue in a straight line."""
+    if len(steps) == 0:
+        return steps.new_zeros(1, *steps.shape[1:])
+    last = 2 * steps[-1:] - steps[-2:-1] if len(steps) > 1 else steps
+    return torch.cat([steps, last])
+
+
+def _integrated(steps: Float[Tensor, "*batch frames width"]) -> Float[Tensor, "*batch frames width"]:
+    """Where the steps lead, from zero: the sum of all steps before each frame."""
+    return torch.nn.functional.pad(steps.cumsum(dim=-2)[..., :-1, :], (0, 0, 1, 0))
