@@ -249,3 +249,21 @@ def gather(clips: Iterable[tuple[str, list | str]], fps: float, fingerprint: str
         skipped=tuple(skipped),
         fingerprint=fingerprint,
     )
+
+
+def measured_offsets(bvh: Bvh) -> dict[str, tuple[float, float, float]]:
+    """Every joint's rest offset to its parent, in metres and SMPL's axes: the proportions of the dataset's one skeleton.
+
+    What `assets/skeleton.json` holds. The hands (8 cm beyond the wrists) and the rest position of the pelvis (SMPL's
+    neutral body's) are not the dataset's, which knows neither.
+    """
+    index = {joint: bvh.names.index(name) for joint, name in SOURCE_JOINTS.items()}
+    local = bvh.positions.mean(dim=0) * 0.01
+    offsets = {"pelvis": (-0.0018, -0.2233, 0.0282), "left_hand": (0.08, 0.0, 0.0), "right_hand": (-0.08, 0.0, 0.0)}
+    for joint in JOINTS[1:ROTATED]:
+        source = "spine3" if joint == "spine2" else joint
+        parent = bvh.names[bvh.parents[index[source]]]
+        offset = rest_rotations([parent])[0] @ local[index[source]]
+        offset = offset / 2 if joint in ("spine2", "spine3") else offset  # spine2 halves the way from Spine to Chest
+        offsets[joint] = tuple(round(value, 4) + 0.0 for value in offset.tolist())
+    return {joint: offsets[joint] for joint in JOINTS}
