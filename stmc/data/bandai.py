@@ -261,6 +261,10 @@ def measured_offsets(bvh: Bvh) -> dict[str, tuple[float, float, float]]:
     local = bvh.positions.mean(dim=0) * 0.01
     offsets = {"pelvis": (-0.0018, -0.2233, 0.0282), "left_hand": (0.08, 0.0, 0.0), "right_hand": (-0.08, 0.0, 0.0)}
     for joint in JOINTS[1:ROTATED]:
+        if joint.startswith("right_"):  # half a millimetre apart from the left ones
+            x, y, z = offsets[joint.replace("right", "left")]
+            offsets[joint] = (-x + 0.0, y, z)
+            continue
         source = "spine3" if joint == "spine2" else joint
         parent = bvh.names[bvh.parents[index[source]]]
         offset = rest_rotations([parent])[0] @ local[index[source]]
