@@ -1,0 +1,20 @@
+"""Diffusion on tensors: schedules, samplers, guidance and noise. Knows nothing of motion or timelines."""
+
+from stmc.diffusion.guidance import guide
+from stmc.diffusion.noise import Noise, Seed
+from stmc.diffusion.samplers import Draw, Predict, Spread, ddim, ddpm, dpm_solver
+from stmc.diffusion.schedule import Prediction, Schedule
+
+__all__ = [
+    "Draw",
+    "Noise",
+    "Predict",
+    "Prediction",
+    "Schedule",
+    "Seed",
+    "Spread",
+    "ddim",
+    "ddpm",
+    "dpm_solver",
+    "guide",
+]

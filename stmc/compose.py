@@ -1,0 +1,349 @@
+"""The collage: from a denoiser of crops to a predictor of whole timelines (STMC, section 3.3), SINC and SINC-lerp.
+
+Crops of several plans stand in one batch: plan 0's crops first, then plan 1's, each from its first frame, padded to the
+longest. Index tensors are built once for a batch of plans; a step is then a handful of tensor operations, whatever the
+number of prompts. Knows no text encoders, no samplers and no meaning of the features beyond each part's columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body import BodyPart
+from stmc.denoisers import Denoiser
+from stmc.diffusion import Predict, Prediction, Schedule, Seed, guide
+from stmc.planning import Plan, Tile
+from stmc.tensors import mask, pad
+
+NULL = ""
+"""The text that stands for no text: its embedding is what the network saw when the text was dropped in training."""
+
+Columns = Mapping[BodyPart, Sequence[int]]
+"""Which columns of the features each body part owns; together they own every column once."""
+
+
+def crop_lengths(plans: Sequence[Plan]) -> tuple[int, ...]:
+    """Frames of every crop of all plans, in the order of the batch."""
+    return tuple(crop.end - crop.start for plan in plans for crop in plan.crops)
+
+
+def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
+    """A seed for every crop of all plans, from one seed for each plan: what `Noise` needs for independent crops."""
+    return tuple((seed, crop) for plan, seed in zip(plans, seeds, strict=True) for crop in range(len(plan.crops)))
+
+
+def distinct_texts(plans: Sequence[Plan]) -> tuple[str, ...]:
+    """What has to be encoded for these plans: the empty text first, then every text once, in order of appearance."""
+    return tuple(dict.fromkeys([NULL, *_crop_texts(plans)]))
+
+
+def _crop_texts(plans: Sequence[Plan]) -> list[str]:
+    return [crop.text or NULL for plan in plans for crop in plan.crops]
+
+
+# Denoising crops: which rows, in which calls ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One pass of one crop through the denoiser."""
+
+    crop: int
+    text: str
+    frames: int
+
+
+def _rows(plans: Sequence[Plan], weight: float) -> list[_Row]:
+    """Everything that one step has to denoise: no second pass without a text, or where guidance ignores one of two."""
+    rows = []
+    for crop, (frames, text) in enumerate(zip(crop_lengths(plans), _crop_texts(plans), strict=True)):
+        if frames < 1:
+            raise ValueError(f"crop {crop} ({text!r}) has {frames} frames; there must be at least one")
+        texts = {NULL: None} if weight == 0 else {text: None} if weight == 1 else {text: None, NULL: None}
+        rows += [_Row(crop, each, frames) for each in texts]
+    return rows
+
+
+def _calls(rows: Sequence[_Row], padding: float, budget: int) -> list[list[_Row]]:
+    """The rows, sorted by length, in few calls: see `guided_crops`."""
+    rows = sorted(rows, key=lambda row: row.frames)
+    calls = []
+    for first, last in _runs([row.frames for row in rows], padding):
+        most = max(1, budget // rows[last - 1].frames)
+        pieces = -(-(last - first) // most)
+        calls += [[rows[i] for i in piece] for piece in np.array_split(range(first, last), pieces)]
+    return calls
+
+
+def _runs(lengths: Sequence[int], padding: float) -> list[tuple[int, int]]:
+    """The fewest runs [first, last) of sorted `lengths` with a share of padding of at most `padding`.
+
+    Of the ways to cut that many runs it is the one with the least padding (dynamic programming).
+    """
+    values, counts = np.unique(lengths, return_counts=True)
+    rows = np.concatenate([[0], np.cumsum(counts)])
+    frames = np.concatenate([[0], np.cumsum(counts * values)])
+    # waste[i, j]: padded frames if the distinct lengths i to j make one run
+    waste = values * (rows[1:] - rows[:-1, None]) - (frames[1:] - frames[:-1, None])
+    waste = np.where(np.tri(len(values), dtype=bool).T, waste, np.inf)
+    least, starts = waste[0], []
+    while least[-1] > frames[-1] * padding / (1 - padding):
+        options = np.concatenate([[np.inf], least[:-1]])[:, None] + waste
+        starts.append(options.argmin(axis=0))
+        least = options.min(axis=0)
+    edges = [len(values)]
+    for start in reversed(starts):
+        edges.append(int(start[edges[-1] - 1]))
+    return [(int(rows[a]), int(rows[b])) for a, b in pairwise([0, *reversed(edges)])]
+
+
+def padding_fraction(plans: Sequence[Plan], weight: float = 2.5, padding: float = 0.1, budget: int = 32768) -> float:
+    """Which share of the frames that a step of `guided_crops` denoises for these plans is padding."""
+    calls = _calls(_rows(plans, weight), padding, budget)
+    denoised = sum(len(rows) * rows[-1].frames for rows in calls)
+    return 1 - sum(row.frames for rows in calls for row in rows) / denoised
+
+
+def guided_crops(
+    denoiser: Denoiser,
+    schedule: Schedule,
+    plans: Sequence[Plan],
+    embeddings: Mapping[str, Float[Tensor, "_ width"]],
+    weight: float = 2.5,
+    prediction: Prediction = "x0",
+    padding: float = 0.1,
+    budget: int = 32768,
+) -> Predict:
+    """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance.
+
+    `embeddings` gives the normalised embedding [words, width] of every text in `distinct_texts(plans)`. Crops with a
+    text are denoised with it and without it, the others once; a `weight` of 1 or 0 needs only one pass. Rows are
+    grouped by length into as few calls as keep the share of padding within `padding` and the frames of one call within
+    `budget`, but for a longer crop alone. What stands beyond a crop's end is not seen, and comes out as zero.
+
+    Raises `ValueError` for a text without an embedding and for a crop without frames.
+    """
+    missing = [text for text in distinct_texts(plans) if text not in embeddings]
+    if missing:
+        raise ValueError(f"no embedding for {missing}; every text of the plans needs one, and the empty text too")
+    calls = _calls(_rows(plans, weight), padding, budget)
+    batches = [_Batch.of(rows, embeddings) for rows in calls]
+    guided = torch.tensor([text != NULL for text in _crop_texts(plans)])
+    return _GuidedCrops(denoiser, schedule, crop_lengths(plans), batches, guided, weight, prediction)
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """One call of the denoiser as tensors; masks are None where nothing is padded."""
+
+    crops: Tensor
+    with_text: Tensor
+    frames: int
+    text: Tensor
+    text_mask: Tensor | None
+    mask: Tensor | None
+
+    @classmethod
+    def of(cls, rows: Sequence[_Row], embeddings: Mapping[str, Tensor]) -> _Batch:
+        text, words = pad([embeddings[row.text] for row in rows])
+        lengths = torch.tensor([row.frames for row in rows])
+        return cls(
+            crops=torch.tensor([row.crop for row in rows]),
+            with_text=torch.tensor([row.text != NULL for row in rows]).long(),
+            frames=rows[-1].frames,
+            text=text,
+            text_mask=_unless_full(mask(words)),
+            mask=_unless_full(mask(lengths)),
+        )
+
+    def to(self, x: Tensor) -> _Batch:
+        """On the device of `x`, with the text in its dtype."""
+        masks = [None if each is None else each.to(x.device) for each in (self.text_mask, self.mask)]
+        indexes = [each.to(x.device) for each in (self.crops, self.with_text)]
+        return _Batch(*indexes, self.frames, self.text.to(x), *masks)
+
+
+def _unless_full(mask: Tensor) -> Tensor | None:
+    return None if bool(mask.all()) else mask
+
+
+class _GuidedCrops:
+    def __init__(
+        self,
+        denoiser: Denoiser,
+        schedule: Schedule,
+        lengths: tuple[int, ...],
+        batches: list[_Batch],
+        guided: Tensor,
+        weight: float,
+        prediction: Prediction,
+    ) -> None:
+        self._denoiser, self._schedule, self._prediction = denoiser, schedule, prediction
+        self._lengths, self._weight = lengths, weight
+        self._batches = _Moved(lambda x: ([batch.to(x) for batch in batches], guided.to(x.device)))
+
+    def __call__(self, x: Float[Tensor, "crops frames features"], t: int) -> Float[Tensor, "crops frames features"]:
+        expected = (len(self._lengths), max(self._lengths))
+        assert x.shape[:2] == expected, f"crops of shape {tuple(x.shape[:2])}, but the plans have {expected}"
+        batches, guided = self._batches.at(x)
+        both = x.new_zeros(2, *x.shape)
+        for batch in batches:
+            noisy = x[batch.crops, : batch.frames]
+            step = torch.full((len(noisy),), t, device=x.device)
+            output = self._denoiser(noisy, step, batch.text, batch.text_mask, batch.mask).to(x)
+            x0 = self._schedule.to_x0(output, noisy, t, self._prediction)
+            x0 = x0 if batch.mask is None else x0.masked_fill(~batch.mask[..., None], 0)
+            both[batch.with_text, batch.crops, : batch.frames] = x0
+        null, text = both
+        return torch.where(guided[:, None, None], guide(text, null, self._weight), null)
+
+
+class _Moved:
+    """Tensors that follow x: made for its device and dtype when first needed, then kept."""
+
+    def __init__(self, make: Callable) -> None:
+        self._make = make
+        self._made: dict = {}
+
+    def at(self, x: Tensor):
+        key = (x.device, x.dtype)
+        if key not in self._made:
+            self._made[key] = self._make(x)
+        return self._made[key]
+
+
+# Stitching crops into timelines -------------------------------------------------------------------------------------
+
+
+def collage(predict: Predict, plans: Sequence[Plan], columns: Columns) -> Predict:
+    """A predictor of timelines [batch, frames, features] from a predictor of their crops (STMC, section 3.3).
+
+    Cuts the timelines into the plans' crops, predicts those, and adds them up with the weights of the tiles: body parts
+    side by side, and in time with the unconditional transitions subtracted (DiffCollage). The batch holds one timeline
+    for each plan, padded to the longest; beyond a timeline's end the result is zero. `columns` must own every feature
+    exactly once (`ValueError`).
+    """
+    cut, stitch = _Cut(plans), _Stitch(plans, columns)
+    return lambda x, t: stitch(predict(cut(x), t))
+
+
+def sinc(
+    crops: Float[Tensor, "crops frames features"], plans: Sequence[Plan], columns: Columns
+) -> Float[Tensor, "batch frames features"]:
+    """Finished crops, sampled independently, combined once into timelines (SINC, Athanasiou et al. 2023).
+
+    The `plans` are those without overlap, so that every body part of every frame comes from one crop.
+    """
+    return _Stitch(plans, columns)(crops)
+
+
+def lerp(
+    features: Float[Tensor, "batch frames features"], plans: Sequence[Plan], columns: Columns, overlap: int
+) -> Float[Tensor, "batch frames features"]:
+    """SINC's result with its seams smoothed: a straight line wherever a body part changes from one crop to another.
+
+    The line runs over `overlap` frames around the change, half of them on each side, within the timeline, from the
+    value of its first frame to that of its last. Lines start from the values before smoothing; where two of one part
+    meet, the later wins. The `plans` are those without overlap (`ValueError` for others).
+    """
+    smooth = features.clone()
+    left, right = overlap // 2, overlap - overlap // 2
+    for i, plan in enumerate(plans):
+        for part, owned in columns.items():
+            seams = _seams(plan, part)
+            for seam in seams if overlap > 0 else ():
+                window = slice(max(0, seam - left), min(plan.frames, seam + right))
+                old = features[i, window][:, owned]
+                fade = torch.linspace(1, 0, len(old)).to(features)[:, None]
+                smooth[i, window, owned] = fade * old[0] + (1 - fade) * old[-1]
+    return smooth
+
+
+def _seams(plan: Plan, part: BodyPart) -> list[int]:
+    """The frames at which `part` changes from one crop to another, in a plan without overlap."""
+    tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
+    if any(tile.weight != 1 for tile in tiles) or any(a.end > b.start for a, b in pairwise(tiles)):
+        raise ValueError(f"the tiles of {part} overlap: seams are smoothed in plans made with overlap=0")
+    return [b.start for a, b in pairwise(tiles) if a.crop != b.crop]
+
+
+class _Cut:
+    """Timelines [batch, frames, features] → all crops, zeros beyond the end of each."""
+
+    def __init__(self, plans: Sequence[Plan]) -> None:
+        self._shape = (len(plans), max(plan.frames for plan in plans))
+        first = [i * self._shape[1] + crop.start for i, plan in enumerate(plans) for crop in plan.crops]
+        valid = mask(torch.tensor(crop_lengths(plans)))
+        rows = (torch.tensor(first)[:, None] + torch.arange(valid.shape[1])).where(valid, 0)
+        self._indexes = _Moved(lambda x: (rows.to(x.device), ~valid[..., None].to(x.device)))
+
+    def __call__(self, x: Tensor) -> Tensor:
+        assert x.shape[:2] == self._shape, f"timelines of shape {tuple(x.shape[:2])}, but the plans have {self._shape}"
+        rows, outside = self._indexes.at(x)
+        return rearrange(x, "batch frames features -> (batch frames) features")[rows].masked_fill(outside, 0)
+
+
+class _Stitch:
+    """All crops [crops, frames, features] → timelines, by the plans' tiles; zeros beyond the end of each."""
+
+    def __init__(self, plans: Sequence[Plan], columns: Columns) -> None:
+        owned = sorted(column for part in columns.values() for column in part)
+        if owned != list(range(len(owned))):
+            raise ValueError(f"the columns of the body parts must be 0 to {len(owned) - 1}, each once, not {owned}")
+        self._features = len(owned)
+        self._timelines = (len(plans), max(plan.frames for plan in plans))
+        self._crops = (len(crop_lengths(plans)), max(crop_lengths(plans)))
+        parts = [(list(columns[part]), *self._sources(plans, part)) for part in columns]
+        self._parts = _Moved(
+            lambda x: [
+                (torch.tensor(own, device=x.device), source.to(x.device), weight.to(x)[..., None])
+                for own, source, weight in parts
+            ]
+        )
+
+    def _sources(self, plans: Sequence[Plan], part: BodyPart) -> tuple[Tensor, Tensor]:
+        """For every frame of every timeline: which rows of the crops make up `part`, and with which weights.
+
+        Both are [batch * frames, most]. A gather of a fixed number of sources adds in the same order on any device.
+        """
+        tiles = list(self._located(plans, part))
+        count = np.zeros(self._timelines[0] * self._timelines[1], dtype=np.int64)
+        for tile, _, target in tiles:
+            count[target : target + tile.end - tile.start] += 1
+        source = np.zeros((len(count), max(1, count.max())), dtype=np.int64)
+        weight = np.zeros(source.shape)
+        count[:] = 0
+        for tile, first, target in tiles:
+            frames = np.arange(tile.end - tile.start)
+            place = (target + frames, count[target + frames])
+            source[place], weight[place] = first + frames, tile.weight
+            count[target + frames] += 1
+        return torch.from_numpy(source), torch.from_numpy(weight)
+
+    def _located(self, plans: Sequence[Plan], part: BodyPart) -> list[tuple[Tile, int, int]]:
+        """The tiles of `part`, each with the row of the flat crops it starts from and the flat frame it starts at."""
+        located, crops = [], 0
+        for i, plan in enumerate(plans):
+            for tile in plan.tiles:
+                if tile.part == part:
+                    first = (crops + tile.crop) * self._crops[1] + tile.start - plan.crops[tile.crop].start
+                    located.append((tile, first, i * self._timelines[1] + tile.start))
+            crops += len(plan.crops)
+        return located
+
+    def __call__(self, crops: Tensor) -> Tensor:
+        expected = (*self._crops, self._features)
+        assert crops.shape == expected, f"crops of shape {tuple(crops.shape)}, but plans and columns need {expected}"
+        flat = rearrange(crops, "crops frames features -> (crops frames) features")
+        timelines = flat.new_empty(self._timelines[0] * self._timelines[1], self._features)
+        for owned, source, weight in self._parts.at(crops):
+            timelines[:, owned] = (flat[:, owned][source] * weight).sum(dim=1)
+        return rearrange(timelines, "(batch frames) features -> batch frames features", batch=self._timelines[0])
