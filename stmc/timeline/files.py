@@ -1,0 +1,204 @@
+"""The two file formats of timelines, as plain entries: text (as MTT is published) and JSON (which keeps the tracks).
+
+Knows syntax: lines, fields, keys, and where in a document each prompt stands. What a prompt may mean is `prompts`' matter.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from stmc.body import BodyPart
+
+
+class TimelineError(ValueError):
+    """Something a timeline cannot mean. The message names the place, the value and the legal choices."""
+
+
+class Entry(NamedTuple):
+    """One prompt of a document: where it stands, its track (None where the format has none) and its fields."""
+
+    place: str
+    track: int | None
+    text: str
+    start: float
+    end: float
+    parts: tuple[str, ...]
+
+
+class Draft(NamedTuple):
+    """One timeline of a document, its prompts in the document's order."""
+
+    place: str
+    name: str
+    entries: list[Entry]
+
+
+LINE = "text # start # end # part # part"
+KEYS = {"text": str, "start": float, "end": float, "body_parts": list}
+
+
+def parse_text(document: str) -> list[Draft]:
+    """The timelines of a text: a prompt a line, blank lines between timelines. Raises `TimelineError` naming the line."""
+    drafts: list[Draft] = []
+    after_blank = True
+    for number, line in enumerate(document.removeprefix("\ufeff").splitlines(), start=1):
+        if line.strip():
+            if after_blank:
+                drafts.append(Draft(f"line {number}", "", []))
+            drafts[-1].entries.append(_entry_of_line(line, f"line {number}"))
+        after_blank = not line.strip()
+    if not drafts:
+        raise TimelineError(f"the timeline is empty; write one prompt a line: {LINE} (seconds)")
+    return drafts
+
+
+def _entry_of_line(line: str, place: str) -> Entry:
+    text, *rest = (field.strip() for field in line.split("#"))
+    if len(rest) < 2:
+        missing = "has no start and no end" if not rest else "has no end"
+        raise TimelineError(f"{place}: {line.strip()!r} {missing}; write {LINE} (seconds; parts: {', '.join(BodyPart)})")
+    times = []
+    for name, field in zip(("start", "end"), rest, strict=False):
+        try:
+            times.append(float(field))
+        except ValueError:
+            raise TimelineError(f"{place}: {name} {field!r} is not a number of seconds; write {LINE}") from None
+    return Entry(place, None, text, *times, tuple(rest[2:]))
+
+
+def parse_json(document: str) -> list[Draft]:
+    """The timelines of a JSON document: one object or a list. Raises `TimelineError` naming the path, as "tracks[0][1]"."""
+    try:
+        data = json.loads(document.removeprefix("\ufeff"))
+    except json.JSONDecodeError as error:
+        raise TimelineError(f"line {error.lineno}, column {error.colno}: not JSON ({error.msg})") from None
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, thousands of brackets
+        raise TimelineError(f"not JSON that can be read ({error})") from None
+    if not isinstance(data, list):
+        return [_draft(data, "")]
+    if not data:
+        raise TimelineError("the list of timelines is empty; it needs at least one")
+    return [_draft(item, f"[{index}]") for index, item in enumerate(data)]
+
+
+def _draft(data: Any, path: str) -> Draft:
+    inside = f"{path}." if path else ""
+    _expect(data, dict, path or "the document", 'a timeline, {"name": "…", "tracks": [[…], …]}')
+    _refuse_others(data, ("name", "tracks"), path or "the document")
+    name = _expect(data.get("name", ""), str, f"{inside}name", "a string")
+    if "tracks" not in data:
+        raise TimelineError(f'{path or "the document"}: no "tracks"; a timeline is {{"name": "…", "tracks": [[…], …]}}')
+    _expect(data["tracks"], list, f"{inside}tracks", "a list of tracks, each a list of prompts")
+    entries = []
+    for track, prompts in enumerate(data["tracks"]):
+        place = f"{inside}tracks[{track}]"
+        _expect(prompts, list, place, "a list of prompts")
+        entries += [_entry_of_object(prompt, f"{place}[{index}]", track) for index, prompt in enumerate(prompts)]
+    return Draft(path, name, entries)
+
+
+def _entry_of_object(data: Any, path: str, track: int) -> Entry:
+    _expect(data, dict, path, 'a prompt, {"text": "…", "start": 0, "end": 4.2, "body_parts": ["legs"]}')
+    _refuse_others(data, tuple(KEYS), path)
+    for key in ("text", "start", "end"):
+        if key not in data:
+            raise TimelineError(f'{path}: no "{key}"; a prompt needs text, start and end, and may have body_parts')
+    text = _expect(data["text"], str, f"{path}.text", "a string")
+    start, end = (_expect(data[key], float, f"{path}.{key}", "a number of seconds") for key in ("start", "end"))
+    parts = _expect(data.get("body_parts", []), list, f"{path}.body_parts", "a list of body parts")
+    for index, part in enumerate(parts):
+        _expect(part, str, f"{path}.body_parts[{index}]", f"one of {', '.join(BodyPart)}")
+    return Entry(path, track, text, start, end, tuple(parts))
+
+
+def _expect(value: Any, kind: type, path: str, meaning: str) -> Any:
+    kinds = (int, float) if kind is float else kind
+    if not isinstance(value, kinds) or isinstance(value, bool):
+        shown = _json(value)
+        raise TimelineError(f"{path}: {shown if len(shown) < 60 else shown[:59] + '…'} is not {meaning}")
+    return value
+
+
+def _refuse_others(data: dict[str, Any], keys: Sequence[str], path: str) -> None:
+    for key in data:
+        if key not in keys:
+            raise TimelineError(f"{path}: unknown key {key!r}; choose from {', '.join(keys)}")
+
+
+def to_text(drafts: Sequence[Draft]) -> str:
+    """The text form. Raises `TimelineError` for a prompt that it cannot hold."""
+    return "\n".join("".join(f"{_line(entry)}\n" for entry in draft.entries) for draft in drafts)
+
+
+def _line(entry: Entry) -> str:
+    if "#" in entry.text:
+        raise TimelineError(f"the text {entry.text!r} has a #, which separates fields in .txt; write .json instead")
+    return " # ".join((entry.text, repr(entry.start), repr(entry.end), *entry.parts))
+
+
+def to_json(drafts: Sequence[Draft]) -> str:
+    """The JSON form: one object for one timeline, else a list. Reading gives the same prompts in the same order."""
+    objects = [_object(draft) for draft in drafts]
+    return f"{objects[0]}\n" if len(objects) == 1 else "[" + ",\n".join(objects) + "]\n"
+
+
+def _object(draft: Draft) -> str:
+    """One timeline with a line for every prompt, as a person would write it."""
+    tracks = [",\n   ".join(map(_json, prompts)) for prompts in _tracks(draft.entries)]
+    return f'{{"name": {_json(draft.name)}, "tracks": [\n  [' + "],\n  [".join(tracks) + "]]}"
+
+
+def _json(data: Any) -> str:
+    return json.dumps(data, ensure_ascii=False)
+
+
+def _tracks(entries: Sequence[Entry]) -> list[list[dict[str, Any]]]:
+    rows = [entry.track for entry in entries]
+    if rows != sorted(rows):  # the order breaks ties, so it outranks a layout that was only laid out for drawing
+        rows = _in_order(entries)
+    tracks: list[list[dict[str, Any]]] = [[] for _ in set(rows)]
+    for row, entry in zip(rows, entries, strict=True):
+        prompt = {"text": entry.text, "start": entry.start, "end": entry.end}
+        tracks[row].append(prompt | ({"body_parts": list(entry.parts)} if entry.parts else {}))
+    return tracks
+
+
+def _in_order(entries: Sequence[Entry]) -> list[int]:
+    rows = [0]
+    for before, entry in zip(entries, entries[1:], strict=False):
+        rows.append(rows[-1] + (entry.start < before.end))
+    return rows
+
+
+def choose(path: Path, json_form: Callable, text_form: Callable) -> Callable:
+    """The function for a file's suffix, or a `TimelineError` with the legal ones."""
+    forms = {".json": json_form, ".txt": text_form}
+    if path.suffix.lower() not in forms:
+        raise TimelineError(f"{path}: unknown kind of timeline file {path.suffix!r}; choose from {', '.join(forms)}")
+    return forms[path.suffix.lower()]
+
+
+def read(path: Path) -> list[Draft]:
+    """The timelines of a file, by its suffix. Raises `TimelineError` naming the file and the place in it."""
+    parse = choose(path, parse_json, parse_text)
+    try:
+        return parse(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError as error:
+        raise TimelineError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
+    except TimelineError as error:
+        raise TimelineError(f"{path}, {error}") from None
+
+
+def write(drafts: Sequence[Draft], path: Path) -> None:
+    """Write by the suffix, under a temporary name first, so that the file appears whole or not at all."""
+    content = choose(path, to_json, to_text)(drafts)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.write_text(content, encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
