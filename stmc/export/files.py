@@ -1,0 +1,56 @@
+"""Which file a motion becomes: the suffix decides. Nothing is left half written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from stmc.body_model import Skeleton
+from stmc.export.bvh import save_bvh
+from stmc.export.npz import load_npz, save_npz
+from stmc.motion import Motion
+
+_WRITERS = {".npz": save_npz, ".bvh": save_bvh}
+
+
+def write(motion: Motion, path: str | Path, skeleton: Skeleton | None = None) -> None:
+    """Write a motion in the format of `path`'s suffix: `.npz` as AMASS has it, or `.bvh` for animation software.
+
+    `skeleton`: the body to write, by default the one the motion moves (its own bones; the bundled rest pelvis). The
+    folder must exist; a file already there is replaced once the new one is whole. Another suffix is a `ValueError`.
+    """
+    path = Path(path)
+    save = _WRITERS.get(path.suffix.lower())
+    if save is None:
+        raise ValueError(f"{path}: cannot write {path.suffix!r} files; choose from {', '.join(_WRITERS)}")
+    if skeleton is None:
+        skeleton = Skeleton.measured(motion.rotations, motion.joints, Skeleton.default().offsets[0])
+    with replacing(path) as file:
+        save(motion, file, skeleton)
+
+
+def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
+    """The motion of an `.npz` that `write` or AMASS wrote.
+
+    Where the file has no joints, `skeleton` is posed (by default the bundled one). Raises `ValueError` for another
+    suffix and for what is missing inside.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
+        raise ValueError(f"{path}: cannot read {path.suffix!r} files; choose .npz")
+    return load_npz(path, Skeleton.default() if skeleton is None else skeleton)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[IO[bytes]]:
+    """A file to write whose content takes `path`'s place once the block ends well, and vanishes where it fails."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            yield file
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,73 @@
+"""Motions as `.npz` files laid out as AMASS has them, and back. Knows AMASS's names; knows no other format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+import torch
+from einops import rearrange
+
+from stmc.body import JOINTS, ROTATED
+from stmc.body_model import Skeleton
+from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle
+from stmc.motion import Motion
+
+_BETAS = 16
+_RATES = ("mocap_framerate", "mocap_frame_rate")
+"""AMASS's two spellings: SMPL-H files, SMPL-X files."""
+
+
+def save_npz(motion: Motion, file: IO[bytes], skeleton: Skeleton) -> None:
+    """Write `poses` [frames, 66] (axis-angle), `trans` [frames, 3], `betas` [16] (zeros), `gender`, `mocap_framerate`
+    as AMASS has them (float64, z up, metres), and `joints` [frames, 24, 3].
+
+    `trans` is SMPL's: the pelvis position less `skeleton`'s rest pelvis, so that a body posed by SMPL stands where the
+    joints are.
+    """
+    poses = matrix_to_axis_angle(motion.rotations.double().cpu())
+    np.savez_compressed(
+        file,
+        poses=rearrange(poses, "frames joints angles -> frames (joints angles)").numpy(),
+        trans=skeleton.smpl_translation(motion.translation.double()).cpu().numpy(),
+        betas=np.zeros(_BETAS),
+        gender=np.array("neutral"),
+        mocap_framerate=np.array(float(motion.fps)),
+        joints=motion.joints.double().cpu().numpy(),
+    )
+
+
+def load_npz(path: Path, skeleton: Skeleton) -> Motion:
+    """The motion of an AMASS file (float32): its first 22 joints, whatever fingers and face follow.
+
+    Without `joints`, as in AMASS's own files, `skeleton` is posed. Raises `ValueError` naming the file and the array
+    that is missing or has the wrong shape.
+    """
+    with np.load(path, allow_pickle=False) as archive:
+        rate = next((name for name in _RATES if name in archive), _RATES[0])
+        poses = _array(archive, path, "poses", (None, None))
+        trans = _array(archive, path, "trans", (len(poses), 3))
+        fps = float(_array(archive, path, rate, ()))
+        joints = _array(archive, path, "joints", (len(poses), len(JOINTS), 3)) if "joints" in archive else None
+    if poses.shape[1] < 3 * ROTATED:
+        raise ValueError(f"{path}: poses has {poses.shape[1]} columns; need at least {3 * ROTATED}")
+    body = torch.from_numpy(poses[:, : 3 * ROTATED])
+    rotations = axis_angle_to_matrix(rearrange(body, "frames (joints angles) -> frames joints angles", angles=3))
+    if joints is None:
+        pelvis = torch.from_numpy(trans) + skeleton.offsets[0].double()
+        return Motion.posed(rotations, pelvis, fps, skeleton).to(dtype=torch.float32)
+    positions = torch.from_numpy(joints)
+    return Motion(rotations, positions[:, 0], positions, fps).to(dtype=torch.float32)
+
+
+def _array(archive: np.lib.npyio.NpzFile, path: Path, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    if name not in archive:
+        raise ValueError(f"{path}: no array {name!r}; it has {', '.join(archive.files)}")
+    array = np.asarray(archive[name], dtype=np.float64)
+    fits = len(array.shape) == len(shape) and all(
+        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"{path}: {name} has shape {array.shape}; need {shape}")
+    return array
