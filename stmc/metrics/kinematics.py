@@ -1,0 +1,107 @@
+"""What a body does, read off its joints: where it goes, how it turns, what its hands are at, whether its feet slide.
+
+Measures of one `Motion` at a time, in metres, seconds and radians; knows no text, no model and no other motion.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body import JOINTS
+from stmc.geometry import wrap
+from stmc.motion import Motion
+
+CONTACT_HEIGHT = 0.03
+"""Metres above its own lowest point within which a foot is taken to stand on the floor."""
+
+
+def joint(motion: Motion, name: str) -> Float[Tensor, "frames 3"]:
+    """The path of one joint. Raises `ValueError` with the names there are for an unknown one."""
+    if name not in JOINTS:
+        raise ValueError(f"unknown joint {name!r}; choose from {', '.join(JOINTS)}")
+    return motion.joints[:, JOINTS.index(name)]
+
+
+def forward_speed(motion: Motion) -> Float[Tensor, "frames"]:
+    """Speed of the pelvis along the heading, metres per second; negative where it moves backwards. One frame shorter."""
+    velocity = motion.translation.diff(dim=0) * motion.fps
+    return (velocity * motion.facing[:-1]).sum(dim=-1)
+
+
+def turn(motion: Motion) -> float:
+    """Net change of the heading in radians, counter-clockwise (to the left) positive, full turns counted."""
+    return float(wrap(motion.heading.diff()).sum())
+
+
+def wrist_height(motion: Motion, side: str, above: str) -> Float[Tensor, "frames"]:
+    """Height of the wrist of `side` ("left" or "right") above that side's joint `above` ("shoulder", "elbow")."""
+    return joint(motion, f"{side}_wrist")[:, 2] - joint(motion, f"{side}_{above}")[:, 2]
+
+
+def swings(motion: Motion, side: str, extent: float = 0.05) -> int:
+    """How often the forearm of `side` changes the direction in which it swings sideways while the wrist is above the elbow.
+
+    A swing counts when the wrist has moved at least `extent` metres, relative to the elbow and along the shoulders' line,
+    since the last turning point; so one wave to and fro makes two.
+    """
+    raised = wrist_height(motion, side, "elbow") > 0
+    across = joint(motion, "left_shoulder") - joint(motion, "right_shoulder")
+    across = across / across.norm(dim=-1, keepdim=True)
+    forearm = joint(motion, f"{side}_wrist") - joint(motion, f"{side}_elbow")
+    position = (forearm * across).sum(dim=-1)
+    count, direction, extreme = 0, 0, math.nan
+    for value, up in zip(position.tolist(), raised.tolist(), strict=True):
+        if not up:
+            direction, extreme = 0, math.nan
+            continue
+        if math.isnan(extreme):
+            extreme = value
+        if direction * (value - extreme) >= 0 and direction:
+            extreme = value
+        elif abs(value - extreme) >= extent:
+            count, direction, extreme = count + 1, 1 if value > extreme else -1, value
+    return count
+
+
+def foot_sliding(motion: Motion) -> float:
+    """Mean horizontal way of a foot joint per frame of contact, in metres; NaN where no foot ever stands.
+
+    A toe stands in a frame when it is within `CONTACT_HEIGHT` of the lowest point that the toes reach in the motion, in
+    this frame and in the next.
+    """
+    feet = torch.stack([joint(motion, "left_foot"), joint(motion, "right_foot")], dim=1)
+    low = feet[..., 2] < feet[..., 2].min() + CONTACT_HEIGHT
+    way = feet[..., :2].diff(dim=0).norm(dim=-1)
+    return float(way[low[1:] & low[:-1]].mean())
+
+
+def floor_penetration(motion: Motion, floor: float = 0.0) -> float:
+    """Mean depth of the lowest joint below `floor` over all frames, in metres; 0 where nothing goes below."""
+    return float((floor - motion.joints[..., 2].amin(dim=-1)).clamp(min=0).mean())
+
+
+def diversity(motions: list[Motion]) -> float:
+    """Mean distance of a joint between two of the motions, in metres, over all pairs, frames and joints.
+
+    Joints are relative to the pelvis of the same frame and turned to heading zero; motions are compared up to the end of the
+    shorter. How different samples of one timeline are.
+    """
+    local = [_local(motion) for motion in motions]
+    distances = [
+        (first[: len(second)] - second[: len(first)]).norm(dim=-1).mean()
+        for position, first in enumerate(local)
+        for second in local[:position]
+    ]
+    if not distances:
+        raise ValueError("diversity needs at least two motions")
+    return float(torch.stack(distances).mean())
+
+
+def _local(motion: Motion) -> Float[Tensor, "frames joints 3"]:
+    forward, up = motion.facing, torch.tensor([0.0, 0.0, 1.0], dtype=motion.joints.dtype)
+    frame = torch.stack([forward, torch.linalg.cross(up.expand_as(forward), forward), up.expand_as(forward)], dim=-1)
+    return (motion.joints - motion.joints[:, :1]) @ frame
