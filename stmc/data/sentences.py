@@ -17,6 +17,9 @@ from stmc.body import BodyPart
 PLAIN_SHARE = 0.5
 """Share of the draws in which a styled clip is described without its style, so that plain texts reach every style."""
 
+ALWAYS_STYLED = frozenset((f"raise-up-{side}", "feminine") for side in ("left-hand", "right-hand", "both-hands"))
+"""Clips that no plain sentence describes: these raises end at the shoulder, below where "raise the arm" would be understood."""
+
 ARMS = frozenset({BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM})
 LEGS = frozenset({BodyPart.LEGS})
 BOW = frozenset({BodyPart.HEAD, BodyPart.SPINE})
@@ -336,14 +339,15 @@ def content(name: str) -> Content:
 def describe(name: str, style: str) -> tuple[tuple[str, float], ...]:
     """Every sentence for a clip of the content `name` in `style`, each with its probability (together 1).
 
-    The plain sentences share `PLAIN_SHARE`, those followed by a phrase of the style the rest; "normal" is all plain.
+    The plain sentences share `PLAIN_SHARE` (nothing where `ALWAYS_STYLED`), those followed by a phrase of the style the
+    rest; "normal" is all plain.
     Raises `ValueError` for an unknown content or style.
     """
     sentences = content(name).sentences
     if style not in STYLES:
         raise ValueError(f"unknown style {style!r}; choose from {', '.join(STYLES)}")
     styled = tuple(f"{sentence} {phrase}" for sentence in sentences for phrase in STYLES[style])
-    share = PLAIN_SHARE if styled else 1.0
+    share = 0.0 if (name, style) in ALWAYS_STYLED else PLAIN_SHARE if styled else 1.0
     return (
         *((sentence, share / len(sentences)) for sentence in sentences),
         *((sentence, (1.0 - share) / len(styled)) for sentence in styled),
