@@ -135,7 +135,7 @@ def forward_kinematics(
     return torch.stack(positions, dim=-2)
 
 
-def sampling_positions(frames: int, old_fps: float, new_fps: float) -> Float[Tensor, " frames"]:
+def sampling_positions(frames: int, old_fps: float | int, new_fps: float | int) -> Float[Tensor, " frames"]:
     """Where `floor(frames * new_fps / old_fps)` new frames lie among the old ones (float64, CPU).
 
     As the published preparation of AMASS: frame i at `(i + 0.5) * old_fps / new_fps - 0.5`, within [0, frames - 1],
@@ -149,16 +149,16 @@ def sampling_positions(frames: int, old_fps: float, new_fps: float) -> Float[Ten
 
 
 def resample_positions(
-    positions: Float[Tensor, " frames *shape"], old_fps: float, new_fps: float
-) -> Float[Tensor, " _ *shape"]:
+    positions: Float[Tensor, "frames *joints 3"], old_fps: float | int, new_fps: float | int
+) -> Float[Tensor, "_ *joints 3"]:
     """`positions` at another frame rate, on straight lines; see `sampling_positions`."""
     before, after, share = _neighbours(positions, old_fps, new_fps)
     return torch.lerp(positions[before], positions[after], share.reshape(-1, *[1] * (positions.ndim - 1)))
 
 
 def resample_rotations(
-    rotations: Float[Tensor, "frames *shape 3 3"], old_fps: float, new_fps: float
-) -> Float[Tensor, "_ *shape 3 3"]:
+    rotations: Float[Tensor, "frames *joints 3 3"], old_fps: float | int, new_fps: float | int
+) -> Float[Tensor, "_ *joints 3 3"]:
     """`rotations` at another frame rate, on the shortest arc of the sphere; see `sampling_positions`.
 
     The published preparation interpolates axis-angle vectors instead, which swings through unrelated rotations where
@@ -171,7 +171,7 @@ def resample_rotations(
 
 
 def _neighbours(
-    values: Tensor, old_fps: float, new_fps: float
+    values: Tensor, old_fps: float | int, new_fps: float | int
 ) -> tuple[Int64[Tensor, " frames"], Int64[Tensor, " frames"], Float[Tensor, " frames"]]:
     positions = sampling_positions(len(values), old_fps, new_fps)
     before = positions.floor().long()

@@ -44,7 +44,7 @@ class Motion:
     """Pelvis positions in metres."""
     joints: Float[Tensor, "frames 24 3"]
     """Positions of all 24 joints in metres, in the order of `body.JOINTS`."""
-    fps: float
+    fps: float | int
     """Frames per second."""
 
     def __post_init__(self) -> None:
@@ -55,7 +55,7 @@ class Motion:
         cls,
         rotations: Float[Tensor, "frames 22 3 3"],
         translation: Float[Tensor, "frames 3"],
-        fps: float,
+        fps: float | int,
         skeleton: Posable,
     ) -> Motion:
         """The motion of `skeleton` with these local rotations and pelvis positions."""
@@ -97,7 +97,7 @@ class Motion:
             self.fps,
         )
 
-    def resampled(self, fps: float) -> Motion:
+    def resampled(self, fps: float | int) -> Motion:
         """The same movement at another frame rate: rotations on the sphere, positions on straight lines.
 
         Joints and rotations are resampled each for itself, so the bones of fast movements may shorten a little: pose
@@ -123,12 +123,12 @@ class Motion:
         return Motion(*(value.to(device=device, dtype=dtype) for value in values), self.fps)
 
 
-def _check_fps(fps: float) -> None:
+def _check_fps(fps: float | int) -> None:
     if not 0 < fps < float("inf"):
         raise ValueError(f"fps must be a positive number, not {fps}")
 
 
-def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float) -> None:
+def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float | int) -> None:
     _check_fps(fps)
     frames = len(translation)
     if frames == 0:

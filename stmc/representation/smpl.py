@@ -69,9 +69,9 @@ class SmplRepresentation:
     def decode(
         self,
         features: Float[Tensor, "frames features"],
-        fps: float,
+        fps: float | int,
         skeleton: Posable | None = None,
-        heading: float = 0.0,
+        heading: float | int = 0.0,
     ) -> Motion:
         """The motion that starts above the origin with `heading` radians; any finite features give one.
 
@@ -84,7 +84,7 @@ class SmplRepresentation:
         return Motion(rotations, translation, joints, fps)
 
     def integrate(
-        self, features: Float[Tensor, "*batch frames features"], heading: float | Float[Tensor, "*batch"] = 0.0
+        self, features: Float[Tensor, "*batch frames features"], heading: float | int | Float[Tensor, "*batch"] = 0.0
     ) -> tuple[
         Float[Tensor, "*batch frames 22 3 3"], Float[Tensor, "*batch frames 3"], Float[Tensor, "*batch frames 24 3"]
     ]:
@@ -107,10 +107,8 @@ class SmplRepresentation:
         root = rotation_z(yaw - heading_of(local[..., 0, :, :])) @ local[..., 0, :, :]
         rotations = torch.cat([root[..., None, :, :], local[..., 1:, :, :]], dim=-3)
 
-        positions = rearrange(
-            features[..., self.layout["positions"]], "... (joints width) -> ... joints width", width=3
-        )
-        relative = positions @ from_heading.mT
+        local_positions = features[..., self.layout["positions"]]
+        relative = rearrange(local_positions, "... (joints width) -> ... joints width", width=3) @ from_heading.mT
         pelvis = translation[..., None, :]
         return rotations, translation, torch.cat([pelvis, pelvis + relative], dim=-2)
 
