@@ -5,7 +5,6 @@ import pytest
 import smplx
 import torch
 from smplx.utils import Struct
-from smplx.vertex_ids import vertex_ids
 from test_motion import walk
 from torch.testing import assert_close
 
@@ -107,12 +106,13 @@ def rigid(kind):
 
 def smplx_vertices(path, kind, motion, trans, betas):
     """The same mesh through smplx's own classes, from axis-angle poses and SMPL's translation."""
-    frames, landmarks = motion.frames, dict.fromkeys(vertex_ids["smplx"], 0)
-    options = {"batch_size": frames, "num_betas": 10, "vertex_ids": landmarks}
+    frames = motion.frames
+    options = {"batch_size": frames, "num_betas": 10}
     if kind == "smpl":  # smplx reads SMPL from pickles only, unless it is given the arrays
         model = smplx.SMPL(str(path), data_struct=Struct(**np.load(path)), **options)
     else:
         model = smplx.create(str(path), kind, ext="npz", use_pca=False, **options)
+    model.vertex_joint_selector.extra_joints_idxs.zero_()  # landmarks are vertices that a real mesh has
     poses = matrix_to_axis_angle(motion.rotations)
     if kind == "smpl":
         poses = torch.cat([poses, poses.new_zeros(frames, 2, 3)], dim=1)

@@ -133,7 +133,7 @@ def test_a_matrix_that_is_no_rotation_is_named_with_its_joint():
 
 def test_mixed_dtypes_are_an_error():
     motion = walk()
-    with pytest.raises(ValueError, match="translation is torch.float32"):
+    with pytest.raises(ValueError, match=r"translation is torch\.float32"):
         dataclasses.replace(motion, translation=motion.translation.float())
 
 
