@@ -21,7 +21,7 @@ from stmc.body import BodyPart
 from stmc.denoisers import Denoiser
 from stmc.diffusion import Predict, Prediction, Schedule, Seed, guide
 from stmc.planning import Plan, Tile
-from stmc.tensors import mask, pad
+from stmc.tensors import mask
 
 NULL = ""
 """The text that stands for no text: its embedding is what the network saw when the text was dropped in training."""
@@ -32,7 +32,7 @@ Columns = Mapping[BodyPart, Sequence[int]]
 
 def crop_lengths(plans: Sequence[Plan]) -> tuple[int, ...]:
     """Frames of every crop of all plans, in the order of the batch."""
-    return tuple(crop.end - crop.start for plan in plans for crop in plan.crops)
+    return tuple(crop.frames for plan in plans for crop in plan.crops)
 
 
 def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
@@ -105,6 +105,17 @@ def _runs(lengths: Sequence[int], padding: float) -> list[tuple[int, int]]:
     return [(int(rows[a]), int(rows[b])) for a, b in pairwise([0, *reversed(edges)])]
 
 
+def _by_words(rows: Sequence[_Row], embeddings: Mapping[str, Tensor]) -> list[list[_Row]]:
+    """Rows whose texts have equally many words; padded words would shift the frames' positions in a transformer.
+
+    So a row does not depend on the texts beside it. Pooled text encoders give one word to all.
+    """
+    groups: dict[int, list[_Row]] = {}
+    for row in rows:
+        groups.setdefault(len(embeddings[row.text]), []).append(row)
+    return list(groups.values())
+
+
 def padding_fraction(plans: Sequence[Plan], weight: float = 2.5, padding: float = 0.1, budget: int = 32768) -> float:
     """Which share of the frames that a step of `guided_crops` denoises for these plans is padding."""
     calls = _calls(_rows(plans, weight), padding, budget)
@@ -134,45 +145,41 @@ def guided_crops(
     missing = [text for text in distinct_texts(plans) if text not in embeddings]
     if missing:
         raise ValueError(f"no embedding for {missing}; every text of the plans needs one, and the empty text too")
-    calls = _calls(_rows(plans, weight), padding, budget)
-    batches = [_Batch.of(rows, embeddings) for rows in calls]
+    batches = [
+        _Batch.of(rows, embeddings)
+        for same_words in _by_words(_rows(plans, weight), embeddings)
+        for rows in _calls(same_words, padding, budget)
+    ]
     guided = torch.tensor([text != NULL for text in _crop_texts(plans)])
     return _GuidedCrops(denoiser, schedule, crop_lengths(plans), batches, guided, weight, prediction)
 
 
 @dataclass(frozen=True)
 class _Batch:
-    """One call of the denoiser as tensors; masks are None where nothing is padded."""
+    """One call of the denoiser as tensors; the mask is None where nothing is padded."""
 
     crops: Tensor
     with_text: Tensor
     frames: int
     text: Tensor
-    text_mask: Tensor | None
     mask: Tensor | None
 
     @classmethod
     def of(cls, rows: Sequence[_Row], embeddings: Mapping[str, Tensor]) -> _Batch:
-        text, words = pad([embeddings[row.text] for row in rows])
-        lengths = torch.tensor([row.frames for row in rows])
+        present = mask(torch.tensor([row.frames for row in rows]))
         return cls(
             crops=torch.tensor([row.crop for row in rows]),
             with_text=torch.tensor([row.text != NULL for row in rows]).long(),
             frames=rows[-1].frames,
-            text=text,
-            text_mask=_unless_full(mask(words)),
-            mask=_unless_full(mask(lengths)),
+            text=torch.stack([embeddings[row.text] for row in rows]),
+            mask=None if bool(present.all()) else present,
         )
 
     def to(self, x: Tensor) -> _Batch:
         """On the device of `x`, with the text in its dtype."""
-        masks = [None if each is None else each.to(x.device) for each in (self.text_mask, self.mask)]
-        indexes = [each.to(x.device) for each in (self.crops, self.with_text)]
-        return _Batch(*indexes, self.frames, self.text.to(x), *masks)
-
-
-def _unless_full(mask: Tensor) -> Tensor | None:
-    return None if bool(mask.all()) else mask
+        crops, with_text = self.crops.to(x.device), self.with_text.to(x.device)
+        mask = None if self.mask is None else self.mask.to(x.device)
+        return _Batch(crops, with_text, self.frames, self.text.to(x), mask)
 
 
 class _GuidedCrops:
@@ -198,7 +205,7 @@ class _GuidedCrops:
         for batch in batches:
             noisy = x[batch.crops, : batch.frames]
             step = torch.full((len(noisy),), t, device=x.device)
-            output = self._denoiser(noisy, step, batch.text, batch.text_mask, batch.mask).to(x)
+            output = self._denoiser(noisy, step, batch.text, None, batch.mask).to(x)
             x0 = self._schedule.to_x0(output, noisy, t, self._prediction)
             x0 = x0 if batch.mask is None else x0.masked_fill(~batch.mask[..., None], 0)
             both[batch.with_text, batch.crops, : batch.frames] = x0
@@ -236,7 +243,7 @@ def collage(predict: Predict, plans: Sequence[Plan], columns: Columns) -> Predic
 
 
 def sinc(
-    crops: Float[Tensor, "crops frames features"], plans: Sequence[Plan], columns: Columns
+    crops: Float[Tensor, "crops _ features"], plans: Sequence[Plan], columns: Columns
 ) -> Float[Tensor, "batch frames features"]:
     """Finished crops, sampled independently, combined once into timelines (SINC, Athanasiou et al. 2023).
 

@@ -6,12 +6,13 @@ the affair of whoever trained it.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 
+@runtime_checkable
 class Denoiser(Protocol):
     """A network that predicts for crops of motion; rows of the batch never see each other."""
 

@@ -1,0 +1,196 @@
+"""Stitching, complete sampling runs and the padding on MTT: parity with the published code."""
+
+import zlib
+
+import numpy as np
+import pytest
+import torch
+from conftest import golden, golden_sets
+from torch import Tensor
+
+from stmc.body import BodyPart
+from stmc.compose import NULL, collage, crop_lengths, guided_crops, lerp, padding_fraction, sinc
+from stmc.denoisers import MdmSmpl
+from stmc.diffusion import Schedule, ddpm
+from stmc.planning import Plan, plan
+from stmc.timeline import Prompt, Timeline
+
+FPS = 20
+
+
+def timeline(*prompts: tuple) -> Timeline:
+    """From (text, start frame, end frame, *parts)."""
+    return Timeline(
+        tuple(Prompt(text, a / FPS, b / FPS, frozenset(map(BodyPart.parse, parts))) for text, a, b, *parts in prompts)
+    )
+
+
+def plans_of(*timelines: Timeline, overlap: int = 10) -> list[Plan]:
+    return [plan(each, FPS, overlap) for each in timelines]
+
+
+def last(generator) -> Tensor:
+    for x0 in generator:  # noqa: B007
+        pass
+    return x0
+
+
+def golden_columns(folder, layout: str) -> dict[BodyPart, list[int]]:
+    return {BodyPart(part): own for part, own in golden(folder, "body_part_indexes.json")[layout].items()}
+
+
+def mtt(folder) -> dict[int, Timeline]:
+    return {
+        entry["id"]: timeline(*[(str(i), *frames, *parts) for i, (*frames, parts) in enumerate(entry["prompts"])])
+        for entry in golden(folder, "mtt_plans.json.gz")["timelines"]
+    }
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("layout", ["smplrifke", "guoh3dfeats"])
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_stitching_is_that_of_the_published_code(folder, layout):
+    data, columns = golden(folder, f"stitch_{layout}.npz"), golden_columns(folder, layout)
+    timelines = [mtt(folder)[i] for i in data["timeline_ids"]]
+    overlap = int(data["overlap"])
+    for overlap_of_plan, name in [(overlap, "ext"), (0, "noext")]:
+        plans = plans_of(*timelines, overlap=overlap_of_plan)
+        assert crop_lengths(plans) == tuple(data[f"lengths_{name}"])
+        crops = torch.from_numpy(data[f"crops_{name}"]).float()
+        composite = sinc(crops, plans, columns)
+        assert torch.equal(composite, torch.from_numpy(data[f"composite_{name}"]).float())
+        smooth = lerp(composite, plans_of(*timelines, overlap=0), columns, overlap)
+        if (expected := data.get(f"lerp_{'noext' if name == 'noext' else 'on_ext'}")) is not None:
+            torch.testing.assert_close(smooth, torch.from_numpy(expected), atol=1e-4, rtol=0)
+
+
+def golden_network(folder, data: dict) -> MdmSmpl:
+    config = golden(folder, "sampling_meta.json")["config"]
+    network = MdmSmpl(
+        config["nfeats"],
+        config["tx_dim"],
+        config["latent_dim"],
+        config["ff_size"],
+        config["num_layers"],
+        config["num_heads"],
+        registers=config["nb_registers"],
+    )
+    weights = {}
+    for name, value in network.state_dict().items():
+        rng = np.random.default_rng(zlib.crc32(f"{data['weight_seed']}:{name}".encode()))
+        weight = rng.standard_normal(tuple(value.shape)).astype(np.float32) * np.float32(0.05)
+        norm = name.endswith("weight") and (".norm" in name or name.startswith("tx_embedding.3"))
+        weights[name] = torch.from_numpy(weight + 1 if norm else weight)
+    network.load_state_dict(weights)
+    return network.eval()
+
+
+class GoldenRun:
+    """The published sampling runs: one network, one stream of noise for the whole batch, spread "variance"."""
+
+    def __init__(self, folder) -> None:
+        self.data = golden(folder, "sampling.npz")
+        self.columns = golden_columns(folder, "smplrifke")
+        self.schedule = Schedule.cosine(int(self.data["T"]))
+        self.network = golden_network(folder, self.data)
+        self.timelines, row = [], 0
+        for prompts in golden(folder, "sampling_meta.json")["timelines"]:
+            named = [(str(row + i), a, b, *parts) for i, (a, b, parts) in enumerate(prompts)]
+            self.timelines.append(timeline(*named))
+            row += len(prompts)
+
+    def embeddings(self, stats: bool = False) -> dict[str, Tensor]:
+        mean, std = (self.data["text_mean"], self.data["text_std"]) if stats else (0, 1)
+        table = {str(i): tx for i, tx in enumerate(self.data["tx"])} | {NULL: self.data["tx_uncond"]}
+        return {text: torch.from_numpy(np.float32((tx - mean) / (std + 1e-12))) for text, tx in table.items()}
+
+    def draw(self, seed: str = "noise_seed"):
+        rng = np.random.default_rng(int(self.data[seed]))
+        return lambda shape: torch.from_numpy(rng.standard_normal(tuple(shape)).astype(np.float32))
+
+    @torch.no_grad()
+    def stmc(self, weight: float, stats: bool = False) -> tuple[list[Tensor], list[Tensor]]:
+        """x_t before, and x0 after, every step."""
+        plans = plans_of(*self.timelines, overlap=int(self.data["overlap"]))
+        assert crop_lengths(plans) == tuple(self.data["lengths_stmc"])
+        crops = guided_crops(self.network, self.schedule, plans, self.embeddings(stats), weight)
+        composed, states = collage(crops, plans, self.columns), []
+
+        def predict(x: Tensor, t: int) -> Tensor:
+            states.append(x)
+            return composed(x, t)
+
+        draw = self.draw()
+        x = draw(self.data["noise_shape_stmc"])
+        return states, list(ddpm(predict, self.schedule, x, draw, spread="variance"))
+
+    @torch.no_grad()
+    def crops(self, plans: list[Plan], shape, seed: str) -> Tensor:
+        draw = self.draw(seed)
+        crops = guided_crops(self.network, self.schedule, plans, self.embeddings(), float(self.data["guidance"]))
+        return last(ddpm(crops, self.schedule, draw(shape), draw, spread="variance"))
+
+
+def assert_golden(actual: Tensor, expected: np.ndarray) -> None:
+    torch.testing.assert_close(actual, torch.from_numpy(expected), atol=1e-5, rtol=0)
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_a_complete_run_of_stmc_is_that_of_the_published_code(folder):
+    run = GoldenRun(folder)
+    states, x0 = run.stmc(float(run.data["guidance"]))
+    assert len(x0) == 100
+    assert_golden(x0[0], run.data["x0pred_t99"])
+    assert_golden(states[1], run.data["xt_after_t99"])
+    assert_golden(x0[49], run.data["x0pred_t50"])
+    assert_golden(states[50], run.data["xt_after_t50"])
+    assert_golden(x0[-1], run.data["x0_stmc"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_a_run_without_guidance_is_that_of_the_published_code(folder):
+    run = GoldenRun(folder)
+    assert_golden(run.stmc(1.0)[1][-1], run.data["x0_stmc_guidance1"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_a_run_with_statistics_is_that_of_the_published_code(folder):
+    run = GoldenRun(folder)
+    x0 = run.stmc(float(run.data["guidance"]), stats=True)[1][-1]
+    mean, std = (torch.from_numpy(run.data[f"motion_{name}"]) for name in ("mean", "std"))
+    assert_golden(x0 * (std + 1e-12) + mean, run.data["x0_stmc_with_stats"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_sinc_with_and_without_lerp_is_that_of_the_published_code(folder):
+    run = GoldenRun(folder)
+    plans = plans_of(*run.timelines, overlap=0)
+    assert crop_lengths(plans) == tuple(run.data["lengths_sinc"])
+    crops = run.crops(plans, run.data["noise_shape_sinc"], "noise_seed")
+    x0 = sinc(crops, plans, run.columns)
+    assert_golden(x0, run.data["x0_sinc"])
+    assert_golden(lerp(x0, plans, run.columns, int(run.data["overlap"])), run.data["x0_sinc_lerp"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_text_to_motion_is_that_of_the_published_code(folder):
+    run = GoldenRun(folder)
+    lengths = run.data["text_lengths"].tolist()
+    plans = plans_of(*[timeline((str(i), 0, length)) for i, length in enumerate(lengths)])
+    x0 = run.crops(plans, run.data["x0_text"].shape, "text_noise_seed")
+    assert_golden(x0, run.data["x0_text"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_less_than_15_percent_of_the_frames_denoised_for_mtt_are_padding(folder):
+    plans = plans_of(*mtt(folder).values())
+    assert padding_fraction(plans) < 0.15
+    for batch in (1, 8, 32):
+        shares = [padding_fraction(plans[i : i + batch]) for i in range(0, len(plans), batch)]
+        assert max(shares) < 0.15
