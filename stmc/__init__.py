@@ -1,1 +1,31 @@
-"""Text-driven 3D human motion from a multi-track timeline (STMC, Petrovich et al., CVPRW 2024)."""
+"""Text-driven 3D human motion from a multi-track timeline (STMC, Petrovich et al., CVPRW 2024).
+
+    model = stmc.load()
+    [motion] = model.generate(stmc.Timeline.parse("walk forwards # 0 # 6 # legs"), seed=0)
+
+Names are imported when they are first used, so that `import stmc` is quick.
+"""
+
+from importlib import import_module
+
+_HOMES = {
+    "assign": "assign", "plan": "planning", "Plan": "planning", "collage": "compose", "guided_crops": "compose",
+    "sinc": "compose", "lerp": "compose", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",
+    "guide": "diffusion", "Noise": "diffusion", "Schedule": "diffusion", "BodyPart": "body", "Prompt": "timeline",
+    "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline", "Motion": "motion",
+    "Skeleton": "body_model", "Model": "model", "load": "run", "save": "run", "read": "export", "write": "export",
+    "view": "viewing", "page": "viewing", "figure": "viewing", "pictures": "viewing",
+}  # fmt: skip
+
+__all__ = sorted(_HOMES)
+
+
+def __getattr__(name: str):
+    if name not in _HOMES:
+        raise AttributeError(f"module 'stmc' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"stmc.{_HOMES[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -1,0 +1,92 @@
+"""Measures what a model can do, by the geometry of its samples: `python scripts/abilities.py model=RUN`."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import hydra
+import numpy as np
+import stmc
+import torch
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from stmc.data.cache import Cache
+from stmc.metrics import kinematics
+from stmc.metrics.abilities import abilities, mean_speed
+from stmc.viewing import pictures
+
+
+@hydra.main(config_path="../configs", config_name="abilities", version_base="1.3")
+def main(config: DictConfig) -> None:
+    device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
+    model, folder = stmc.load(config.model, device=device), Path(config.output)
+    folder.mkdir(parents=True, exist_ok=True)
+    results = {}
+    with Progress() as progress:
+        task = progress.add_task("Sampling", total=len(config.spreads) * len(abilities()))
+        for spread in config.spreads:
+            for ability in abilities():
+                motions = model.generate(
+                    [ability.timeline] * config.samples,
+                    seed=config.seed,
+                    guidance=config.guidance,
+                    overlap=config.overlap,
+                    steps=config.steps,
+                    sampler=partial(stmc.ddpm, spread=spread),
+                )
+                results.setdefault(ability.name, {})[spread] = measured(ability, motions)
+                figure = pictures(motions[0], ability.timeline)
+                figure.savefig(folder / f"{ability.name.replace(' ', '_')}_{spread}.png", dpi=80)
+                progress.advance(task)
+    if config.data:
+        results["real"] = real(Cache.read(Path(config.data)), model)
+    (folder / "abilities.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    report(results, config.spreads)
+
+
+def measured(ability, motions) -> dict[str, float]:
+    """Share of motions that show the ability, and what else they tell."""
+    return {
+        "shown": float(np.mean([ability.shown(motion) for motion in motions])),
+        "expected": ability.expected,
+        "speed": float(np.mean([mean_speed(motion) for motion in motions])),
+        "turn": float(np.degrees(np.mean([kinematics.turn(motion) for motion in motions]))),
+        "sliding_cm": 100 * float(np.nanmean([kinematics.foot_sliding(motion) for motion in motions])),
+        "diversity_cm": 100 * kinematics.diversity(motions),
+    }
+
+
+def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
+    """Foot sliding of the test split's real clips, by content."""
+    contents = {}
+    for clip in cache.clips:
+        if clip.split == "test":
+            motion = model.representation.decode(cache.features[clip.start : clip.end], cache.fps, model.skeleton)
+            contents.setdefault(clip.content, []).append(100 * kinematics.foot_sliding(motion))
+    return {content: float(np.nanmean(values)) for content, values in sorted(contents.items())}
+
+
+def report(results: dict, spreads: list[str]) -> None:
+    table = Table("", "expected", *(f"{key}, {spread}" for spread in spreads for key in ("shown", "m/s", "°", "slide cm", "div cm")))
+    for name, rows in results.items():
+        if name == "real":
+            continue
+        cells = [
+            text
+            for spread in spreads
+            for row in [rows[spread]]
+            for text in (
+                f"{row['shown']:.0%}", f"{row['speed']:.2f}", f"{row['turn']:.0f}", f"{row['sliding_cm']:.2f}",
+                f"{row['diversity_cm']:.1f}",
+            )
+        ]  # fmt: skip
+        table.add_row(name, f"{rows[spreads[0]]['expected']:.0%}", *cells)
+    Console().print(table)
+    for content, value in results.get("real", {}).items():
+        Console().print(f"real {content}: feet slide {value:.2f} cm per frame of contact")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""A trained model as one record, and the way from timelines to motions through it.
+
+`Model` bundles what belongs together (denoiser, schedule, text encoder, representation, statistics, skeleton); the steps
+of `generate` are the library's own functions, each of which can be used alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from stmc.body_model import Skeleton
+from stmc.compose import collage, crop_lengths, crop_seeds, distinct_texts, guided_crops, lerp, sinc
+from stmc.diffusion import Noise, Predict, Prediction, Schedule, ddpm
+from stmc.motion import Motion
+from stmc.planning import Plan, plan
+from stmc.representation.smpl import SmplRepresentation
+from stmc.statistics import Statistics
+from stmc.text import TextEncoder
+from stmc.timeline import Timeline, one_text, single_track
+
+Method = Literal["stmc", "sinc", "sinc_lerp", "single_track", "one_text"]
+"""STMC itself and the baselines of the paper's table 1: see `Model.generate`."""
+
+Sampler = Callable[..., Iterable[Float[Tensor, "batch frames features"]]]
+"""`ddpm`, `ddim`, `dpm_solver`, or one of them with some arguments fixed."""
+
+Track = Callable[[Iterable], Iterable]
+"""What a caller wraps around the denoising steps to show progress, e.g. a progress bar."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Everything that makes motion from text. `fps` is the frame rate of the features, `longest` the most frames that the
+    denoiser knows from training; `config` says how to build the parts again (see `run.save`)."""
+
+    denoiser: nn.Module
+    schedule: Schedule
+    text_encoder: TextEncoder
+    representation: SmplRepresentation
+    motion_statistics: Statistics
+    text_statistics: Statistics
+    skeleton: Skeleton
+    fps: float
+    longest: int
+    prediction: Prediction = "x0"
+    config: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the denoiser is."""
+        return next(self.denoiser.parameters()).device
+
+    def to(self, device: torch.device | str) -> Model:
+        """The model on another device. The denoiser is moved, not copied."""
+        return dataclasses.replace(self, denoiser=self.denoiser.to(device))
+
+    def plans(self, timelines: Sequence[Timeline], overlap: float = 0.5) -> list[Plan]:
+        """The layouts of timelines in this model's frames; `overlap` in seconds (2 l in the paper)."""
+        frames = int(overlap * self.fps)
+        return [plan(timeline, fps=self.fps, overlap=frames, longest=self.longest) for timeline in timelines]
+
+    def embed(self, texts: Sequence[str]) -> dict[str, Float[Tensor, "words width"]]:
+        """Normalised embeddings, each text encoded once."""
+        distinct = list(dict.fromkeys(texts))
+        words, lengths = self.text_encoder.encode(distinct)
+        words = self.text_statistics.normalise(words.float().cpu())
+        return {text: row[:length] for text, row, length in zip(distinct, words, lengths.tolist(), strict=True)}
+
+    def guided(self, plans: Sequence[Plan], weight: float = 2.5) -> Predict:
+        """A predictor of the plans' crops with classifier-free guidance: see `compose.guided_crops`."""
+        embeddings = self.embed(distinct_texts(plans))
+        return guided_crops(self.denoiser, self.schedule, plans, embeddings, weight, self.prediction)
+
+    @torch.inference_mode()
+    def generate(
+        self,
+        timelines: Timeline | Sequence[Timeline],
+        seed: int | Sequence[int] = 0,
+        guidance: float = 2.5,
+        overlap: float = 0.5,
+        steps: int | None = None,
+        sampler: Sampler = ddpm,
+        method: Method = "stmc",
+        track: Track = iter,
+    ) -> list[Motion]:
+        """One motion for each timeline, of its duration, at the model's frame rate, with the proportions of its skeleton.
+
+        `seed`: one for each timeline, or the first of consecutive ones; a motion depends on its own alone, not on the
+        batch. `guidance` weighs the text (1: as trained, 0: no text); `overlap` in seconds; `steps` of denoising (None: as
+        many as in training). `method`: "stmc" stitches at every step (section 3.3); "sinc" once, after sampling each crop
+        on its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts by
+        "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
+        Raises `ValueError` for an unknown method and for seeds that are not one for each timeline.
+        """
+        timelines = [timelines] if isinstance(timelines, Timeline) else list(timelines)
+        seeds = list(range(seed, seed + len(timelines))) if isinstance(seed, int) else list(seed)
+        if len(seeds) != len(timelines):
+            raise ValueError(f"{len(seeds)} seeds for {len(timelines)} timelines: each needs one")
+        if method not in get_args(Method):
+            raise ValueError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
+        if not timelines:
+            return []
+        self.denoiser.eval()
+        timelines = [_baseline(timeline, method, self) for timeline in timelines]
+        independent = method in ("sinc", "sinc_lerp")
+        plans = self.plans(timelines, 0.0 if independent else overlap)
+        columns, crops = self.representation.columns, self.guided(plans, guidance)
+        if independent:
+            features = self._sample(crops, crop_lengths(plans), crop_seeds(plans, seeds), sampler, steps, track)
+            features = sinc(features, plans, columns)
+            if method == "sinc_lerp":
+                features = lerp(features, plans, columns, int(overlap * self.fps))
+        else:
+            predict = collage(crops, plans, columns)
+            features = self._sample(predict, [each.frames for each in plans], seeds, sampler, steps, track)
+        return self.decode(features, [each.frames for each in plans])
+
+    def _sample(
+        self, predict: Predict, lengths: Sequence[int], seeds: Sequence, sampler: Sampler, steps: int | None, track: Track
+    ) -> Float[Tensor, "batch frames features"]:
+        draw = Noise(seeds, lengths, self.representation.width, device=self.device)
+        for x0 in track(sampler(predict, self.schedule, draw(), draw, steps=steps)):  # noqa: B007
+            pass
+        return x0
+
+    def decode(self, features: Float[Tensor, "batch frames features"], lengths: Sequence[int]) -> list[Motion]:
+        """Motions on the CPU from a batch of normalised features, each of its own length."""
+        raw = self.motion_statistics.restore(features.float().cpu())
+        return [
+            self.representation.decode(row[:length], self.fps, self.skeleton)
+            for row, length in zip(raw, lengths, strict=True)
+        ]
+
+
+def _baseline(timeline: Timeline, method: Method, model: Model) -> Timeline:
+    if method == "one_text":
+        return one_text(timeline, model.longest / model.fps)
+    return single_track(timeline) if method == "single_track" else timeline
