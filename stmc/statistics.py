@@ -1,0 +1,44 @@
+"""Mean and standard deviation of features: what stands between raw numbers and those a network sees.
+
+Knows nothing of what the numbers mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Per feature; `std` is positive everywhere. Both directions keep shape, dtype and device of their argument."""
+
+    mean: Float[Tensor, " features"]
+    std: Float[Tensor, " features"]
+
+    def __post_init__(self) -> None:
+        if not bool((self.std > 0).all() & self.mean.isfinite().all() & self.std.isfinite().all()):
+            raise ValueError(f"statistics must be finite, with std above 0: mean {self.mean}, std {self.std}")
+
+    @classmethod
+    def of(cls, rows: Float[Tensor, "frames features"], floor: float) -> Statistics:
+        """Over all `rows`, summed in float64. A feature that hardly varies has std `floor`, not 0."""
+        if len(rows) < 2:
+            raise ValueError(f"statistics need at least two rows, not {len(rows)}")
+        std, mean = torch.std_mean(rows.double(), dim=0, correction=0)
+        return cls(mean.to(rows.dtype), std.clamp_min(floor).to(rows.dtype))
+
+    def normalise(self, raw: Float[Tensor, "*batch features"]) -> Float[Tensor, "*batch features"]:
+        """Zero mean and unit variance."""
+        return (raw - self.mean.to(raw)) / self.std.to(raw)
+
+    def restore(self, normal: Float[Tensor, "*batch features"]) -> Float[Tensor, "*batch features"]:
+        """The inverse of `normalise`."""
+        return normal * self.std.to(normal) + self.mean.to(normal)
+
+    def to(self, device: torch.device | str) -> Statistics:
+        """The same on another device."""
+        return Statistics(self.mean.to(device), self.std.to(device))

@@ -1,0 +1,64 @@
+"""What a run writes down: tables that stay true after a resume, and TensorBoard."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+
+from stmc.training.checkpoint import write_whole
+
+
+class Table:
+    """A CSV file with a row per logged step. Opened to go on after `step`, it forgets the rows of later steps.
+
+    Raises `ValueError` where an existing file has other columns.
+    """
+
+    def __init__(self, path: Path, columns: tuple[str, ...], step: int) -> None:
+        self.path, self.columns = path, ("step", *columns)
+        kept = [row for row in self._rows() if int(row["step"]) <= step]
+
+        def write(temporary: Path) -> None:
+            with temporary.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, self.columns)
+                writer.writeheader()
+                writer.writerows(kept)
+
+        write_whole(path, write)
+
+    def _rows(self) -> list[dict[str, str]]:
+        if not self.path.exists():
+            return []
+        with self.path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != self.columns:
+                raise ValueError(f"{self.path} has columns {reader.fieldnames}, this run writes {list(self.columns)}")
+            # A kill can leave half a row at the end.
+            return [row for row in reader if None not in row.values() and None not in row]
+
+    def write(self, step: int, values: Mapping[str, float]) -> None:
+        """Appends one row; floats with nine digits, which float32 survives."""
+        with self.path.open("a", newline="", encoding="utf-8") as file:
+            csv.DictWriter(file, self.columns).writerow(
+                {"step": step} | {name: format(value, ".9g") for name, value in values.items()}
+            )
+
+
+class Board:
+    """TensorBoard scalars below one folder. Opened to go on after `step`, it hides what later steps wrote."""
+
+    def __init__(self, folder: Path, step: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter  # slow to import, and only a training run needs it
+
+        self._writer = SummaryWriter(str(folder), purge_step=step + 1 if step else None)
+
+    def write(self, group: str, step: int, values: Mapping[str, float]) -> None:
+        """One scalar for each value, as `group/name`."""
+        for name, value in values.items():
+            self._writer.add_scalar(f"{group}/{name}", value, step)
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Writes what is left."""
+        self._writer.close()

@@ -1,0 +1,255 @@
+"""The training loop. Step k is a function of the weights and of (seed, k, process): a run that was killed goes on as if
+nothing had happened.
+
+Knows batches and denoisers; knows no data set, no body and no configuration files.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from accelerate import Accelerator
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from torch import Tensor, nn
+
+from stmc.diffusion.schedule import Prediction, Schedule
+from stmc.training.checkpoint import Checkpoints
+from stmc.training.ema import Ema
+from stmc.training.logs import Board, Table
+from stmc.training.loss import Batch, draw_noise, squared_errors
+from stmc.training.speed import quick_attention, quicken_dropout
+
+logger = logging.getLogger(__name__)
+
+Batches = Callable[[int, int], Sequence[Batch]]
+"""(step, process) → the pieces of that process's share of the step's batch."""
+
+
+@dataclass(frozen=True)
+class Hook:
+    """Something to do every so many steps and after the last: `call(step, model)` gets the moving average, in
+    evaluation mode. Only the main process calls it."""
+
+    every: int
+    call: Callable[[int, nn.Module], object]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to train. `rate` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
+    `final_rate` of it at `steps`. `clip` bounds the gradient's norm. `*_every` count steps."""
+
+    steps: int
+    rate: float = 3e-4
+    warmup: int = 500
+    final_rate: float = 0.02
+    weight_decay: float = 0.01
+    clip: float = 1.0
+    decay: float = 0.999
+    prediction: Prediction = "x0"
+    precision: Literal["bf16", "fp32"] = "bf16"
+    compile: bool = False
+    seed: int = 0
+    log_every: int = 50
+    validate_every: int = 1000
+    checkpoint_every: int = 500
+    keep: int = 2
+
+    def __post_init__(self) -> None:
+        if self.precision not in ("bf16", "fp32"):
+            raise ValueError(f"unknown precision {self.precision!r}; choose bf16 or fp32")
+        if self.steps < 1 or self.log_every < 1:
+            raise ValueError(f"steps ({self.steps}) and log_every ({self.log_every}) must be at least 1")
+        for name in ("checkpoint_every", "validate_every"):
+            every = getattr(self, name)
+            if every < 1 or every % self.log_every:
+                raise ValueError(f"{name} ({every}) must be a multiple of log_every ({self.log_every})")
+
+    def rate_at(self, step: int) -> float:
+        """The learning rate of the update that `step` (from 0) makes."""
+        if step < self.warmup:
+            return self.rate * (step + 1) / self.warmup
+        progress = min(1.0, (step - self.warmup) / max(1, self.steps - self.warmup))
+        return self.rate * (self.final_rate + (1 - self.final_rate) * (1 + math.cos(math.pi * progress)) / 2)
+
+
+class Trainer:
+    """Trains `denoiser` in `folder`, from the newest checkpoint there if there is one.
+
+    `fields` names columns of the features, for the logs. `validation` pieces are met with the same noise every time.
+    """
+
+    def __init__(
+        self,
+        denoiser: nn.Module,
+        schedule: Schedule,
+        batches: Batches,
+        folder: Path,
+        settings: Settings,
+        validation: Sequence[Batch] = (),
+        fields: Mapping[str, slice] | None = None,
+        hooks: Sequence[Hook] = (),
+        accelerator: Accelerator | None = None,
+    ) -> None:
+        self.schedule, self.batches, self.settings = schedule, batches, settings
+        self.folder, self.validation, self.fields, self.hooks = Path(folder), validation, fields or {}, hooks
+        self.accelerator = accelerator or Accelerator()
+        self.device = self.accelerator.device
+        if self.device.type == "cpu":
+            quicken_dropout(denoiser)
+        denoiser.to(self.device).train()
+        self.ema = Ema(denoiser, settings.decay)
+        if settings.compile:
+            denoiser.compile(dynamic=True)
+        optimizer = torch.optim.AdamW(
+            denoiser.parameters(), lr=settings.rate, weight_decay=settings.weight_decay, fused=True
+        )
+        self.denoiser, self.optimizer = self.accelerator.prepare(denoiser, optimizer)
+        self.checkpoints = Checkpoints(self.folder / "checkpoints", settings.keep)
+        self.step = self._resume()
+
+    @property
+    def network(self) -> nn.Module:
+        """The denoiser itself, without what Accelerate wraps around it."""
+        return self.accelerator.unwrap_model(self.denoiser)
+
+    def run(self) -> nn.Module:
+        """Trains up to `settings.steps`; returns the moving average. Raises `FloatingPointError` for a loss that is not
+        finite."""
+        settings, main = self.settings, self.accelerator.is_main_process
+        with ExitStack() as stack:
+            if main:
+                self._open_logs(stack)
+            sums, began = None, time.perf_counter()
+            while self.step < settings.steps:
+                measured = self._update()
+                sums = measured if sums is None else sums + measured
+                self.step += 1
+                if self.step % settings.log_every == 0 or self.step == settings.steps:
+                    done = (self.step - 1) % settings.log_every + 1
+                    self._log(sums, done, time.perf_counter() - began)
+                    sums, began = None, time.perf_counter()
+                if main:
+                    self._now_and_then()
+                self.accelerator.wait_for_everyone()
+        return self.ema.model
+
+    def _update(self) -> Tensor:
+        """One step of the optimiser. Returns summed errors per feature, their frames, and the gradient's norm."""
+        settings, process = self.settings, self.accelerator.process_index
+        pieces = self.batches(self.step, process)
+        seed = _seed(settings.seed, self.step, process)
+        generator = torch.Generator(self.device).manual_seed(seed)
+        frames = sum(piece.frames for piece in pieces)
+        share = self.accelerator.reduce(torch.tensor(float(frames), device=self.device), "mean")  # DDP averages
+        for group in self.optimizer.param_groups:
+            group["lr"] = settings.rate_at(self.step)
+        total = torch.zeros(pieces[0].motion.shape[-1], device=self.device)
+        with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
+            torch.manual_seed(seed)  # dropout draws from the global generator
+            for piece in pieces:
+                last = piece is pieces[-1]
+                with nullcontext() if last else self.accelerator.no_sync(self.denoiser):
+                    errors = self._errors(self.denoiser, piece, generator)
+                    self.accelerator.backward(errors.sum() / (share * len(errors)))
+                total += errors.detach()
+        norm = self.accelerator.clip_grad_norm_(self.denoiser.parameters(), settings.clip)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        self.ema.update(self.network, self.step)
+        total = self.accelerator.reduce(torch.cat([total, total.new_tensor([frames])]), "sum")
+        return torch.cat([total, norm.detach().reshape(1)])
+
+    def _errors(self, denoiser: nn.Module, piece: Batch, generator: torch.Generator) -> Tensor:
+        t, noise = draw_noise(piece, self.schedule.steps, generator)
+        half = self.settings.precision == "bf16"
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=half), quick_attention(self.device):
+            return squared_errors(denoiser, self.schedule, piece, t, noise, self.settings.prediction)
+
+    def _means(self, errors: Tensor, frames: float) -> dict[str, float]:
+        mean = (errors / frames).double().cpu()
+        return {"loss": mean.mean().item()} | {
+            f"loss_{name}": mean[columns].mean().item() for name, columns in self.fields.items()
+        }
+
+    def _log(self, sums: Tensor, steps: int, seconds: float) -> None:
+        *_, frames, norm = sums.tolist()
+        values = self._means(sums[:-2], frames)
+        if not math.isfinite(values["loss"]):
+            raise FloatingPointError(f"the loss of steps {self.step - steps + 1} to {self.step} is {values['loss']}")
+        if not self.accelerator.is_main_process:
+            return
+        values |= {"gradient": norm / steps, "rate": self.settings.rate_at(self.step - 1)}
+        values |= {"frames_per_second": frames / seconds, "steps_per_second": steps / seconds}
+        self.table.write(self.step, values)
+        self.board.write("train", self.step, values)
+        speed = f"{values['steps_per_second']:.2f} steps/s"
+        self.progress.update(self.task, completed=self.step, loss=f"loss {values['loss']:.4f}", speed=speed)
+
+    def _now_and_then(self) -> None:
+        """Validation, the checkpoint, and then the hooks: what they do is lost for no resumed run."""
+        settings, last = self.settings, self.step == self.settings.steps
+        if self.validation and (last or self.step % settings.validate_every == 0):
+            values = self.validate()
+            self.validation_table.write(self.step, values)
+            self.board.write("validation", self.step, values)
+            logger.info("step %d of %d: validation loss %.4f", self.step, settings.steps, values["loss"])
+        if last or self.step % settings.checkpoint_every == 0:
+            self.checkpoints.save(self.step, self._state())
+        for hook in self.hooks:
+            if last or self.step % hook.every == 0:
+                hook.call(self.step, self.ema.model)
+
+    @torch.no_grad()
+    def validate(self) -> dict[str, float]:
+        """Losses of the moving average on the validation pieces, with fixed steps and noise."""
+        generator = torch.Generator(self.device).manual_seed(_seed(self.settings.seed, 0, 2**31))
+        errors = sum(self._errors(self.ema.model, piece, generator) for piece in self.validation)
+        return self._means(errors, sum(piece.frames for piece in self.validation))
+
+    def _state(self) -> dict[str, object]:
+        return {
+            "model": self.network.state_dict(),
+            "ema": self.ema.model.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "seed": self.settings.seed,
+        }
+
+    def _resume(self) -> int:
+        found = self.checkpoints.load(self.device)
+        if found is None:
+            return 0
+        step, state = found
+        if state["seed"] != self.settings.seed:
+            raise ValueError(f"{self.folder} was begun with seed {state['seed']}, not {self.settings.seed}")
+        self.network.load_state_dict(state["model"])
+        self.ema.model.load_state_dict(state["ema"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        logger.info("resuming %s after step %d", self.folder, step)
+        return step
+
+    def _open_logs(self, stack: ExitStack) -> None:
+        losses = ("loss", *(f"loss_{name}" for name in self.fields))
+        pace = ("gradient", "rate", "frames_per_second", "steps_per_second")
+        self.table = Table(self.folder / "train.csv", (*losses, *pace), self.step)
+        self.validation_table = Table(self.folder / "validation.csv", losses, self.step)
+        self.board = Board(self.folder / "tensorboard", self.step)
+        stack.callback(self.board.close)
+        columns = (TextColumn("{task.fields[loss]}"), TextColumn("{task.fields[speed]}"))
+        times = (TimeElapsedColumn(), TimeRemainingColumn(elapsed_when_finished=True))
+        self.progress = stack.enter_context(Progress(BarColumn(), MofNCompleteColumn(), *columns, *times))
+        self.task = self.progress.add_task("training", total=self.settings.steps, loss="", speed="")
+        self.progress.update(self.task, completed=self.step)
+
+
+def _seed(*parts: int) -> int:
+    return int(np.random.SeedSequence(parts).generate_state(1, np.uint64)[0] >> 1)

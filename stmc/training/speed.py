@@ -1,0 +1,55 @@
+"""What makes a training step fast on a processor without an accelerator: measured, and no change of the mathematics.
+
+With bf16 on CPU (sequences of about 100 frames, width 256) the backward pass of PyTorch's fused attention takes twice
+as long as its unfused one, and drawing dropout masks takes 40 % of a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor, nn
+from torch.nn.attention import SDPBackend, sdpa_kernel
+
+
+@contextmanager
+def quick_attention(device: torch.device) -> Iterator[None]:
+    """On a CPU: scaled dot product attention through plain matrix products in the tensors' own precision."""
+    if device.type != "cpu":
+        yield
+        return
+    before = torch.backends.cuda.fp16_bf16_reduction_math_sdp_allowed()
+    torch.backends.cuda.allow_fp16_bf16_reduction_math_sdp(True)
+    try:
+        with sdpa_kernel(SDPBackend.MATH):
+            yield
+    finally:
+        torch.backends.cuda.allow_fp16_bf16_reduction_math_sdp(before)
+
+
+class ByteDropout(nn.Module):
+    """Dropout that draws a byte per element instead of a Bernoulli variable: `p` is rounded to a multiple of 1/256."""
+
+    def __init__(self, p: float) -> None:
+        super().__init__()
+        self.dropped = round(256 * p)
+        if not 0 <= self.dropped < 256:
+            raise ValueError(f"the probability of dropout is in [0, 1), not {p}")
+
+    def forward(self, x: Tensor) -> Tensor:
+        """`x` with elements set to zero and the others scaled up in training; `x` itself otherwise."""
+        if not self.training or not self.dropped:
+            return x
+        words = torch.empty((x.numel() + 7) // 8, dtype=torch.int64, device=x.device).random_(-(2**63), None)
+        kept = words.view(torch.uint8)[: x.numel()].view(x.shape) >= self.dropped
+        return x * (kept * torch.tensor(256 / (256 - self.dropped), dtype=x.dtype, device=x.device))
+
+
+def quicken_dropout(network: nn.Module) -> None:
+    """Replaces every `nn.Dropout` inside `network` by a `ByteDropout`: the same in law, up to 1/512 of probability."""
+    for module in network.modules():
+        for name, child in module.named_children():
+            if isinstance(child, nn.Dropout):
+                setattr(module, name, ByteDropout(child.p).train(child.training))
