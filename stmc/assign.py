@@ -1,4 +1,4 @@
-"""Which prompt each body part obeys at every frame (STMC, section 3.3 and Appendix B). Knows no crops and no overlap."""
+"""Which prompt each body part obeys at every frame (STMC, section 3.3 and Appendix B). Knows no crops, no overlap."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ..
     spans = timeline.spans(fps)
     frames = timeline.frames(fps)
     if frames == 0:
-        raise TimelineError(f"the timeline lasts {timeline.duration:g} s, which is no frame at {fps:g} fps; make it longer")
+        raise TimelineError(f"the timeline's {timeline.duration:g} s are no frame at {fps:g} fps; make it longer")
     for prompt, (start, end) in zip(timeline.prompts, spans, strict=True):
         if start == end:
             message = f"{prompt.text!r} ({prompt.start:g} to {prompt.end:g} s) lasts no frame at {fps:g} fps: left out"

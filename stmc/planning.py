@@ -7,14 +7,18 @@ predictions with the tiles' weights.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, count
+from functools import cache
+from itertools import accumulate, count, pairwise
 from typing import NamedTuple
 
 from stmc.assign import Run, assign
 from stmc.body import BodyPart
 from stmc.timeline import Timeline
+
+Span = tuple[int, int]
+"""Frames [start, end)."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,8 @@ def plan(timeline: Timeline, fps: int | float, overlap: int, longest: int | None
     owners, spans, frames = assign(timeline, fps), timeline.spans(fps), timeline.frames(fps)
     _check(frames, overlap, longest)
     window = _Window(frames, overlap, longest or frames)
-    runs = {part: _pieces_owned(owners[part], spans, window) for part in BodyPart}
+    split = cache(window.split)
+    runs = {part: _pieces_owned(owners[part], spans, split) for part in BodyPart}
     pieces = sorted({owned.piece for part in BodyPart for owned in runs[part]}, key=_row_order)
     changes = sorted({owned.start for part in BodyPart for owned in runs[part][1:]}) if overlap else []
     texts = [None if piece.prompt is None else timeline.prompts[piece.prompt].text for piece in pieces]
@@ -145,26 +150,26 @@ class _Window(NamedTuple):
     overlap: int
     longest: int
 
-    def widen(self, start: int, end: int) -> tuple[int, int]:
+    def widen(self, start: int, end: int) -> Span:
         left = self.overlap // 2
         return max(0, start - left), min(self.frames, end + self.overlap - left)
 
-    def split(self, start: int, end: int) -> list[tuple[int, int]]:
+    def split(self, start: int, end: int) -> list[Span]:
         """The fewest equal pieces that are at most `longest` frames when widened."""
         for pieces in count(math.ceil((end - start) / self.longest)):
             edges = [start + (end - start) * piece // pieces for piece in range(pieces + 1)]
-            spans = list(zip(edges, edges[1:], strict=False))
+            spans = list(pairwise(edges))
             widened = [self.widen(*span) for span in spans]
             if all(right - left <= self.longest for left, right in widened):
                 return spans
         raise AssertionError("an endless count ended")
 
 
-def _pieces_owned(runs: Sequence[Run], spans: Sequence[tuple[int, int]], window: _Window) -> list[_Owned]:
+def _pieces_owned(runs: Sequence[Run], spans: Sequence[Span], split: Callable[[int, int], list[Span]]) -> list[_Owned]:
     """One part's runs, cut where the pieces of their prompts meet. A gap is its own span."""
     owned = []
     for prompt, start, end in runs:
-        for left, right in window.split(*((start, end) if prompt is None else spans[prompt])):
+        for left, right in split(*((start, end) if prompt is None else spans[prompt])):
             if left < end and start < right:
                 owned.append(_Owned(_Piece(prompt, left, right), max(left, start), min(right, end)))
     return owned

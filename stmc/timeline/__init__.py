@@ -1,4 +1,4 @@
-"""Timelines: `Prompt`, `Timeline`, their two file formats, and the baselines that are another timeline. Seconds only."""
+"""Timelines: `Prompt`, `Timeline`, their two file formats, and the baselines that are another timeline."""
 
 from stmc.timeline.baselines import one_text, single_track
 from stmc.timeline.files import TimelineError

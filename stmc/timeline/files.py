@@ -1,6 +1,6 @@
 """The two file formats of timelines, as plain entries: text (as MTT is published) and JSON (which keeps the tracks).
 
-Knows syntax: lines, fields, keys, and where in a document each prompt stands. What a prompt may mean is `prompts`' matter.
+Knows syntax: lines, fields, keys, and where in a document each prompt stands. What may be meant is `prompts`' matter.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,7 +43,7 @@ KEYS = {"text": str, "start": float, "end": float, "body_parts": list}
 
 
 def parse_text(document: str) -> list[Draft]:
-    """The timelines of a text: a prompt a line, blank lines between timelines. Raises `TimelineError` naming the line."""
+    """The timelines of a text: a prompt a line, blank lines between timelines. Errors name the line."""
     drafts: list[Draft] = []
     after_blank = True
     for number, line in enumerate(document.removeprefix("\ufeff").splitlines(), start=1):
@@ -60,7 +61,7 @@ def _entry_of_line(line: str, place: str) -> Entry:
     text, *rest = (field.strip() for field in line.split("#"))
     if len(rest) < 2:
         missing = "has no start and no end" if not rest else "has no end"
-        raise TimelineError(f"{place}: {line.strip()!r} {missing}; write {LINE} (seconds; parts: {', '.join(BodyPart)})")
+        raise TimelineError(f"{place}: {line.strip()!r} {missing}; write {LINE} (parts: {', '.join(BodyPart)})")
     times = []
     for name, field in zip(("start", "end"), rest, strict=False):
         try:
@@ -71,7 +72,7 @@ def _entry_of_line(line: str, place: str) -> Entry:
 
 
 def parse_json(document: str) -> list[Draft]:
-    """The timelines of a JSON document: one object or a list. Raises `TimelineError` naming the path, as "tracks[0][1]"."""
+    """The timelines of a JSON document: one object or a list. Errors name the path, such as "tracks[0][1]"."""
     try:
         data = json.loads(document.removeprefix("\ufeff"))
     except json.JSONDecodeError as error:
@@ -169,7 +170,7 @@ def _tracks(entries: Sequence[Entry]) -> list[list[dict[str, Any]]]:
 
 def _in_order(entries: Sequence[Entry]) -> list[int]:
     rows = [0]
-    for before, entry in zip(entries, entries[1:], strict=False):
+    for before, entry in pairwise(entries):
         rows.append(rows[-1] + (entry.start < before.end))
     return rows
 

@@ -211,8 +211,8 @@ def sinc_order(prompts: Sequence[Prompt], active: Iterable[int]) -> list[int]:
     """The active prompts' indexes in SINC's order: the base first, then each may override those before it.
 
     The base is the prompt with most parts among those that claim the legs, or among all if none does; the others
-    follow in decreasing number of parts. Ties fall to the file's order (Appendix B; R2). So a part claimed twice goes to
-    the prompt with fewer parts, then to the later one, unless only the other one of them claims the legs.
+    follow in decreasing number of parts. Ties fall to the file's order (Appendix B; R2). So a part claimed twice goes
+    to the prompt with fewer parts, then to the later one; the base always yields.
     """
     ranked = sorted(sorted(active), key=lambda index: -len(prompts[index].claims))
     base = next((index for index in ranked if BodyPart.LEGS in prompts[index].claims), ranked[0])
@@ -270,7 +270,7 @@ def _listed(parts: Collection[BodyPart]) -> str:
 
 def _only(timelines: list[Timeline], source: str) -> Timeline:
     if len(timelines) > 1:
-        raise TimelineError(f"{source} holds {len(timelines)} timelines where one is expected; use read_all or parse_all")
+        raise TimelineError(f"{source} holds {len(timelines)} timelines, not one; use read_all or parse_all")
     return timelines[0]
 
 
