@@ -344,7 +344,7 @@ def test_index_tensors_are_made_once_for_all_steps(monkeypatch):
     assert len(list(steps)) == 5
 
 
-# SINC and SINC-lerp -----------------------------------------------------------------------------------------------------
+# SINC and SINC-lerp ---------------------------------------------------------------------------------
 
 
 def test_sinc_selects_each_part_from_the_crop_that_owns_it():

@@ -120,7 +120,7 @@ class Schedule:
         noisy_share, output_share = self._x0_shares(prediction)
         return (x0 - _at(noisy_share, t, x) * x) / _at(output_share, t, x)
 
-    def _x0_shares(self, prediction: Prediction) -> tuple[Tensor, Tensor]:
+    def _x0_shares(self, prediction: str) -> tuple[Tensor, Tensor]:
         """a and b of x0 = a x + b output, for every step."""
         signal, noise = self.alpha_bar.sqrt(), (1 - self.alpha_bar).sqrt()
         if prediction == "eps":
