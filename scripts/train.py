@@ -21,8 +21,8 @@ def main(config: DictConfig) -> None:
     folder, settings = Path(config.run).expanduser(), instantiate(config.training)
     cache = Cache.read(Path(config.data.folder).expanduser())
     layout = instantiate(config.representation).layout
-    corpus = instantiate(
-        config.data.corpus, cache=cache, encoder=instantiate(config.text), layout=layout, device=accelerator.device
+    corpus = instantiate(config.data.corpus, _partial_=True)(
+        cache=cache, encoder=instantiate(config.text), layout=layout, device=accelerator.device
     )
     sampling = instantiate(config.data.sampling)
     held_out = ClipBatches(corpus, "val", sampling, settings.seed)

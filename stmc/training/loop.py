@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -46,7 +46,8 @@ class Hook:
 @dataclass(frozen=True)
 class Settings:
     """How to train. `rate` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
-    `final_rate` of it at `steps`. `clip` bounds the gradient's norm. `*_every` count steps."""
+    `final_rate` of it at `steps`. `clip` bounds the gradient's norm. `weights` makes fields count more or less than
+    the 1 of the plain mean, in the gradient but not in the logged losses. `*_every` count steps."""
 
     steps: int
     rate: float = 3e-4
@@ -54,6 +55,7 @@ class Settings:
     final_rate: float = 0.02
     weight_decay: float = 0.01
     clip: float = 1.0
+    weights: Mapping[str, float] = field(default_factory=dict)
     decay: float = 0.999
     prediction: Prediction = "x0"
     precision: Literal["bf16", "fp32"] = "bf16"
@@ -104,6 +106,8 @@ class Trainer:
         self.folder, self.validation, self.fields, self.hooks = Path(folder), validation, fields or {}, hooks
         self.accelerator = accelerator or Accelerator()
         self.device = self.accelerator.device
+        if unknown := set(settings.weights) - set(self.fields):
+            raise ValueError(f"weights of unknown fields {sorted(unknown)}; choose from {', '.join(self.fields)}")
         if self.device.type == "cpu":
             quicken_dropout(denoiser)
         denoiser.to(self.device).train()
@@ -160,7 +164,7 @@ class Trainer:
                 last = piece is pieces[-1]
                 with nullcontext() if last else self.accelerator.no_sync(self.denoiser):
                     errors = self._errors(self.denoiser, piece, generator)
-                    self.accelerator.backward(errors.sum() / (share * len(errors)))
+                    self.accelerator.backward(self._weigh(errors).sum() / (share * len(errors)))
                 total += errors.detach()
         norm = self.accelerator.clip_grad_norm_(self.denoiser.parameters(), settings.clip)
         self.optimizer.step()
@@ -174,6 +178,12 @@ class Trainer:
         half = self.settings.precision == "bf16"
         with torch.autocast(self.device.type, torch.bfloat16, enabled=half), quick_attention(self.device):
             return squared_errors(denoiser, self.schedule, piece, t, noise, self.settings.prediction)
+
+    def _weigh(self, errors: Tensor) -> Tensor:
+        weight = torch.ones_like(errors)
+        for name, of_field in self.settings.weights.items():
+            weight[self.fields[name]] = of_field
+        return errors * (weight / weight.mean())
 
     def _means(self, errors: Tensor, frames: float) -> dict[str, float]:
         mean = (errors / frames).double().cpu()
