@@ -304,7 +304,7 @@ CONTENTS: Mapping[str, Content] = MappingProxyType({content.name: content for co
 
 _MASCULINE = ("like a man", "in a masculine way", "in a manly manner", "with a masculine manner")
 _OLD = ("like an old person", "like an elderly person", "in an elderly way", "as if very old", "like a grandparent")
-_TIRED = ("tiredly", "wearily", "in a tired way", "as if exhausted", "with no energy left")
+_TIRED = ("tiredly", "wearily", "in a tired way", "as if exhausted", "with no energy at all")
 
 STYLES: Mapping[str, tuple[str, ...]] = MappingProxyType({
     "normal": (),
