@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 import torch.nn.functional as F
@@ -34,6 +34,7 @@ class WeightsNotFound(FileNotFoundError):
     them."""
 
 
+@runtime_checkable
 class TextEncoder(Protocol):
     """Anything that turns texts into words of `width` numbers; a text's words do not depend on the others' beyond float
     error. `name` tells encoders apart whose outputs differ."""
