@@ -84,7 +84,7 @@ class MiniLM:
         tokenizer, model = self._loaded
         return _encode(texts, tokenizer, 256, self._words, self.batch, model.device)
 
-    def _words(self, tokens: Int[Tensor, "batch words"]) -> Float[Tensor, "batch words width"]:
+    def _words(self, tokens: Int[Tensor, "batch _"]) -> Float[Tensor, "batch words width"]:
         hidden = self._loaded[1](input_ids=tokens).last_hidden_state
         return hidden if self.pooling == "tokens" else F.normalize(hidden.mean(dim=1, keepdim=True), dim=-1)
 
@@ -120,7 +120,7 @@ class Clip:
         limit = model.config.max_position_embeddings
         return _encode(texts, tokenizer, limit, self._words, self.batch, model.device)
 
-    def _words(self, tokens: Int[Tensor, "batch words"]) -> Float[Tensor, "batch words width"]:
+    def _words(self, tokens: Int[Tensor, "batch _"]) -> Float[Tensor, "batch words width"]:
         return self._loaded[1](input_ids=tokens).text_embeds[:, None]
 
     @cached_property

@@ -1,0 +1,175 @@
+"""Sentences for every content and style: what users write is among them; the mirror swaps sides and nothing else."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stmc.body import BodyPart
+from stmc.data.sentences import ALWAYS_STYLED, CONTENTS, STYLES, content, describe, mirrored, mirrored_content
+
+LABELS = (
+    "walk", "walk-back", "walk-left", "walk-right", "walk-turn-left", "walk-turn-right", "run", "dash",
+    "raise-up-both-hands", "raise-up-left-hand", "raise-up-right-hand", "wave-both-hands", "wave-left-hand",
+    "wave-right-hand", "bow", "bye", "byebye", "guide", "punch", "kick", "slash", "call", "respond", "dance-short",
+)  # fmt: skip
+MOODS = (
+    "normal", "happy", "sad", "angry", "proud", "not-confident", "masculinity", "feminine", "childish", "old", "tired",
+    "active", "musical", "giant", "chimpira", "elderly", "exhausted", "masculine", "youthful",
+)  # fmt: skip
+FREQUENT = LABELS[:14]
+SIDES = re.compile(r"\b(left|right|clockwise|counterclockwise)\b")
+
+
+def test_every_label_of_the_data_set_has_sentences():
+    assert set(CONTENTS) == set(LABELS)
+    assert set(STYLES) == set(MOODS)
+    for name, record in CONTENTS.items():
+        assert record.name == name
+        assert len(set(record.sentences)) == len(record.sentences) >= (8 if name in FREQUENT else 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("walk", "walk forwards"),
+        ("walk", "a person walks forward"),
+        ("walk-back", "walk backwards"),
+        ("run", "run"),
+        ("run", "run forwards"),
+        ("run", "jogs forwards"),
+        ("walk-turn-left", "turn left"),
+        ("walk-turn-right", "turn right"),
+        ("walk-turn-left", "walk and turn to the left"),
+        ("walk-turn-right", "walk in a quarter circle to the right"),
+        ("raise-up-right-hand", "raise the right arm"),
+        ("raise-up-right-hand", "raise the right hand"),
+        ("raise-up-left-hand", "raise the left arm"),
+        ("raise-up-both-hands", "raise both arms in the air"),
+        ("raise-up-both-hands", "raise both hands"),
+        ("wave-right-hand", "wave with the right hand"),
+        ("wave-left-hand", "wave with the left hand"),
+        ("wave-both-hands", "wave with both hands"),
+        ("bow", "bow"),
+    ],
+)
+def test_what_users_and_the_benchmark_write_is_a_sentence(name, text):
+    assert text in content(name).sentences
+
+
+def test_a_sentence_belongs_to_one_content_except_for_the_three_forward_walks():
+    owner = {}
+    for name, record in CONTENTS.items():
+        for text in record.sentences:
+            assert owner.setdefault(text, name) in (name, "walk"), f"{text!r} is said of {owner[text]} and of {name}"
+
+
+def test_walking_to_the_left_of_the_room_is_plain_walking():
+    walks = {content(name).sentences for name in ("walk", "walk-left", "walk-right")}
+    assert len(walks) == 1
+    assert not any(SIDES.search(text) for text in walks.pop())
+
+
+def test_sentences_name_a_side_exactly_where_the_label_does_and_never_the_other():
+    for name, record in CONTENTS.items():
+        side = re.search(r"-(left|right)", name.removeprefix("walk-left").removeprefix("walk-right"))
+        for text in record.sentences:
+            sides = {{"counterclockwise": "left", "clockwise": "right"}.get(word, word) for word in SIDES.findall(text)}
+            assert sides == ({side[1]} if side else set()), f"{name}: {text}"
+
+
+def test_parts_are_those_that_the_benchmark_gives_to_the_same_text():
+    assert content("walk").parts == content("walk-turn-left").parts == {BodyPart.LEGS}
+    assert content("raise-up-left-hand").parts == content("wave-left-hand").parts == {BodyPart.LEFT_ARM}
+    assert content("raise-up-right-hand").parts == content("wave-right-hand").parts == {BodyPart.RIGHT_ARM}
+    assert content("raise-up-both-hands").parts == {BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM}
+    assert content("bow").parts == {BodyPart.HEAD, BodyPart.SPINE}
+
+
+def test_only_contents_without_a_decisive_middle_are_cyclic():
+    cyclic = {name for name, record in CONTENTS.items() if record.cyclic}
+    walks = {"walk", "walk-left", "walk-right", "walk-back", "run", "dash"}
+    assert cyclic == walks | {"wave-left-hand", "wave-right-hand", "wave-both-hands", "dance-short"}
+
+
+@pytest.mark.parametrize("style", MOODS)
+def test_probabilities_sum_to_one_and_no_sentence_is_listed_twice(style):
+    for name in LABELS:
+        rows = describe(name, style)
+        assert sum(weight for _, weight in rows) == pytest.approx(1.0)
+        assert len(dict(rows)) == len(rows)
+        assert min(weight for _, weight in rows) > 0
+
+
+def test_half_of_the_draws_of_a_styled_clip_name_the_style():
+    plain = set(content("walk").sentences)
+    rows = dict(describe("walk", "happy"))
+    assert sum(weight for text, weight in rows.items() if text in plain) == pytest.approx(0.5)
+    assert "walk forwards happily" in rows
+
+
+def test_a_normal_clip_has_plain_sentences_only():
+    assert {text for text, _ in describe("run", "normal")} == set(content("run").sentences)
+
+
+def test_low_raises_are_never_called_plain_raises():
+    for name, style in ALWAYS_STYLED:
+        assert not set(content(name).sentences) & {text for text, _ in describe(name, style)}
+
+
+@pytest.mark.parametrize(
+    ("text", "other"),
+    [
+        ("raise the left arm", "raise the right arm"),
+        ("Turn LEFT, Right foot first", "Turn RIGHT, Left foot first"),
+        ("walk clockwise", "walk counterclockwise"),
+        ("walk anticlockwise", "walk clockwise"),
+        ("walk Counter-clockwise", "walk Clockwise"),
+        ("stand upright, brightly, in cleft leftovers", "stand upright, brightly, in cleft leftovers"),
+        ("step leftwards and rightward", "step rightwards and leftward"),
+        ("a left-handed wave", "a right-handed wave"),
+        ("raise-up-left-hand", "raise-up-right-hand"),
+        ("right_arm", "left_arm"),
+        ("walk forwards", "walk forwards"),
+    ],
+)
+def test_the_mirror_swaps_whole_words_and_keeps_case(text, other):
+    assert mirrored(text) == other
+
+
+@given(st.lists(st.sampled_from(["left", "Right", "LEFT", "clockwise", "Counterclockwise", "walk", "upright", "-"])))
+def test_mirroring_twice_changes_nothing(words):
+    text = " ".join(words)
+    assert mirrored(mirrored(text)) == text
+
+
+@given(st.text())
+def test_any_text_can_be_mirrored(text):
+    assert isinstance(mirrored(text), str)
+
+
+@pytest.mark.parametrize("style", MOODS)
+def test_a_mirrored_clip_is_described_by_the_mirrored_sentences(style):
+    for name in LABELS:
+        expected = {(mirrored(text), weight) for text, weight in describe(name, style)}
+        assert set(describe(mirrored_content(name), style)) == expected
+
+
+def test_sides_change_places_and_what_has_no_side_stays():
+    assert mirrored_content("wave-left-hand") == "wave-right-hand"
+    assert mirrored_content("walk-turn-right") == "walk-turn-left"
+    assert mirrored_content("raise-up-both-hands") == "raise-up-both-hands"
+
+
+def test_unknown_labels_are_refused_with_the_choices():
+    with pytest.raises(ValueError, match=r"unknown content 'fly'.*walk-back"):
+        describe("fly", "happy")
+    with pytest.raises(ValueError, match=r"unknown style 'purple'.*chimpira"):
+        describe("walk", "purple")
+    with pytest.raises(ValueError, match="unknown content 'hop-left'"):
+        mirrored_content("hop-left")
+
+
+def test_no_phrase_of_a_style_contains_the_name_of_a_side():
+    assert not [phrase for phrases in STYLES.values() for phrase in phrases if SIDES.search(phrase)]

