@@ -8,6 +8,8 @@ Names are imported when they are first used, so that `import stmc` is quick.
 
 from importlib import import_module
 
+__version__ = "0.1.0"
+
 _HOMES = {
     "assign": "assign", "plan": "planning", "Plan": "planning", "collage": "compose", "guided_crops": "compose",
     "sinc": "compose", "lerp": "compose", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",

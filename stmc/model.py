@@ -142,4 +142,4 @@ class Model:
 def _baseline(timeline: Timeline, method: Method, model: Model) -> Timeline:
     if method == "one_text":
         return one_text(timeline, model.longest / model.fps)
-    return single_track(timeline) if method == "single_track" else timeline
+    return single_track(timeline, model.fps) if method == "single_track" else timeline
