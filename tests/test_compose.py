@@ -7,6 +7,19 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mosaic import (
+    COLUMNS,
+    GAP,
+    STAND_NOD,
+    WALK_WAVE,
+    Constant,
+    embeddings,
+    last,
+    plans_of,
+    random_embeddings,
+    small_network,
+    timeline,
+)
 from torch import Tensor
 
 from stmc.body import BodyPart
@@ -21,65 +34,9 @@ from stmc.compose import (
     padding_fraction,
     sinc,
 )
-from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
-from stmc.planning import Crop, Plan, Tile, plan
-from stmc.timeline import Prompt, Timeline
-
-FPS = 20
-COLUMNS = {part: (i, 9 - i) for i, part in enumerate(BodyPart)}
-"""Ten features: each part owns two, out of order."""
-
-
-def timeline(*prompts: tuple) -> Timeline:
-    """From (text, start frame, end frame, *parts)."""
-    return Timeline(
-        tuple(Prompt(text, a / FPS, b / FPS, frozenset(map(BodyPart.parse, parts))) for text, a, b, *parts in prompts)
-    )
-
-
-WALK_WAVE = timeline(("walk", 0, 40, "legs"), ("run", 40, 74, "legs", "spine"), ("wave", 14, 52, "right arm"))
-STAND_NOD = timeline(("stand", 0, 55, "legs", "spine"), ("nod", 3, 30, "left arm", "head"))
-GAP = timeline(("walk", 0, 20, "legs"), ("run", 35, 60, "legs"))
-
-
-def plans_of(*timelines: Timeline, overlap: int = 10) -> list[Plan]:
-    return [plan(each, FPS, overlap) for each in timelines]
-
-
-class Constant:
-    """Predicts, for every frame, the number that stands for the text; counts the rows it is given."""
-
-    def __init__(self) -> None:
-        self.calls: list[tuple[int, int]] = []
-
-    def __call__(self, x: Tensor, t: Tensor, text: Tensor, text_mask=None, mask=None) -> Tensor:
-        self.calls.append(x.shape[:2])
-        return text[:, :1, :1].expand_as(x)
-
-
-def embeddings(plans: list[Plan]) -> dict[str, Tensor]:
-    """The empty text stands for 100, the others for 1, 2, 3, … in order of appearance."""
-    return {text: torch.full((1, 1), float(i or 100)) for i, text in enumerate(distinct_texts(plans))}
-
-
-def small_network(features: int = 10, text_width: int = 4, seed: int = 0) -> MdmSmpl:
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        return MdmSmpl(features, text_width, width=16, feedforward=32, layers=2, heads=2).eval()
-
-
-def random_embeddings(plans: list[Plan], width: int = 4) -> dict[str, Tensor]:
-    texts = distinct_texts(plans)
-    values = torch.randn(len(texts), 1, width, generator=torch.Generator().manual_seed(1))
-    return dict(zip(texts, values, strict=True))
-
-
-def last(generator) -> Tensor:
-    for x0 in generator:  # noqa: B007
-        pass
-    return x0
-
+from stmc.planning import Crop, Plan, Tile
+from stmc.timeline import Timeline
 
 # What a step computes -----------------------------------------------------------------------------
 
@@ -131,6 +88,29 @@ def test_weights_that_sum_to_one_leave_an_identity_alone():
     x = torch.randn(2, 74, 10)
     x[1, 60:] = 0
     torch.testing.assert_close(collage(lambda crops, t: crops, plans, COLUMNS)(x, 0), x)
+
+
+SPANS = st.tuples(st.integers(0, 60), st.integers(1, 40), st.sets(st.sampled_from(BodyPart), min_size=1))
+
+
+@given(st.lists(st.lists(SPANS, min_size=1, max_size=6), min_size=1, max_size=4), st.integers(0, 12))
+@settings(max_examples=30, deadline=None)
+@pytest.mark.filterwarnings("ignore")
+@torch.no_grad()
+def test_any_batch_of_timelines_composes_to_the_number_all_its_texts_agree_on(batch, overlap):
+    """Prompts that overlap, meet, leave gaps or are shorter than the overlap, with every weight of a tile in play."""
+    timelines = []
+    for spans in batch:
+        first = min(start for start, _, _ in spans)
+        named = [(f"text {a} {n}", a - first, a - first + n, *parts) for a, n, parts in spans]
+        timelines.append(timeline(*named))
+    plans = plans_of(*timelines, overlap=overlap)
+    agreed = {text: torch.full((1, 1), 4.0) for text in distinct_texts(plans)}
+    crops = guided_crops(Constant(), Schedule.cosine(100), plans, agreed)
+    x0 = collage(crops, plans, COLUMNS)(torch.randn(len(plans), max(each.frames for each in plans), 10), 7)
+    for row, each in zip(x0, plans, strict=True):
+        torch.testing.assert_close(row[: each.frames], torch.full((each.frames, 10), 4.0))
+        assert row[each.frames :].eq(0).all()
 
 
 def test_nothing_comes_out_beyond_the_end_of_a_timeline():

@@ -6,33 +6,15 @@ import numpy as np
 import pytest
 import torch
 from conftest import golden, golden_sets
+from mosaic import last, plans_of, timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
 from stmc.compose import NULL, collage, crop_lengths, guided_crops, lerp, padding_fraction, sinc
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule, ddpm
-from stmc.planning import Plan, plan
-from stmc.timeline import Prompt, Timeline
-
-FPS = 20
-
-
-def timeline(*prompts: tuple) -> Timeline:
-    """From (text, start frame, end frame, *parts)."""
-    return Timeline(
-        tuple(Prompt(text, a / FPS, b / FPS, frozenset(map(BodyPart.parse, parts))) for text, a, b, *parts in prompts)
-    )
-
-
-def plans_of(*timelines: Timeline, overlap: int = 10) -> list[Plan]:
-    return [plan(each, FPS, overlap) for each in timelines]
-
-
-def last(generator) -> Tensor:
-    for x0 in generator:  # noqa: B007
-        pass
-    return x0
+from stmc.planning import Plan
+from stmc.timeline import Timeline
 
 
 def golden_columns(folder, layout: str) -> dict[BodyPart, list[int]]:

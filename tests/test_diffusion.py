@@ -190,6 +190,23 @@ def test_ddim_with_eta_one_is_ddpm(steps):
         torch.testing.assert_close(a, b, atol=1e-9, rtol=0)
 
 
+@pytest.mark.parametrize("eta", [0.3, 1.0])
+def test_eta_scales_the_noise_that_ddim_adds(eta):
+    schedule, states = SCHEDULES["cosine 100"], []
+
+    def predict(x: Tensor, t: int) -> Tensor:
+        states.append(x)
+        return 0 * x
+
+    for value in (0.0, 1.0):
+        steps = ddim(predict, schedule, torch.ones(1, 1), lambda shape, value=value: torch.full(shape, value), eta=eta)
+        next(steps)
+        next(steps)
+    _, without, _, with_noise = states
+    _, variance = schedule.posterior(states[0], states[0], 99)
+    torch.testing.assert_close(with_noise - without, eta * variance.sqrt().expand(1, 1))
+
+
 @pytest.mark.parametrize("sampler", SAMPLERS.values(), ids=SAMPLERS)
 def test_a_constant_prediction_is_the_result_after_any_number_of_steps(sampler):
     schedule, draw = SCHEDULES["cosine 100"], drawn()
