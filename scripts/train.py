@@ -6,11 +6,16 @@ import hydra
 import torch
 from accelerate import Accelerator
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
+import stmc
+from stmc.body_model import Skeleton
 from stmc.data.cache import Cache
-from stmc.data.dataset import ClipBatches
-from stmc.training import Hook, Trainer, save_weights, write_whole
+from stmc.data.dataset import ClipBatches, Corpus
+from stmc.model import Model
+from stmc.run import PARTS
+from stmc.text import Cached
+from stmc.training import Hook, Trainer
 
 
 @hydra.main(config_path="../configs", config_name="train", version_base="1.3")
@@ -18,39 +23,68 @@ def main(config: DictConfig) -> None:
     if config.threads:
         torch.set_num_threads(config.threads)
     accelerator = Accelerator(cpu=config.device == "cpu")
-    folder, settings = Path(config.run).expanduser(), instantiate(config.training)
-    cache = Cache.read(Path(config.data.folder).expanduser())
-    layout = instantiate(config.representation).layout
+    settings = instantiate(config.training)
+    representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
     corpus = instantiate(config.data.corpus, _partial_=True)(
-        cache=cache, encoder=instantiate(config.text), layout=layout, device=accelerator.device
+        cache=Cache.read(Path(config.data.folder).expanduser()),
+        encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        layout=representation.layout,
+        device=accelerator.device,
     )
-    sampling = instantiate(config.data.sampling)
     held_out = ClipBatches(corpus, "val", sampling, settings.seed)
     torch.manual_seed(settings.seed)
-    sizes = {"features": corpus.features_width, "text_width": corpus.text_width}
+    with open_dict(config):
+        config.denoiser.update(features=corpus.features_width, text_width=corpus.text_width)
     trainer = Trainer(
-        instantiate(config.denoiser, **sizes),
+        instantiate(config.denoiser),
         instantiate(config.schedule),
         ClipBatches(corpus, "train", sampling, settings.seed),
-        folder,
+        Path(config.run).expanduser(),
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
-        fields=layout.slices,
-        hooks=[Hook(settings.checkpoint_every, lambda step, model: export(folder, config, sizes, model, corpus))],
+        fields=representation.layout.slices,
+        hooks=[
+            Hook(settings.checkpoint_every, lambda step, network: export(config, record(config, network, corpus), step)),
+            Hook(config.draw_every, lambda step, network: draw(config, record(config, network, corpus), step)),
+        ],
         accelerator=accelerator,
     )
     trainer.run()
 
 
-def export(folder: Path, config: DictConfig, sizes: dict[str, int], model: torch.nn.Module, corpus) -> None:
-    """The moving average, the statistics and the resolved configuration: what sampling needs."""
-    save_weights(folder / "weights.safetensors", model.state_dict())
-    statistics = {"motion": corpus.motion, "text": corpus.text}
-    tensors = {f"{name}_{part}": getattr(of, part) for name, of in statistics.items() for part in ("mean", "std")}
-    save_weights(folder / "statistics.safetensors", tensors)
-    resolved = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
-    resolved.denoiser.update(sizes)
-    write_whole(folder / "config.yaml", lambda path: OmegaConf.save(resolved, path))
+def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Model:
+    """The model as it would be loaded from the run's folder."""
+    described = OmegaConf.to_container(config, resolve=True)
+    return Model(
+        denoiser=network,
+        schedule=instantiate(config.schedule),
+        text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        representation=instantiate(config.representation),
+        motion_statistics=corpus.motion.to("cpu"),
+        text_statistics=corpus.text.to("cpu"),
+        skeleton=Skeleton.default(),
+        fps=corpus.fps,
+        longest=int(instantiate(config.data.sampling).longest * corpus.fps),
+        prediction=instantiate(config.training).prediction,
+        config={part: described[part] for part in PARTS},
+    )
+
+
+def export(config: DictConfig, model: Model, step: int) -> None:
+    """The moving average so far as a run directory, and everything that was asked for beside it."""
+    folder = Path(config.run).expanduser()
+    settings = OmegaConf.to_yaml(config, resolve=True)
+    stmc.save(model, folder, f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n")
+
+
+def draw(config: DictConfig, model: Model, step: int) -> None:
+    """Pictures of the timelines in `config.draw`, always of the same seed: how the model comes along."""
+    folder = Path(config.run).expanduser() / "pictures"
+    folder.mkdir(parents=True, exist_ok=True)
+    timelines = [stmc.Timeline.parse(text) for text in config.draw]
+    motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim)
+    for number, (timeline, motion) in enumerate(zip(timelines, motions, strict=True)):
+        stmc.pictures(motion, timeline).savefig(folder / f"{number}_{step:07d}.png", dpi=80)
 
 
 if __name__ == "__main__":
