@@ -1,0 +1,55 @@
+"""Measures sampling: time per timeline in a batch against alone, padding, STMC against SINC. No absolute claims."""
+
+import time
+from pathlib import Path
+from statistics import median
+
+import hydra
+import torch
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import stmc
+from stmc.compose import padding_fraction
+
+
+@hydra.main(config_path="../configs", config_name="benchmark", version_base="1.3")
+def main(config: DictConfig) -> None:
+    device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
+    model = stmc.load(config.model, device=device)
+    timelines = stmc.Timeline.read_all(Path(config.timelines).expanduser())
+    chosen = timelines[: config.batch]
+    rows = []
+    for _ in track(range(config.repeats), "Repeats"):
+        alone, apart = clock(lambda: [model.generate(each, seed=i, steps=config.steps)[0] for i, each in enumerate(chosen)])
+        batch, together = clock(lambda: model.generate(chosen, seed=0, steps=config.steps))
+        sinc, _ = clock(lambda: model.generate(chosen, seed=0, steps=config.steps, method="sinc"))
+        rows.append((alone / batch, batch / sinc))
+    difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
+    plans = model.plans(timelines)
+    table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {device}")
+    table.add_row("time per timeline, alone / in the batch", f"{median(row[0] for row in rows):.2f}")
+    table.add_row("time of STMC / SINC", f"{median(row[1] for row in rows):.2f}")
+    table.add_row("largest difference of a joint, batch against alone", f"{difference:.1e} m")
+    table.add_row(f"padding, all {len(timelines)} timelines at once", f"{padding_fraction(plans):.1%}")
+    table.add_row(f"padding, batches of {config.batch}", f"{batched_padding(plans, config.batch):.1%}")
+    Console().print(table)
+
+
+def clock(run) -> tuple[float, list[stmc.Motion]]:
+    """Seconds and result; results are on the CPU, so an accelerator has finished when they are there."""
+    start = time.perf_counter()
+    motions = run()
+    return time.perf_counter() - start, motions
+
+
+def batched_padding(plans: list[stmc.Plan], size: int) -> float:
+    """Mean padding of the batches that sampling would make of these plans."""
+    batches = [plans[start : start + size] for start in range(0, len(plans), size)]
+    return sum(padding_fraction(batch) for batch in batches) / len(batches)
+
+
+if __name__ == "__main__":
+    main()
