@@ -6,6 +6,7 @@ and no feature vector (see `representation`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -13,8 +14,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, MIRROR, ROTATED
-from stmc.geometry import heading, mirror_positions, mirror_rotations, resample_positions, resample_rotations
+from stmc.body import JOINTS, MIRROR, PARENTS, ROTATED
+from stmc.geometry import (
+    heading,
+    mirror_positions,
+    mirror_rotations,
+    resample_positions,
+    resample_rotations,
+    rotation_z,
+)
 
 
 @runtime_checkable
@@ -63,6 +71,10 @@ class Motion:
 
     def __repr__(self) -> str:
         return f"Motion({self.frames} frames at {self.fps:g} fps, {self.duration:.2f} s)"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: up to eight moments as stick figures. `stmc.view` shows the moving body."""
+        return f"<div>{self}</div>{_film_strip(self.joints.double().cpu(), self.facing[0].double().cpu(), self.fps)}"
 
     def __len__(self) -> int:
         return self.frames
@@ -155,3 +167,33 @@ def _check_rotations(rotations: Tensor) -> None:
     if bad.any():
         frame, joint = (int(index) for index in bad.nonzero()[0])
         raise ValueError(f"rotations[{frame}, {joint}] ({JOINTS[joint]}) is not a rotation matrix")
+
+
+_PIXELS = 100
+"""Of a film strip: pixels a metre, and from one figure to the next."""
+
+_COLOURS = {"left": "#ea580c", "midline": "#555", "right": "#2563eb"}
+
+
+def _film_strip(joints: Float[Tensor, "frames 24 3"], facing: Float[Tensor, " 3"], fps: float | int) -> str:
+    """Stick figures as SVG, side by side on one floor, as seen from 40 degrees to the right of `facing`."""
+    moments = torch.linspace(0, len(joints) - 1, min(8, len(joints))).round().long().tolist()
+    across = (joints - joints[:, :1]) @ (rotation_z(torch.tensor(math.radians(50.0)).to(facing)) @ facing)
+    height = joints[..., 2] - joints[..., 2].min()
+    width, floor = _PIXELS * len(moments), _PIXELS * float(height.max()) + 10
+    figures = []
+    for place, frame in enumerate(moments):
+        x, y = _PIXELS * (across[frame] + place + 0.5), floor - _PIXELS * height[frame]
+        for side, colour in _COLOURS.items():
+            path = "".join(
+                f"M{x[parent]:.1f} {y[parent]:.1f}L{x[joint]:.1f} {y[joint]:.1f}"
+                for joint, parent in enumerate(PARENTS)
+                if joint and (JOINTS[joint].partition("_")[0] if "_" in JOINTS[joint] else "midline") == side
+            )
+            figures.append(f'<path d="{path}" stroke="{colour}"/>')
+        figures.append(f'<text x="{x[0]:.1f}" y="{floor + 16:.1f}" fill="#333">{frame / fps:.1f} s</text>')
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{floor + 24:.0f}" style="background:#fff" '
+        'fill="none" stroke-width="4" stroke-linecap="round" font-size="11" text-anchor="middle">'
+        f'<path d="M0 {floor:.1f}H{width}" stroke="#ccc" stroke-width="1"/>{"".join(figures)}</svg>'
+    )

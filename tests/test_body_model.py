@@ -85,6 +85,12 @@ def test_posing_puts_the_pelvis_at_the_translation_and_keeps_bones():
     assert_close(bones, skeleton.offsets[1:].double().norm(dim=-1).expand_as(bones))
 
 
+def test_a_skeleton_can_be_measured_from_a_motion_it_moved():
+    skeleton, motion = Skeleton.default(), walk()
+    measured = Skeleton.measured(motion.rotations, motion.joints, pelvis=skeleton.offsets[0])
+    assert_close(measured.offsets, skeleton.offsets.double(), atol=1e-9, rtol=0)
+
+
 def test_smpl_adds_the_rest_pelvis_so_its_translation_lacks_it_r9():
     skeleton, motion = Skeleton.default(), walk()
     trans = skeleton.smpl_translation(motion.translation)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from xml.etree import ElementTree
 
 import pytest
 import torch
@@ -135,6 +136,16 @@ def test_mixed_dtypes_are_an_error():
     motion = walk()
     with pytest.raises(ValueError, match=r"translation is torch\.float32"):
         dataclasses.replace(motion, translation=motion.translation.float())
+
+
+@pytest.mark.parametrize("frames", [1, 3, 60])
+def test_a_notebook_shows_moments_of_a_motion_as_stick_figures(frames):
+    html = walk(frames)._repr_html_()
+    assert html.startswith(f"<div>Motion({frames} frames at 20 fps")
+    drawing = ElementTree.fromstring(html.partition("</div>")[2])
+    times = [text.text for text in drawing.iter("{http://www.w3.org/2000/svg}text")]
+    assert len(times) == min(frames, 8)
+    assert (times[0], times[-1]) == ("0.0 s", f"{(frames - 1) / 20:.1f} s")
 
 
 @pytest.mark.golden
