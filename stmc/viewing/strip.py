@@ -1,0 +1,201 @@
+"""A motion as a film strip: moments of it side by side, shaded and coloured by the prompts, and the path from above."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from stmc.body_model import Body
+from stmc.motion import Motion
+from stmc.timeline import Timeline
+from stmc.viewing.colours import worn
+from stmc.viewing.mannequin import dressed
+from stmc.viewing.skin import PARTS, Skin
+from stmc.viewing.tracks import FAINT, INK, draw_tracks
+
+_ELEVATION = math.radians(14.0)
+_ASIDE = math.radians(38.0)
+"""The camera stands this far to the side of where the body faces."""
+_SUN = np.array([0.35, -0.55, 1.0])
+_FLOOR, _LINE, _SHADOW = "#f4f5f7", "#dcdfe4", "#c9cdd4"
+_LEGS = PARTS.index("legs")
+
+
+def pictures(
+    motion: Motion,
+    timeline: Timeline | None = None,
+    frames: int = 8,
+    overlap: float = 0.5,
+    body: Body | None = None,
+    title: str = "",
+) -> Figure:
+    """`frames` moments of the motion from one direction, its path from above, and the timeline below.
+
+    All pictures have one scale and one camera direction, and follow the pelvis over a floor of half-metre tiles, on
+    which an arrow shows where the pelvis faces. Colours are those of `worn`. The figure is not known to pyplot.
+    """
+    if frames < 1:
+        raise ValueError(f"frames must be 1 or more, not {frames}")
+    shown = np.unique(np.linspace(0, motion.frames - 1, frames).round().astype(int))
+    colours = worn(timeline, motion.fps, motion.frames, overlap)
+    camera = _camera(motion)
+    plot = Figure(figsize=(1.72 * (len(shown) + 1), 3.0 + (0 if timeline is None else 2.4)), layout="constrained")
+    tall = [1.0] if timeline is None else [3.0, 2.4]
+    grid = plot.add_gridspec(len(tall), len(shown) + 1, height_ratios=tall)
+    _moments([plot.add_subplot(grid[0, column]) for column in range(len(shown))], motion, body, shown, colours, camera)
+    _from_above(plot.add_subplot(grid[0, -1]), motion, shown, colours)
+    if timeline is not None:
+        axes = plot.add_subplot(grid[1, :])
+        draw_tracks(axes, timeline, motion.fps, overlap)
+        for frame in shown:
+            axes.axvline(frame / motion.fps, color=INK, linewidth=0.8, linestyle=(0, (2, 2)), alpha=0.55)
+    name = title or (timeline.name if timeline is not None else "")
+    if name:
+        plot.suptitle(name, x=0.01, ha="left", fontsize=11, color=INK, fontweight="bold")
+    return plot
+
+
+def _camera(motion: Motion) -> Float[np.ndarray, "3 3"]:
+    """Rows: right, up and towards the eye, in the world. It sees the body's mean front from the side."""
+    x, y = motion.facing[:, :2].double().mean(dim=0).tolist()
+    azimuth = math.atan2(y, x) - _ASIDE
+    away = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    right = np.array([-away[1], away[0], 0.0])
+    eye = math.cos(_ELEVATION) * away + math.sin(_ELEVATION) * np.array([0.0, 0.0, 1.0])
+    return np.stack([right, np.cross(eye, right), eye])
+
+
+def _moments(
+    panels: list[Axes],
+    motion: Motion,
+    body: Body | None,
+    shown: np.ndarray,
+    colours: np.ndarray,
+    camera: Float[np.ndarray, "3 3"],
+) -> None:
+    skin = dressed(motion, body)
+    kept = Motion(motion.rotations[shown], motion.translation[shown], motion.joints[shown], motion.fps)
+    ground = kept.translation.double().cpu().numpy() * [1.0, 1.0, 0.0]
+    vertices = skin.posed(kept)
+    seen = (vertices - ground[:, None]) @ camera.T
+    wide = max(0.55, float(np.abs(seen[..., 0]).max()) + 0.06)
+    low, high = min(-0.16, float(seen[..., 1].min()) - 0.05), max(1.5, float(seen[..., 1].max()) + 0.08)
+    facing = kept.facing.double().cpu().numpy()
+    path = motion.translation.double().cpu().numpy() * [1.0, 1.0, 0.0]
+    for index, (axes, frame) in enumerate(zip(panels, shown, strict=True)):
+        axes.set(xlim=(-wide, wide), ylim=(low, high), aspect="equal", xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+        rim = _floor(axes, ground[index], camera, wide)
+        walked = (path - ground[index]) @ camera.T
+        for line in (
+            _path(axes, walked[: frame + 1], colours[: frame + 1, _LEGS], 2.2),
+            _path(axes, walked[frame:], colours[frame:, _LEGS], 2.2, 0.25),
+            _figure(axes, vertices[index] - ground[index], skin, colours[frame], camera),
+        ):
+            line.set_clip_path(rim)
+        _arrow(axes, facing[index], camera)
+        axes.set_title(f"{frame / motion.fps:.1f} s", fontsize=9, color=INK, pad=2)
+
+
+def _floor(axes: Axes, centre: Float[np.ndarray, " 3"], camera: Float[np.ndarray, "3 3"], reach: float) -> Polygon:
+    """A round piece of floor with the world's half-metre tiles."""
+    turn = np.linspace(0, 2 * np.pi, 60)
+    rim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1) * reach
+    ground = axes.add_patch(Polygon((rim @ camera.T)[:, :2], facecolor=_FLOOR, linewidth=0, zorder=0))
+    lines = []
+    for axis in (0, 1):
+        first, last = math.ceil((centre[axis] - reach) * 2), math.floor((centre[axis] + reach) * 2)
+        at = np.arange(first, last + 1) / 2 - centre[axis]
+        half = np.sqrt(np.maximum(reach**2 - at**2, 0.0))
+        ends = np.zeros((len(at), 2, 3))
+        ends[:, :, axis] = at[:, None]
+        ends[:, 0, 1 - axis], ends[:, 1, 1 - axis] = -half, half
+        lines.append((ends @ camera.T)[..., :2])
+    axes.add_collection(LineCollection(np.concatenate(lines), colors=_LINE, linewidths=0.6, zorder=1))
+    return ground
+
+
+def _path(
+    axes: Axes, points: np.ndarray, colours: np.ndarray, width: float, alpha: float = 0.8
+) -> LineCollection:
+    segments = np.stack([points[:-1, :2], points[1:, :2]], axis=1)
+    lines = LineCollection(segments, colors=colours[:-1], linewidths=width, alpha=alpha, zorder=2)
+    return axes.add_collection(lines)
+
+
+def _arrow(axes: Axes, facing: Float[np.ndarray, " 3"], camera: Float[np.ndarray, "3 3"]) -> None:
+    """A flat arrow head on the floor in front of the pelvis."""
+    aside = np.array([-facing[1], facing[0], 0.0])
+    corners = np.stack([0.52 * facing, 0.36 * facing + 0.10 * aside, 0.40 * facing, 0.36 * facing - 0.10 * aside])
+    axes.add_patch(Polygon((corners @ camera.T)[:, :2], facecolor=INK, linewidth=0, alpha=0.65, zorder=3))
+
+
+def _figure(
+    axes: Axes, vertices: np.ndarray, skin: Skin, colours: np.ndarray, camera: Float[np.ndarray, "3 3"]
+) -> PolyCollection:
+    """Paint the body's faces that look towards the eye, the nearest last; gives its shadow on the floor."""
+    corners = vertices[skin.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    lit = normals @ _SUN > 0
+    fallen = corners[lit] - corners[lit][..., 2:] / _SUN[2] * _SUN
+    shadow = axes.add_collection(
+        PolyCollection((fallen @ camera.T)[..., :2], facecolors=_SHADOW, edgecolors=_SHADOW, linewidths=0.3, zorder=1.5)
+    )
+    seen = corners @ camera.T
+    nearest = np.argsort(seen[..., 2].mean(axis=1))
+    nearest = nearest[(normals @ camera[2])[nearest] > 0]
+    shade = _shade(_smooth(normals, skin)[nearest], camera)[:, None]
+    base = colours[skin.parts[nearest]]
+    painted = np.clip(np.where(shade < 1, base * shade, base + (1 - base) * (shade - 1)), 0.0, 1.0)
+    axes.add_collection(
+        PolyCollection(seen[nearest][..., :2], facecolors=painted, edgecolors=painted, linewidths=0.35, zorder=4)
+    )
+    return shadow
+
+
+def _smooth(normals: np.ndarray, skin: Skin) -> np.ndarray:
+    """Face normals averaged over the faces around each corner."""
+    around = np.zeros((len(skin.vertices), 3))
+    np.add.at(around, skin.faces.reshape(-1), np.repeat(normals, 3, axis=0))
+    smooth = around[skin.faces].sum(axis=1)
+    return smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
+
+
+def _shade(normals: np.ndarray, camera: Float[np.ndarray, "3 3"]) -> np.ndarray:
+    """Brightness, 1 for the bare colour: a light over the camera's left shoulder, the sky, and a darker rim."""
+    key = camera.T @ np.array([-0.5, 0.65, 0.75])
+    diffuse = np.clip(normals @ (key / np.linalg.norm(key)), 0.0, 1.0)
+    sky = 0.5 + 0.5 * normals[:, 2]
+    rim = np.clip(normals @ camera[2], 0.0, 1.0) ** 0.5
+    return (0.52 + 0.22 * sky + 0.56 * diffuse) * (0.74 + 0.26 * rim)
+
+
+def _from_above(axes: Axes, motion: Motion, shown: np.ndarray, colours: np.ndarray) -> None:
+    """The pelvis' path with an arrow head where each picture was taken; x to the right, y up."""
+    path = motion.translation.double().cpu().numpy()[:, :2]
+    facing = motion.facing.double().cpu().numpy()[:, :2]
+    middle = (path.min(axis=0) + path.max(axis=0)) / 2
+    reach = max(0.75, float(np.ptp(path, axis=0).max()) / 2 * 1.15 + 0.15)
+    axes.set(xlim=middle[0] + np.array([-reach, reach]), ylim=middle[1] + np.array([-reach, reach]), aspect="equal")
+    axes.set_facecolor(_FLOOR)
+    _path(axes, path, colours[:, _LEGS], 2.5)
+    size = 0.085 * reach
+    for frame in shown:
+        front, aside = facing[frame] * size, np.array([-facing[frame, 1], facing[frame, 0]]) * size
+        corners = path[frame] + np.stack([1.6 * front, -front + aside, -0.4 * front, -front - aside])
+        axes.add_patch(Polygon(corners, facecolor=colours[frame, _LEGS], edgecolor="white", linewidth=0.6, zorder=4))
+    step = next(step for step in (0.5, 1.0, 2.0, 5.0, 10.0, 50.0, 1e9) if 2 * reach / step <= 8)
+    axes.set_xticks(np.arange(math.ceil((middle[0] - reach) / step), (middle[0] + reach) / step) * step, minor=False)
+    axes.set_yticks(np.arange(math.ceil((middle[1] - reach) / step), (middle[1] + reach) / step) * step, minor=False)
+    axes.grid(color=_LINE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(length=0, labelbottom=False, labelleft=False)
+    axes.spines[:].set_visible(False)
+    axes.set_title(f"from above, {step:g} m grid", fontsize=8, color=FAINT, pad=2)

@@ -1,0 +1,141 @@
+"""A motion as one page to look at in a browser: viser's recording, and the timeline below it, in step with it."""
+
+from __future__ import annotations
+
+import html
+import tempfile
+import webbrowser
+from importlib.resources import files
+from pathlib import Path
+
+from stmc.body_model import Body
+from stmc.motion import Motion
+from stmc.timeline import Prompt, Timeline
+from stmc.viewing.colours import NEUTRAL, ink, owners, palette, transitions, worn
+from stmc.viewing.mannequin import dressed
+from stmc.viewing.scene import record
+
+
+def page(
+    motion: Motion,
+    timeline: Timeline | None = None,
+    title: str = "",
+    overlap: float = 0.5,
+    body: Body | None = None,
+) -> str:
+    """A self-contained HTML page (about 1.5 MB) that loads nothing from anywhere and opens from a file.
+
+    It plays the motion in a loop with every body part in the colour of the prompt it obeys (neutral in gaps and in the
+    middle of transitions, which last `overlap` seconds), on a floor with the pelvis' path. With a `timeline` (by whose
+    name the page is called unless `title` says otherwise) it shows the texts that hold, and the tracks with a cursor
+    that can be dragged. "#t=2.5" behind the page's address opens it paused at 2.5 seconds.
+
+    The body is a mannequin with the motion's own bones, or the mesh of `body`.
+    """
+    title = title or (timeline.name if timeline is not None else "")
+    colours = worn(timeline, motion.fps, motion.frames, overlap)
+    scene = record(motion, dressed(motion, body), colours)
+    assets = files("stmc") / "assets"
+    style, script = ((assets / f"page.{kind}").read_text("utf-8") for kind in ("css", "js"))
+    head = f"<title>{html.escape(title or 'motion')}</title>"
+    below = "" if timeline is None else _tracks(timeline, motion, overlap)
+    heading = f'<div id="stmc-heading"><h1>{html.escape(title)}</h1>{_chips(timeline)}</div>'
+    scene = scene.replace("<title>Viser</title>", head, 1).replace("<body>", _opening(motion), 1)
+    return scene.replace("</body>", f"<style>{style}</style>{heading}{below}<script>{script}</script></body>", 1)
+
+
+def view(
+    motion: Motion,
+    timeline: Timeline | None = None,
+    title: str = "",
+    overlap: float = 0.5,
+    body: Body | None = None,
+    height: int = 640,
+) -> None:
+    """Show the motion's `page`: below the notebook's cell (`height` pixels tall), or elsewhere in the web browser."""
+    content = page(motion, timeline, title, overlap, body)
+    if _in_notebook():
+        from IPython.display import HTML, display
+
+        display(HTML(frame(content, height)))
+        return
+    with tempfile.NamedTemporaryFile("w", suffix=".html", delete=False, encoding="utf-8") as file:
+        file.write(content)
+    webbrowser.open(Path(file.name).as_uri())
+
+
+def frame(content: str, height: int = 640) -> str:
+    """A page inside another: an HTML element that holds all of `content`."""
+    style = f"width:100%;height:{height}px;border:1px solid #e6e8ec;border-radius:6px"
+    return f'<div><iframe srcdoc="{html.escape(content)}" style="{style}"></iframe></div>'
+
+
+def _in_notebook() -> bool:
+    try:
+        from IPython import get_ipython
+    except ImportError:
+        return False
+    return hasattr(get_ipython(), "kernel")
+
+
+def _opening(motion: Motion) -> str:
+    return f'<body data-duration="{motion.duration:.4f}">'
+
+
+def _chips(timeline: Timeline | None) -> str:
+    """The texts that hold, each shown only while it does."""
+    if timeline is None:
+        return ""
+    return "".join(
+        f'<span {_while(prompt)} style="{_paint(colour)}" hidden>{html.escape(prompt.text)}</span>'
+        for prompt, colour in zip(timeline.prompts, palette(len(timeline.prompts)), strict=True)
+    )
+
+
+def _tracks(timeline: Timeline, motion: Motion, overlap: float) -> str:
+    """The rows below the scene: tracks of prompts, the five body parts, seconds."""
+    colours = palette(len(timeline.prompts))
+    bars: list[list[str]] = [[] for _ in timeline.tracks]
+    for prompt, row, colour in zip(timeline.prompts, timeline.rows, colours, strict=True):
+        text = html.escape(prompt.text)
+        style = _place(prompt.start, prompt.end, motion.duration) + _paint(colour)
+        bars[row].append(f'<div class="bar" {_while(prompt)} title="{text}" style="{style}">{text}</div>')
+    rows = [_row(f"track {row + 1}" if len(bars) > 1 else "prompts", "row", pieces) for row, pieces in enumerate(bars)]
+    rows.append('<div class="gap"></div>')
+    for part, spans in owners(timeline, motion.fps, motion.frames).items():
+        pieces = [
+            _span("span", start, end, motion, f"background:{NEUTRAL if owner is None else colours[owner]}")
+            for owner, start, end in spans
+        ]
+        pieces += [_span("span change", start, end, motion) for start, end in transitions(spans, motion.fps, overlap)]
+        rows.append(_row(part, "row part", pieces))
+    return f'<div id="stmc-tracks">{"".join(rows)}<div id="stmc-time"></div>{_ruler(motion.duration)}</div>'
+
+
+def _row(name: str, kind: str, pieces: list[str]) -> str:
+    return f'<div class="name">{name}</div><div class="{kind}">{"".join(pieces)}</div>'
+
+
+def _span(kind: str, start: float, end: float, motion: Motion, style: str = "") -> str:
+    place = _place(start / motion.fps, end / motion.fps, motion.duration)
+    return f'<div class="{kind}" style="{place}{style}"></div>'
+
+
+def _while(prompt: Prompt) -> str:
+    return f'data-from="{prompt.start:.3f}" data-to="{prompt.end:.3f}"'
+
+
+def _ruler(duration: float) -> str:
+    step = next(step for step in (0.5, 1, 2, 5, 10, 20, 30, 60, 300, 1e9) if duration / step <= 16)
+    ticks = (tick * step for tick in range(int(duration / step) + 1))
+    marks = "".join(f'<b style="left:{100 * tick / duration:.3f}%">{tick:g}</b>' for tick in ticks)
+    return f'<div class="row ruler">{marks}<div id="stmc-cursor"></div></div>'
+
+
+def _place(start: float, end: float, duration: float) -> str:
+    start, end = min(start, duration), min(end, duration)
+    return f"left:{100 * start / duration:.3f}%;width:{100 * (end - start) / duration:.3f}%;"
+
+
+def _paint(colour: str) -> str:
+    return f"background:{colour};color:{ink(colour)};"
