@@ -18,7 +18,7 @@
     document.getElementById("stmc-time").textContent = time.toFixed(1) + " s";
     const cursor = document.getElementById("stmc-cursor");
     cursor.style.left = (100 * time) / duration + "%";
-    cursor.style.height = cursor.parentElement.offsetTop - tracks.firstElementChild.offsetTop + "px";
+    cursor.style.height = cursor.parentElement.offsetTop - tracks.querySelector(".row").offsetTop + "px";
   }
 
   function seek(time) {
@@ -30,6 +30,7 @@
     const value = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value");
     value.set.call(field, Math.min(Math.max(time, 0), duration).toFixed(3)); // React listens to the event, not to us
     field.dispatchEvent(new Event("input", { bubbles: true }));
+    field.blur();
   }
 
   new MutationObserver(() => {

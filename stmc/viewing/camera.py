@@ -7,9 +7,14 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from stmc.body import JOINTS
+
 _ELEVATION = math.radians(18.0)
 _ROOM = 1.12
 """How much wider than the motion the picture is."""
+_ABOVE = 0.3
+"""Metres kept free above the head joint, for the skull and some air."""
+_HEAD = JOINTS.index("head")
 
 
 def framing(
@@ -20,7 +25,7 @@ def framing(
     It stands where it can come closest, but rather in front of the body, which first faces `facing`, and aside.
     `fov`: the vertical field of view in radians; `aspect`: the picture's width over its height.
     """
-    points = joints.reshape(-1, 3)
+    points = np.concatenate([joints.reshape(-1, 3), joints[:, _HEAD] + [0.0, 0.0, _ABOVE]])
     front = math.atan2(facing[1], facing[0])
     best, least = None, math.inf
     for aside in np.radians(np.arange(-180, 180, 15)):

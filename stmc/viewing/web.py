@@ -15,6 +15,12 @@ from stmc.viewing.colours import NEUTRAL, ink, owners, palette, transitions, wor
 from stmc.viewing.mannequin import dressed
 from stmc.viewing.scene import record
 
+_ALONE = (
+    '<meta http-equiv="Content-Security-Policy" content="default-src data: blob:; '
+    "script-src 'unsafe-inline' 'unsafe-eval' blob:; style-src 'unsafe-inline'\">"
+)
+"""Has the browser refuse whatever does not come with the page itself."""
+
 
 def page(
     motion: Motion,
@@ -34,14 +40,20 @@ def page(
     """
     title = title or (timeline.name if timeline is not None else "")
     colours = worn(timeline, motion.fps, motion.frames, overlap)
-    scene = record(motion, dressed(motion, body), colours)
+    content = record(motion, dressed(motion, body), colours)
     assets = files("stmc") / "assets"
     style, script = ((assets / f"page.{kind}").read_text("utf-8") for kind in ("css", "js"))
-    head = f"<title>{html.escape(title or 'motion')}</title>"
     below = "" if timeline is None else _tracks(timeline, motion, overlap)
     heading = f'<div id="stmc-heading"><h1>{html.escape(title)}</h1>{_chips(timeline)}</div>'
-    scene = scene.replace("<title>Viser</title>", head, 1).replace("<body>", _opening(motion), 1)
-    return scene.replace("</body>", f"<style>{style}</style>{heading}{below}<script>{script}</script></body>", 1)
+    for old, new in (
+        ("<head>", f"<head>{_ALONE}"),
+        ("<title>Viser</title>", f"<title>{html.escape(title or 'motion')}</title>"),
+        ("<body>", f'<body data-duration="{motion.duration:.4f}">'),
+        ("</body>", f"<style>{style}</style>{heading}{below}<script>{script}</script></body>"),
+    ):
+        assert content.count(old) == 1, (old, content.count(old))  # else viser's page is not the one we know
+        content = content.replace(old, new)
+    return content
 
 
 def view(
@@ -76,10 +88,6 @@ def _in_notebook() -> bool:
     except ImportError:
         return False
     return hasattr(get_ipython(), "kernel")
-
-
-def _opening(motion: Motion) -> str:
-    return f'<body data-duration="{motion.duration:.4f}">'
 
 
 def _chips(timeline: Timeline | None) -> str:
