@@ -39,7 +39,10 @@ class Skeleton:
 
     @classmethod
     def measured(
-        cls, rotations: Float[Tensor, "frames 22 3 3"], joints: Float[Tensor, "frames 24 3"], pelvis: Float[Tensor, " 3"]
+        cls,
+        rotations: Float[Tensor, "frames 22 3 3"],
+        joints: Float[Tensor, "frames 24 3"],
+        pelvis: Float[Tensor, " 3"],
     ) -> Skeleton:
         """The skeleton that a motion moves: its bones in their parents' frames, averaged over the frames.
 
