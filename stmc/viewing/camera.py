@@ -18,7 +18,7 @@ _HEAD = JOINTS.index("head")
 
 
 def framing(
-    joints: Float[np.ndarray, "frames joints 3"], facing: Float[np.ndarray, " 3"], fov: float, aspect: float
+    joints: Float[np.ndarray, "frames joints 3"], facing: Float[np.ndarray, " 3"], fov: int | float, aspect: int | float
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """Position and target (metres, z up) of a camera that sees all joints of all frames.
 
@@ -38,7 +38,7 @@ def framing(
     return best
 
 
-def _fit(points: np.ndarray, azimuth: float, fov: float, aspect: float) -> tuple[np.ndarray, np.ndarray]:
+def _fit(points: np.ndarray, azimuth: float, fov: int | float, aspect: int | float) -> tuple[np.ndarray, np.ndarray]:
     """The closest camera in one direction that has every point in its pyramid."""
     away = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
     eye = math.cos(_ELEVATION) * away + np.array([0.0, 0.0, math.sin(_ELEVATION)])

@@ -48,7 +48,7 @@ def ink(colour: str) -> str:
     return "#ffffff" if luminance < 0.34 else "#1d2330"
 
 
-def owners(timeline: Timeline, fps: float, frames: int) -> dict[BodyPart, Spans]:
+def owners(timeline: Timeline, fps: int | float, frames: int) -> dict[BodyPart, Spans]:
     """`assign`'s owners cut to `frames`, or filled up with nobody's."""
     owned: dict[BodyPart, Spans] = {}
     for part, spans in assign(timeline, fps).items():
@@ -58,7 +58,7 @@ def owners(timeline: Timeline, fps: float, frames: int) -> dict[BodyPart, Spans]
     return owned
 
 
-def transitions(spans: Spans, fps: float, overlap: float) -> list[tuple[float, float]]:
+def transitions(spans: Spans, fps: int | float, overlap: int | float) -> list[tuple[float, float]]:
     """Where one owner hands over to the next: (start, end) in frames, `overlap` seconds long, within the spans."""
     half = overlap * fps / 2
     last = spans[-1][2]
@@ -66,7 +66,7 @@ def transitions(spans: Spans, fps: float, overlap: float) -> list[tuple[float, f
 
 
 def worn(
-    timeline: Timeline | None, fps: float, frames: int, overlap: float = 0.5
+    timeline: Timeline | None, fps: int | float, frames: int, overlap: int | float = 0.5
 ) -> Float[np.ndarray, "frames parts 3"]:
     """The colour (0 to 1) of each of the five body parts, in `BodyPart`'s order, in each frame.
 

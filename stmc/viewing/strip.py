@@ -31,7 +31,7 @@ def pictures(
     motion: Motion,
     timeline: Timeline | None = None,
     frames: int = 8,
-    overlap: float = 0.5,
+    overlap: int | float = 0.5,
     body: Body | None = None,
     title: str = "",
 ) -> Figure:
@@ -122,7 +122,7 @@ def _floor(axes: Axes, centre: Float[np.ndarray, " 3"], camera: Float[np.ndarray
 
 
 def _path(
-    axes: Axes, points: np.ndarray, colours: np.ndarray, width: float, alpha: float = 0.8
+    axes: Axes, points: np.ndarray, colours: np.ndarray, width: int | float, alpha: float = 0.8
 ) -> LineCollection:
     segments = np.stack([points[:-1, :2], points[1:, :2]], axis=1)
     lines = LineCollection(segments, colors=colours[:-1], linewidths=width, alpha=alpha, zorder=2)

@@ -19,7 +19,7 @@ _TRACK, _PART = 1.0, 0.46
 _ROW_INCHES = 0.42
 
 
-def figure(timeline: Timeline, fps: float, overlap: float = 0.5, width: float = 10.0) -> Figure:
+def figure(timeline: Timeline, fps: int | float, overlap: int | float = 0.5, width: int | float = 10.0) -> Figure:
     """The timeline's tracks, prompts as bars that bear their texts, and below them the five body parts.
 
     `fps` decides where frames cut the spans; `overlap` (seconds) is how long the transitions are, which are hatched;
@@ -34,7 +34,7 @@ def figure(timeline: Timeline, fps: float, overlap: float = 0.5, width: float = 
     return plot
 
 
-def draw_tracks(axes: Axes, timeline: Timeline, fps: float, overlap: float) -> None:
+def draw_tracks(axes: Axes, timeline: Timeline, fps: int | float, overlap: int | float) -> None:
     """Draw both kinds of rows into `axes`, seconds along x."""
     count, duration = len(timeline.tracks), timeline.duration
     parts_top = count * _TRACK + 0.35
@@ -67,7 +67,7 @@ def _prompts(axes: Axes, timeline: Timeline) -> None:
         )  # fmt: skip
 
 
-def _parts(axes: Axes, timeline: Timeline, fps: float, overlap: float, top: float) -> None:
+def _parts(axes: Axes, timeline: Timeline, fps: int | float, overlap: int | float, top: float) -> None:
     colours = palette(len(timeline.prompts))
     for index, spans in enumerate(owners(timeline, fps, timeline.frames(fps)).values()):
         low, tall = top + index * _PART + 0.05, _PART - 0.10
@@ -84,7 +84,7 @@ def _parts(axes: Axes, timeline: Timeline, fps: float, overlap: float, top: floa
             )  # fmt: skip
 
 
-def _bar(axes: Axes, left: float, low: float, wide: float, tall: float, colour: str, inches: float) -> None:
+def _bar(axes: Axes, left: float, low: float, wide: float, tall: float, colour: str, inches: int | float) -> None:
     """A rectangle with corners that stay round although seconds and rows have different scales."""
     corner = min(0.06 / inches, wide / 2)
     shape = f"round,pad=0,rounding_size={corner}"

@@ -26,7 +26,7 @@ def page(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
-    overlap: float = 0.5,
+    overlap: int | float = 0.5,
     body: Body | None = None,
 ) -> str:
     """A self-contained HTML page (about 1.5 MB) that loads nothing from anywhere and opens from a file.
@@ -60,7 +60,7 @@ def view(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
-    overlap: float = 0.5,
+    overlap: int | float = 0.5,
     body: Body | None = None,
     height: int = 640,
 ) -> None:
@@ -100,7 +100,7 @@ def _chips(timeline: Timeline | None) -> str:
     )
 
 
-def _tracks(timeline: Timeline, motion: Motion, overlap: float) -> str:
+def _tracks(timeline: Timeline, motion: Motion, overlap: int | float) -> str:
     """The rows below the scene: tracks of prompts, the five body parts, seconds."""
     colours = palette(len(timeline.prompts))
     bars: list[list[str]] = [[] for _ in timeline.tracks]
@@ -124,7 +124,7 @@ def _row(name: str, kind: str, pieces: list[str]) -> str:
     return f'<div class="name">{name}</div><div class="{kind}">{"".join(pieces)}</div>'
 
 
-def _span(kind: str, start: float, end: float, motion: Motion, style: str = "") -> str:
+def _span(kind: str, start: int | float, end: int | float, motion: Motion, style: str = "") -> str:
     place = _place(start / motion.fps, end / motion.fps, motion.duration)
     return f'<div class="{kind}" style="{place}{style}"></div>'
 
@@ -133,14 +133,14 @@ def _while(prompt: Prompt) -> str:
     return f'data-from="{prompt.start:.3f}" data-to="{prompt.end:.3f}"'
 
 
-def _ruler(duration: float) -> str:
+def _ruler(duration: int | float) -> str:
     step = next(step for step in (0.5, 1, 2, 5, 10, 20, 30, 60, 300, 1e9) if duration / step <= 16)
     ticks = (tick * step for tick in range(int(duration / step) + 1))
     marks = "".join(f'<b style="left:{100 * tick / duration:.3f}%">{tick:g}</b>' for tick in ticks)
     return f'<div class="row ruler">{marks}<div id="stmc-cursor"></div></div>'
 
 
-def _place(start: float, end: float, duration: float) -> str:
+def _place(start: int | float, end: int | float, duration: int | float) -> str:
     start, end = min(start, duration), min(end, duration)
     return f"left:{100 * start / duration:.3f}%;width:{100 * (end - start) / duration:.3f}%;"
 
