@@ -240,7 +240,7 @@ def _packaged() -> str | None:
 def _load(
     source: str, build: Callable[..., Any], device: str, remedy: str, **settings: bool
 ) -> tuple[Any, torch.nn.Module]:
-    """Tokenizer and frozen float32 model of a folder or of the hub (its local cache first); only from safetensors."""
+    """Tokenizer and float32 model of a folder or of the hub (its local cache first); only from safetensors."""
     from transformers import AutoTokenizer
 
     attempts = [True] if Path(source).is_dir() else [True, False]
@@ -262,7 +262,7 @@ def _load(
     if report["missing_keys"]:
         missing = ", ".join(sorted(report["missing_keys"]))
         raise WeightsNotFound(f"the weights at {source!r} are those of another model, or incomplete: no {missing}")
-    return tokenizer, model.float().eval().requires_grad_(False).to(device)
+    return tokenizer, model.float().eval().to(device)
 
 
 def _check_width(source: str, found: int, expected: int) -> None:
