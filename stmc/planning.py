@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import accumulate, count, pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 from stmc.assign import Run, assign
@@ -156,13 +156,13 @@ class _Window(NamedTuple):
 
     def split(self, start: int, end: int) -> list[Span]:
         """The fewest equal pieces that are at most `longest` frames when widened."""
-        for pieces in count(math.ceil((end - start) / self.longest)):
+        for pieces in range(math.ceil((end - start) / self.longest), end - start + 1):
             edges = [start + (end - start) * piece // pieces for piece in range(pieces + 1)]
             spans = list(pairwise(edges))
             widened = [self.widen(*span) for span in spans]
             if all(right - left <= self.longest for left, right in widened):
                 return spans
-        raise AssertionError("an endless count ended")
+        raise AssertionError(f"single frames of [{start}, {end}) do not fit {self}")
 
 
 def _pieces_owned(runs: Sequence[Run], spans: Sequence[Span], split: Callable[[int, int], list[Span]]) -> list[_Owned]:
