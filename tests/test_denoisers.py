@@ -164,3 +164,16 @@ def test_outputs_are_those_of_the_published_network(folder, name, tolerance):
     out = network(data["x"], data["t"], data["tx"], words, present)
     for reference in (data["out"], data["out_from_f64"]):
         torch.testing.assert_close(out[present], reference[present], atol=tolerance, rtol=0)
+
+
+def test_with_a_fixed_place_for_words_padding_a_text_changes_nothing() -> None:
+    """The published network moves the frames when a longer text joins the batch; `words` keeps them in place."""
+    torch.manual_seed(0)
+    x, t, text = torch.randn(1, 9, 7), torch.tensor([3]), torch.randn(1, 3, 5)
+    padded = torch.cat([text, torch.randn(1, 4, 5)], dim=1)
+    exists = torch.tensor([[True] * 3 + [False] * 4])
+    sizes = {"features": 7, "text_width": 5, "width": 16, "feedforward": 16, "layers": 1, "heads": 2}
+    for words, same in ((4, True), (None, False)):
+        network = MdmSmpl(**sizes, words=words).eval()
+        alone, beside = network(x, t, text), network(x, t, padded, exists)
+        assert torch.allclose(alone, beside, atol=1e-5) is same

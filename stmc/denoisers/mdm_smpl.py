@@ -23,6 +23,9 @@ class MdmSmpl(nn.Module):
 
     `features` numbers per frame, `text_width` numbers per word of text; `width` of a token, `feedforward` width inside
     a layer. The output has no mask applied: padded frames carry arbitrary values.
+
+    `words`: registers and frames take the positions behind this many words, however many the batch's longest text has,
+    so that a sample does not depend on its batch; None: behind that text, as published (which reads one word a text).
     """
 
     def __init__(
@@ -35,8 +38,10 @@ class MdmSmpl(nn.Module):
         heads: int = 8,
         dropout: float = 0.1,
         registers: int = 2,
+        words: int | None = None,
     ) -> None:
         super().__init__()
+        self.words = words
         if width % heads or width % 2:
             raise ValueError(f"width {width} must be even and a multiple of heads ({heads})")
         self.tx_embedding = nn.Sequential(
@@ -63,11 +68,17 @@ class MdmSmpl(nn.Module):
         step = self.timestep_encoder(self.positions[t])
         registers = repeat(self.registers, "words width -> batch words width", batch=batch)
         tokens = torch.cat([step[:, None], self.tx_embedding(text), registers, self.skel_embedding(x)], dim=1)
-        if tokens.shape[1] > POSITIONS:
-            raise ValueError(f"{tokens.shape[1]} tokens ({frames} frames) exceed the {POSITIONS} known positions")
-        tokens = self.dropout(tokens + self.positions[: tokens.shape[1]])
+        tokens = self.dropout(tokens + self._placed(tokens.shape[1], text.shape[1]))
         tokens = self.seqTransEncoder(tokens, self._attended(text, text_mask, x, mask))
         return self.to_skel_layer(tokens[:, -frames:])
+
+    def _placed(self, tokens: int, words: int) -> Float[Tensor, "tokens width"]:
+        """Rows of the table for every token: step and words from 0 on, then registers and frames."""
+        rest = tokens - 1 - words
+        first = 1 + (words if self.words is None else self.words)
+        if max(tokens, first + rest) > POSITIONS:
+            raise ValueError(f"{tokens} tokens ({words} words) exceed the {POSITIONS} known positions")
+        return torch.cat([self.positions[: 1 + words], self.positions[first : first + rest]])
 
     def _attended(self, text: Tensor, text_mask: Tensor | None, x: Tensor, mask: Tensor | None) -> Tensor | None:
         """Which tokens may be attended to, [batch, 1, 1, tokens]; None where it is all of them: that is much faster."""
