@@ -14,7 +14,7 @@ from matplotlib.patches import Polygon
 from stmc.body_model import Body
 from stmc.motion import Motion
 from stmc.timeline import Timeline
-from stmc.viewing.colours import worn
+from stmc.viewing.colours import as_rgb, mix, worn
 from stmc.viewing.mannequin import dressed
 from stmc.viewing.skin import PARTS, Skin
 from stmc.viewing.tracks import FAINT, INK, draw_tracks
@@ -122,11 +122,12 @@ def _floor(axes: Axes, centre: Float[np.ndarray, " 3"], camera: Float[np.ndarray
 
 
 def _path(
-    axes: Axes, points: np.ndarray, colours: np.ndarray, width: int | float, alpha: float = 0.8
+    axes: Axes, points: np.ndarray, colours: np.ndarray, width: int | float, share: float = 0.8
 ) -> LineCollection:
+    """A line over the floor, its colours thinned with the floor's (`share` of their own is left)."""
     segments = np.stack([points[:-1, :2], points[1:, :2]], axis=1)
-    lines = LineCollection(segments, colors=colours[:-1], linewidths=width, alpha=alpha, zorder=2)
-    return axes.add_collection(lines)
+    thinned = mix(as_rgb(_FLOOR), share, colours[:-1])
+    return axes.add_collection(LineCollection(segments, colors=thinned, linewidths=width, zorder=2))
 
 
 def _arrow(axes: Axes, facing: Float[np.ndarray, " 3"], camera: Float[np.ndarray, "3 3"]) -> None:
