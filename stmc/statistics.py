@@ -26,8 +26,8 @@ class Statistics:
     @classmethod
     def of(cls, rows: Float[Tensor, "frames features"], floor: float) -> Statistics:
         """Over all `rows`, summed in float64. A feature that hardly varies has std `floor`, not 0."""
-        if len(rows) < 2:
-            raise ValueError(f"statistics need at least two rows, not {len(rows)}")
+        if not len(rows):
+            raise ValueError("statistics of no rows at all")
         std, mean = torch.std_mean(rows.double(), dim=0, correction=0)
         return cls(mean.to(rows.dtype), std.clamp_min(floor).to(rows.dtype))
 

@@ -240,7 +240,8 @@ class ClipBatches:
         sampling, fps = self.sampling, self.corpus.fps
         clip = random.choice(self._described, count, p=self.shares)
         silent = random.random(count) < sampling.silent
-        sentence = np.array([self.corpus.sentence(c, u) for c, u in zip(clip, random.random(count), strict=True)])
+        chance = random.random(count)
+        sentence = np.array([self.corpus.sentence(*pair) for pair in zip(clip.tolist(), chance.tolist(), strict=True)])
         is_crop = random.random(count) < sampling.crops
         by_time = self._length[self._any] / self._length[self._any].sum()
         clip = np.where(is_crop, random.choice(self._any, count, p=by_time), clip)
@@ -258,8 +259,9 @@ class ClipBatches:
         speed = np.minimum(speed, source)  # at least one frame is left
         begin = self._start[clip]
         sentence = np.where(is_crop | silent, NULL, sentence)
-        # The small number keeps 10 / 1.25 at 8 frames.
-        return Draws(begin + offset, begin + length, np.floor(source / speed + 1e-9).astype(int), speed, sentence)
+        # Neither the last pose nor the velocity after it may lie beyond the stretch; 10 / 1.25 is 8, also in floats.
+        frames = np.floor(np.minimum(source / speed, (source - 1) / speed + 1) + 1e-9).astype(int)
+        return Draws(begin + offset, begin + length, frames, speed, sentence)
 
 
 def _between(low: np.ndarray, high: np.ndarray, u: np.ndarray) -> np.ndarray:

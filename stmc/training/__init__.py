@@ -1,6 +1,6 @@
 """Training a denoiser (STMC, section 3.4 and Eq. 5): the loss, the loop, and files that survive a kill."""
 
-from stmc.training.checkpoint import Checkpoints, save_weights, write_whole
+from stmc.training.checkpoint import Checkpoints
 from stmc.training.ema import Ema
 from stmc.training.loop import Batches, Hook, Settings, Trainer
 from stmc.training.loss import Batch, draw_noise, squared_errors
@@ -14,7 +14,5 @@ __all__ = [
     "Settings",
     "Trainer",
     "draw_noise",
-    "save_weights",
     "squared_errors",
-    "write_whole",
 ]

@@ -1,38 +1,18 @@
-"""Files that are whole or absent: checkpoints that survive a kill at any moment, and weights to ship.
+"""Checkpoints that survive a kill at any moment; they are read back without running code.
 
-Checkpoints are read back without unpickling code. Knows nothing of what the tensors mean.
+Knows nothing of what the tensors mean.
 """
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import save_file
-from torch import Tensor
 
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Lets `write` fill a temporary file beside `path`, and renames it only once its bytes are on the disk."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        write(temporary)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def save_weights(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """A safetensors file of `tensors` in their own precision."""
-    copies = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    write_whole(path, lambda temporary: save_file(copies, temporary))
+from stmc.files import write_whole
 
 
 class Checkpoints:

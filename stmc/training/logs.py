@@ -6,7 +6,7 @@ import csv
 from collections.abc import Mapping
 from pathlib import Path
 
-from stmc.training.checkpoint import write_whole
+from stmc.files import write_whole
 
 
 class Table:

@@ -133,18 +133,16 @@ class Trainer:
         with ExitStack() as stack:
             if main:
                 self._open_logs(stack)
-            sums, began = None, time.perf_counter()
+            window, began = [], time.perf_counter()
             while self.step < settings.steps:
-                measured = self._update()
-                sums = measured if sums is None else sums + measured
+                window.append(self._update())
                 self.step += 1
                 if self.step % settings.log_every == 0 or self.step == settings.steps:
-                    done = (self.step - 1) % settings.log_every + 1
-                    self._log(sums, done, time.perf_counter() - began)
-                    sums, began = None, time.perf_counter()
+                    self._log(sum(window), len(window), time.perf_counter() - began)
+                    window, began = [], time.perf_counter()
                 if main:
                     self._now_and_then()
-                self.accelerator.wait_for_everyone()
+        self.accelerator.wait_for_everyone()
         return self.ema.model
 
     def _update(self) -> Tensor:
@@ -185,7 +183,7 @@ class Trainer:
             weight[self.fields[name]] = of_field
         return errors * (weight / weight.mean())
 
-    def _means(self, errors: Tensor, frames: float) -> dict[str, float]:
+    def _means(self, errors: Tensor, frames: int | float) -> dict[str, float]:
         mean = (errors / frames).double().cpu()
         return {"loss": mean.mean().item()} | {
             f"loss_{name}": mean[columns].mean().item() for name, columns in self.fields.items()

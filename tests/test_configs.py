@@ -1,0 +1,52 @@
+"""Every YAML under configs/ composes, and everything it describes can be built: constructors are the schema."""
+
+import inspect
+import logging.config
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from toys import LAYOUT, LetterCounts, cache
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+NAMES = sorted(str(path.relative_to(CONFIGS).with_suffix("")) for path in CONFIGS.rglob("*.yaml"))
+FROM_THE_DATA = {"features": 11, "text_width": 8, "cache": cache(), "encoder": LetterCounts(), "layout": LAYOUT}
+"""Arguments that a script supplies, not a YAML."""
+
+
+def described(node) -> list[DictConfig]:
+    """Every part of a config that says what to build, the outermost only."""
+    if not OmegaConf.is_dict(node):
+        return []
+    if "_target_" in node:
+        return [node]
+    return [found for key in node if not OmegaConf.is_missing(node, key) for found in described(node[key])]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_config_describes_what_can_be_built(name):
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        config = compose(name)
+    if name.startswith("hydra/job_logging"):
+        logging.config.DictConfigurator(OmegaConf.to_container(OmegaConf.load(CONFIGS / f"{name}.yaml")))
+        return
+    for node in described(config):
+        build = instantiate(node, _partial_=True)
+        parameters = inspect.signature(build.func).parameters
+        built = build(**{key: value for key, value in FROM_THE_DATA.items() if key in parameters})
+        assert built is not None
+
+
+def test_every_size_that_data_decides_is_left_to_the_data():
+    for name in NAMES:
+        text = (CONFIGS / f"{name}.yaml").read_text(encoding="utf-8")
+        assert not {"features:", "text_width:"} & set(text.split()), name
+
+
+def test_what_no_constructor_knows_is_an_error():
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        config = compose("denoiser/mdm_smpl", overrides=["+denoiser.depth=3"])
+    with pytest.raises(Exception, match="depth"):
+        instantiate(config.denoiser, features=11, text_width=8)

@@ -1,0 +1,256 @@
+"""Batches: reproducible, balanced, never empty, and of real frames only."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from toys import FPS, LAYOUT, LetterCounts, cache
+
+from stmc.data.cache import Cache, Clip
+from stmc.data.dataset import NULL, ClipBatches, Corpus, Sampling
+from stmc.representation import Field, Layout
+
+
+@pytest.fixture(scope="module")
+def corpus() -> Corpus:
+    return Corpus(cache(), LetterCounts(), LAYOUT, least=3)
+
+
+def draw(corpus: Corpus, count: int = 4000, split: str = "train", **settings):
+    """Many draws, and the clip that each is from."""
+    batches = ClipBatches(corpus, split, Sampling(**settings))
+    draws = batches._draw(count, np.random.default_rng(0))
+    starts = np.array([clip.start for clip in corpus.clips])
+    return draws, [corpus.clips[index] for index in np.searchsorted(starts, draws.start, side="right") - 1]
+
+
+def same(one, other) -> bool:
+    tensors = ((getattr(one, name), getattr(other, name)) for name in ("motion", "mask", "text", "text_mask"))
+    return all((a is None and b is None) or torch.equal(a, b) for a, b in tensors)
+
+
+def one_content(lengths: list[int], cyclic: bool) -> Corpus:
+    starts = np.cumsum([0, *lengths])
+    clips = tuple(
+        Clip(f"clip-{i}", "walk", "normal", "walk", cyclic, False, "train", int(starts[i]), int(starts[i + 1]))
+        for i in range(len(lengths))
+    )
+    motion = torch.arange(float(starts[-1]))[:, None].expand(-1, LAYOUT.width)  # every frame knows its place
+    texts = {"walk": (("walk", 1.0),)}
+    return Corpus(Cache(FPS, "toy", motion.contiguous(), clips, texts), LetterCounts(), LAYOUT, least=1)
+
+
+def test_a_steps_batch_is_the_same_whenever_it_is_asked_for(corpus):
+    sampling = Sampling(rows=6, pool=3, pieces=2, slowest=0.8, fastest=1.25)
+    in_order = ClipBatches(corpus, "train", sampling, seed=7)
+    batches = [in_order(step) for step in range(8)]
+    again = ClipBatches(corpus, "train", sampling, seed=7)
+    for step in (5, 0, 7):
+        assert all(same(a, b) for a, b in zip(again(step), batches[step], strict=True))
+
+
+def test_seeds_processes_steps_and_splits_draw_differently(corpus):
+    sampling = Sampling(rows=6, pool=2, pieces=1)
+    train, other = ClipBatches(corpus, "train", sampling), ClipBatches(corpus, "train", sampling, seed=1)
+    [first] = train(0)
+    for different in (train(1), train(2), train(0, process=1), other(0), ClipBatches(corpus, "val", sampling)(0)):
+        assert not same(first, different[0])
+
+
+def test_only_clips_of_the_split_are_drawn(corpus):
+    for split in ("train", "val"):
+        assert {clip.split for clip in draw(corpus, split=split, crops=0.3)[1]} == {split}
+
+
+@pytest.mark.parametrize("balance", [0.0, 0.5, 1.0])
+def test_contents_are_drawn_by_the_power_of_their_number_of_clips(corpus, balance):
+    _, clips = draw(corpus, balance=balance, crops=0.0)
+    walks, raises = 10, 5  # training clips
+    share = sum(clip.content == "walk" for clip in clips) / len(clips)
+    assert share == pytest.approx(walks**balance / (walks**balance + raises**balance), abs=0.03)
+
+
+def test_a_content_of_too_few_clips_is_seen_only_without_text(corpus):
+    _, clips = draw(corpus, crops=0.0)
+    assert "kick" not in {clip.content for clip in clips}
+    draws, clips = draw(corpus, crops=1.0)
+    assert "kick" in {clip.content for clip in clips}
+    assert (draws.sentence == NULL).all()
+    assert "kick" not in corpus.sentences
+
+
+def test_crops_without_text_are_there_short_and_anywhere(corpus):
+    draws, _ = draw(corpus, crops=0.25, silent=0.0)
+    assert (draws.sentence == NULL).mean() == pytest.approx(0.25, abs=0.03)
+    draws, clips = draw(corpus, crops=1.0)
+    assert draws.frames.min() == 10
+    assert draws.frames.max() == 60
+    ends = np.array([clip.end for clip in clips])
+    starts = np.array([clip.start for clip in clips])
+    assert (draws.start == starts).any()
+    assert (draws.start + draws.frames == ends).any()
+
+
+def test_texts_are_lost_as_often_as_asked(corpus):
+    draws, _ = draw(corpus, crops=0.0, silent=0.1)
+    assert (draws.sentence == NULL).mean() == pytest.approx(0.1, abs=0.02)
+
+
+def test_sentences_are_drawn_by_their_probabilities(corpus):
+    draws, clips = draw(corpus, crops=0.0, silent=0.0)
+    said = [corpus.sentences[s] for s, clip in zip(draws.sentence, clips, strict=True) if clip.content == "walk"]
+    assert set(said) == {"walk", "a walk"}
+    assert said.count("walk") / len(said) == pytest.approx(0.75, abs=0.03)
+
+
+@given(
+    lengths=st.lists(st.integers(1, 400), min_size=2, max_size=4),
+    cyclic=st.booleans(),
+    trim=st.floats(0, 0.49),
+    crops=st.sampled_from([0.0, 0.5]),
+    speed=st.sampled_from([(1.0, 1.0), (0.5, 2.0), (1.3, 3.0)]),
+)
+def test_a_row_is_never_empty_never_too_long_and_within_its_clip(lengths, cyclic, trim, crops, speed):  # R4
+    corpus = one_content(lengths, cyclic)
+    draws, clips = draw(
+        corpus, 300, trim=trim, crops=crops, slowest=speed[0], fastest=speed[1], shortest=1.0, longest=8.0
+    )
+    assert draws.frames.min() >= 1
+    assert draws.frames.max() <= 160
+    ends = np.array([clip.end for clip in clips])
+    assert (draws.start + (draws.frames - 1) * draws.speed <= ends - 1 + 1e-9).all()
+    assert (draws.end == ends).all()
+
+
+def test_a_clip_that_is_not_cyclic_keeps_its_middle():
+    draws, clips = draw(one_content([50, 100], cyclic=False), trim=0.12, crops=0.0)
+    for start, frames, clip in zip(draws.start, draws.frames, clips, strict=True):
+        most = int(0.12 * (clip.end - clip.start))
+        assert clip.start <= start <= clip.start + most
+        assert clip.end - most <= start + frames <= clip.end
+    assert len({*draws.start}) > 10
+
+
+def test_a_cyclic_clip_is_cut_to_any_stretch_that_is_long_enough():
+    draws, _ = draw(one_content([100, 20], cyclic=True), crops=0.0, shortest=1.5)
+    long = draws.frames[draws.end == 100]
+    assert (long.min(), long.max()) == (30, 100)
+    assert set(draws.frames[draws.end == 120]) == {20}  # shorter than the shortest: whole
+
+
+def test_rows_are_normalised_frames_of_their_clips_and_padding_is_zero(corpus):
+    batches = ClipBatches(corpus, "train", Sampling(rows=16, pool=1, pieces=1))
+    draws = batches._draw_pool(0, 0)[0]
+    [batch] = batches(0)
+    assert batch.frames == draws.frames.sum() == batch.mask.sum()
+    for row, (start, frames, sentence) in enumerate(zip(draws.start, draws.frames, draws.sentence, strict=True)):
+        raw = corpus.features[start : start + frames]
+        torch.testing.assert_close(corpus.motion.restore(batch.motion[row, :frames]), raw)
+        assert batch.mask[row, :frames].all()
+        assert not batch.mask[row, frames:].any()
+        assert not batch.motion[row, frames:].any()
+        words, _ = LetterCounts().encode([corpus.sentences[sentence]])
+        torch.testing.assert_close(corpus.text.restore(batch.text[row, : words.shape[1]]), words[0])
+        assert int(batch.text_mask[row].sum()) == words.shape[1]
+        assert not batch.text[row, words.shape[1] :].any()
+
+
+def test_masks_are_left_out_where_nothing_is_padded():
+    [batch] = ClipBatches(one_content([40] * 4, cyclic=False), "train", Sampling(trim=0.0, crops=0.0, pieces=1))(0)
+    assert batch.mask is None
+    assert batch.text_mask is None
+
+
+def test_no_text_is_the_empty_text_not_zeros(corpus):
+    assert corpus.sentences[NULL] == ""
+    [batch] = ClipBatches(corpus, "train", Sampling(rows=3, crops=1.0, pieces=1))(0)
+    torch.testing.assert_close(batch.text[:, 0], corpus.text.normalise(torch.zeros(len(batch.text), 8)))
+
+
+def test_statistics_are_those_of_the_training_clips_alone():
+    data = cache()
+    corpus = Corpus(data, LetterCounts(), LAYOUT, floor=0.01, least=3)
+    rows = torch.cat([data.features[clip.start : clip.end] for clip in data.clips if clip.split == "train"])
+    torch.testing.assert_close(corpus.motion.mean, rows.mean(dim=0))
+    torch.testing.assert_close(corpus.motion.std, rows.std(dim=0, correction=0).clamp_min(0.01))
+    assert corpus.motion.std[4] == 0.01  # a number that never changes
+    words = torch.cat([LetterCounts().encode([text])[0][0] for text in ("walk", "a walk", "raise the arm")])
+    torch.testing.assert_close(corpus.text.mean, words.mean(dim=0))
+
+
+def test_a_pool_is_sorted_so_that_little_is_padding_and_nothing_is_lost(corpus):
+    sampling = Sampling(rows=32, pool=8, pieces=2)
+    batches = ClipBatches(corpus, "train", sampling)
+    pieces = [piece for step in range(8) for piece in batches(step)]
+    assert sum(len(piece.motion) for piece in pieces) == 32 * 8
+    frames, room = sum(p.frames for p in pieces), sum(p.motion.shape[0] * p.motion.shape[1] for p in pieces)
+    assert frames / room > 0.9
+    assert max(p.frames for p in pieces) < 1.5 * min(p.frames for p in pieces)
+
+
+def test_a_faster_clip_covers_the_same_distance_in_less_time():
+    generator = torch.Generator().manual_seed(0)
+    data = cache()
+    moving = data.features.clone()
+    moving[:, 0] = torch.rand(len(moving), generator=generator)
+    corpus = Corpus(dataclasses.replace(data, features=moving), LetterCounts(), LAYOUT, least=3)
+    draws, _ = draw(corpus, 100, trim=0.0, crops=0.0, slowest=0.8, fastest=1.25)
+    raw = corpus._cut(draws)
+    for row, (start, frames, speed) in enumerate(zip(draws.start, draws.frames, draws.speed, strict=True)):
+        source = frames * speed
+        whole = int(source + 1e-6)
+        distance = moving[start : start + whole, 0].sum() + (source - whole) * moving[start + whole - 1, 0]
+        assert abs(raw[row, :frames, 0].sum() - distance) < 1.01 * abs(source - whole) + 1e-3
+    assert (draws.frames < 0.85 * (draws.frames * draws.speed)).any()
+
+
+def test_a_change_of_speed_interpolates_poses_and_keeps_rotations_rotations(corpus):
+    draws, _ = draw(corpus, 50, crops=0.0, slowest=0.6, fastest=1.6)
+    raw = corpus._cut(draws)
+    first, second = raw[..., 2:5], raw[..., 5:8]
+    for vector in (first, second):
+        torch.testing.assert_close(vector.norm(dim=-1), torch.ones(raw.shape[:2]))
+    torch.testing.assert_close((first * second).sum(dim=-1), torch.zeros(raw.shape[:2]), atol=1e-5, rtol=0)
+    for row, (start, speed) in enumerate(zip(draws.start, draws.speed, strict=True)):
+        place = start + 3 * speed
+        low, share = int(place), place - int(place)
+        expected = torch.lerp(corpus.features[low, 8:], corpus.features[low + 1, 8:], share)
+        torch.testing.assert_close(raw[row, 3, 8:], expected)
+
+
+def test_unchanged_speed_gives_the_very_frames_by_both_ways(corpus):
+    draws, _ = draw(corpus, 20)
+    barely = dataclasses.replace(draws, speed=draws.speed * (1 + 1e-12))
+    torch.testing.assert_close(corpus._cut(draws), corpus._cut(barely), atol=1e-5, rtol=1e-5)
+
+
+def test_a_layout_that_does_not_fit_is_an_error():
+    with pytest.raises(ValueError, match="11 features, the layout 3"):
+        Corpus(cache(), LetterCounts(), Layout((Field("positions", 3),)))
+
+
+def test_nothing_to_train_on_is_an_error(corpus):
+    with pytest.raises(ValueError, match="no content has 100 training clips"):
+        Corpus(cache(), LetterCounts(), LAYOUT, least=100)
+    with pytest.raises(ValueError, match="no clip of split 'tests'"):
+        ClipBatches(corpus, "tests", Sampling())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"rows": 0},
+        {"pieces": 65},
+        {"trim": 0.5},
+        {"crops": 1.1},
+        {"slowest": 0.0},
+        {"shortest": 11.0},
+        {"fastest": 0.5},
+    ],
+)
+def test_sampling_that_cannot_be_meant_is_an_error(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Sampling(**wrong)

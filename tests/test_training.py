@@ -1,0 +1,356 @@
+"""The objective against closed forms, and the loop: it learns, it averages, and a kill changes nothing."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from jaxtyping import TypeCheckError
+from torch import nn
+from toys import LAYOUT, LetterCounts, cache
+
+from stmc.data.dataset import ClipBatches, Corpus, Sampling
+from stmc.denoisers import MdmSmpl
+from stmc.diffusion.schedule import Schedule
+from stmc.training import Batch, Checkpoints, Ema, Hook, Settings, Trainer, draw_noise, squared_errors
+from stmc.training.logs import Table
+from stmc.training.speed import ByteDropout, quick_attention, quicken_dropout
+
+HERE = Path(__file__).parent
+QUICK = {"rate": 3e-3, "warmup": 5, "decay": 0.9, "log_every": 2, "checkpoint_every": 4, "validate_every": 8}
+
+
+class Constant(nn.Module):
+    """Answers the same frame whatever it is asked: the gradient is known in closed form."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.frame = nn.Parameter(torch.zeros(features))
+
+    def forward(self, x, t, text, text_mask=None, mask=None):
+        return self.frame.expand(x.shape)
+
+
+class Killed(BaseException):
+    """As sudden as a kill, within one process."""
+
+
+def trainer(folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, **settings) -> Trainer:
+    torch.manual_seed(0)
+    corpus = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
+    sampling = Sampling(rows=8, pool=2, pieces=pieces)
+    return Trainer(
+        denoiser or MdmSmpl(LAYOUT.width, 8, width=16, feedforward=32, layers=1, heads=2, dropout=dropout),
+        Schedule.cosine(20),
+        ClipBatches(corpus, "train", sampling),
+        folder,
+        Settings(**({"steps": 16} | QUICK | settings)),
+        validation=ClipBatches(corpus, "val", sampling)(0),
+        fields=LAYOUT.slices,
+        hooks=hooks,
+    )
+
+
+def rows(path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def losses(folder) -> list[dict[str, str]]:
+    """Every logged number that does not measure time."""
+    tables = [rows(folder / name) for name in ("train.csv", "validation.csv")]
+    return [{k: v for k, v in row.items() if not k.endswith("per_second")} for table in tables for row in table]
+
+
+def batch_of(motion, mask=None) -> Batch:
+    frames = motion.shape[0] * motion.shape[1] if mask is None else int(mask.sum())
+    return Batch(motion, mask, torch.zeros(len(motion), 1, 8), None, frames)
+
+
+def test_errors_are_summed_over_real_frames_only():
+    motion = torch.randn(3, 6, 4)
+    mask = torch.arange(6) < torch.tensor([6, 2, 3])[:, None]
+    errors = squared_errors(
+        Constant(4), Schedule.cosine(10), batch_of(motion, mask), torch.tensor([0, 5, 9]), torch.randn(3, 6, 4)
+    )
+    torch.testing.assert_close(errors, (motion.square() * mask[..., None]).sum(dim=(0, 1)))
+
+
+@pytest.mark.parametrize("prediction", ["x0", "eps", "v"])
+def test_a_denoiser_that_knows_the_answer_has_no_loss(prediction):
+    schedule, motion, noise, t = (
+        Schedule.cosine(10),
+        torch.randn(3, 6, 4),
+        torch.randn(3, 6, 4),
+        torch.tensor([0, 5, 9]),
+    )
+
+    def oracle(x, t, text, text_mask=None, mask=None):
+        shape = (-1, 1, 1)
+        signal = schedule.alpha_bar.sqrt()[t].float().reshape(shape)
+        spread = (1 - schedule.alpha_bar).sqrt()[t].float().reshape(shape)
+        torch.testing.assert_close(x, signal * motion + spread * noise)  # Eq. 1
+        return {"x0": motion, "eps": noise, "v": signal * noise - spread * motion}[prediction]
+
+    errors = squared_errors(oracle, schedule, batch_of(motion), t, noise, prediction)
+    torch.testing.assert_close(errors, torch.zeros(4), atol=1e-4, rtol=0)
+
+
+def test_steps_of_noising_are_uniform_and_noise_is_standard():
+    batch = batch_of(torch.zeros(20_000, 2, 3))
+    t, noise = draw_noise(batch, 4, torch.Generator().manual_seed(0))
+    torch.testing.assert_close(torch.bincount(t, minlength=4) / 20_000, torch.full((4,), 0.25), atol=0.02, rtol=0)
+    assert abs(noise.mean()) < 0.01
+    assert abs(noise.std() - 1) < 0.01
+
+
+def test_the_loss_falls_and_the_average_learns_too(tmp_path):
+    model = trainer(tmp_path, steps=120, precision="fp32").run()
+    first, *_, last = rows(tmp_path / "train.csv")
+    assert float(last["loss"]) < 0.6 * float(first["loss"])
+    first, *_, last = rows(tmp_path / "validation.csv")
+    assert float(last["loss"]) < 0.8 * float(first["loss"])
+    assert not model.training
+
+
+def test_half_precision_learns_the_same_and_keeps_weights_in_full(tmp_path):
+    half = trainer(tmp_path / "half", steps=20, dropout=0.0)
+    half.run()
+    trainer(tmp_path / "full", steps=20, dropout=0.0, precision="fp32").run()
+    assert {parameter.dtype for parameter in half.network.parameters()} == {torch.float32}
+    for a, b in zip(rows(tmp_path / "half/train.csv"), rows(tmp_path / "full/train.csv"), strict=True):
+        assert float(a["loss"]) == pytest.approx(float(b["loss"]), rel=0.03)
+
+
+def test_losses_of_fields_are_means_over_their_columns(tmp_path):
+    run = trainer(tmp_path, Constant(LAYOUT.width), steps=2, log_every=1)
+    run.run()
+    for row in rows(tmp_path / "train.csv"):
+        total = sum(float(row[f"loss_{name}"]) * (s.stop - s.start) for name, s in LAYOUT.slices.items())
+        assert total / LAYOUT.width == pytest.approx(float(row["loss"]))
+
+
+def test_pieces_of_a_batch_add_up_to_the_batch(tmp_path):
+    frames = {}
+    for pieces in (1, 4):
+        run = trainer(tmp_path / str(pieces), Constant(LAYOUT.width), pieces=pieces, steps=2)
+        whole = ClipBatches(run.batches.corpus, "train", Sampling(rows=8, pool=1, pieces=pieces))
+        run.batches = lambda step, process, draw=whole: draw(0, process)
+        run.run()
+        frames[pieces] = run.network.frame.detach()
+    torch.testing.assert_close(frames[1], frames[4])
+
+
+def test_a_fields_weight_scales_its_part_of_the_gradient(tmp_path):
+    run = trainer(tmp_path, Constant(LAYOUT.width), weights={"root_velocity": 5.0})
+    weighed = run._weigh(torch.ones(LAYOUT.width))
+    torch.testing.assert_close(weighed[:2] / weighed[2:4], torch.full((2,), 5.0))
+    assert weighed.mean() == pytest.approx(1.0)
+    with pytest.raises(ValueError, match=r"weights of unknown fields.*speed.*root_velocity"):
+        trainer(tmp_path / "wrong", weights={"speed": 2.0})
+
+
+def test_the_rate_rises_to_its_peak_and_falls_to_its_end():
+    settings = Settings(steps=1000, rate=1.0, warmup=100, final_rate=0.1)
+    assert settings.rate_at(0) == pytest.approx(0.01)
+    assert settings.rate_at(99) == settings.rate_at(100) == pytest.approx(1.0)
+    assert settings.rate_at(550) == pytest.approx(0.55)
+    assert settings.rate_at(1000) == settings.rate_at(2000) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("wrong", [{"precision": "fp8"}, {"steps": 0}, {"checkpoint_every": 75}, {"validate_every": 0}])
+def test_settings_that_cannot_be_meant_are_errors(wrong):
+    with pytest.raises((ValueError, TypeCheckError), match=next(iter(wrong))):
+        Settings(**({"steps": 10} | wrong))
+
+
+def test_the_average_follows_at_the_warmed_up_decay():
+    network = nn.Linear(1, 1)
+    ema = Ema(network, decay=0.9)
+    expected = network.weight.item()
+    for step in range(200):
+        with torch.no_grad():
+            network.weight += 1.0
+        ema.update(network, step)
+        decay = min(0.9, (1 + step) / (10 + step))
+        expected = decay * expected + (1 - decay) * network.weight.item()
+    assert ema.model.weight.item() == pytest.approx(expected, rel=1e-5)
+    assert ema.model.weight.item() == pytest.approx(network.weight.item() - 9, rel=1e-3)  # its lag: decay / (1 - decay)
+    assert not ema.model.weight.requires_grad
+
+
+def test_a_run_stopped_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
+    whole = trainer(tmp_path / "whole").run().state_dict()
+    for moment in (1, 4, 7, 12, 15):
+
+        def kill(step, _, moment=moment):
+            if step == moment:
+                raise Killed
+
+        folder = tmp_path / str(moment)
+        with pytest.raises(Killed):
+            trainer(folder, hooks=[Hook(1, kill)]).run()
+        resumed = trainer(folder)
+        assert resumed.step == moment // 4 * 4
+        model = resumed.run().state_dict()
+        assert all(torch.equal(model[name], whole[name]) for name in whole)
+        assert losses(folder) == losses(tmp_path / "whole")
+
+
+def test_a_finished_run_has_nothing_to_do(tmp_path):
+    trainer(tmp_path, steps=4).run()
+    again = trainer(tmp_path, steps=4)
+    assert again.step == 4
+    again.run()
+    assert [row["step"] for row in rows(tmp_path / "train.csv")] == ["2", "4"]
+
+
+def test_another_seed_cannot_go_on_with_a_run(tmp_path):
+    trainer(tmp_path, steps=4).run()
+    with pytest.raises(ValueError, match="begun with seed 0, not 1"):
+        trainer(tmp_path, steps=8, seed=1)
+
+
+def test_a_step_leaves_the_global_generator_alone(tmp_path):
+    run = trainer(tmp_path)
+    before = torch.get_rng_state()
+    run._update()
+    assert torch.equal(before, torch.get_rng_state())
+
+
+def test_hooks_get_the_average_now_and_then_and_at_the_end(tmp_path):
+    seen = []
+    run = trainer(tmp_path, steps=10, hooks=[Hook(4, lambda step, model: seen.append((step, model.training)))])
+    run.run()
+    assert seen == [(4, False), (8, False), (10, False)]
+
+
+def test_a_loss_that_is_not_finite_stops_the_run(tmp_path):
+    run = trainer(tmp_path, Constant(LAYOUT.width))
+    with torch.no_grad():
+        run.network.frame.fill_(torch.nan)
+    with pytest.raises(FloatingPointError, match="steps 1 to 2 is nan"):
+        run.run()
+    assert not (tmp_path / "checkpoints").exists()
+
+
+def test_tensorboard_gets_what_the_tables_get(tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    trainer(tmp_path, steps=8).run()
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    logged = {event.step: event.value for event in events.Scalars("train/loss_rotations")}
+    for row in rows(tmp_path / "train.csv"):
+        assert logged[int(row["step"])] == pytest.approx(float(row["loss_rotations"]))
+    assert events.Scalars("validation/loss")
+
+
+def test_only_the_newest_checkpoints_stay(tmp_path):
+    checkpoints = Checkpoints(tmp_path, keep=2)
+    assert checkpoints.load() is None
+    for step in (5, 10, 100):
+        checkpoints.save(step, {"value": torch.tensor(step)})
+    (tmp_path / ".step-00000200.pt.1234").write_bytes(b"a kill while writing")
+    assert checkpoints.steps() == [10, 100]
+    step, state = checkpoints.load()
+    assert (step, int(state["value"])) == (100, 100)
+
+
+def test_a_checkpoint_that_carries_code_is_not_run(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "pwned"),)
+
+    torch.save({"model": Evil()}, tmp_path / "step-00000001.pt")
+    with pytest.raises(Exception, match=r"[Ww]eights.only"):
+        Checkpoints(tmp_path).load()
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_a_table_forgets_later_rows_and_half_rows(tmp_path):
+    path = tmp_path / "train.csv"
+    table = Table(path, ("loss", "rate"), 0)
+    for step in (10, 20, 30):
+        table.write(step, {"loss": 1 / step, "rate": 0.1})
+    with path.open("a") as file:
+        file.write("4")
+    resumed = Table(path, ("loss", "rate"), 20)
+    assert [row["step"] for row in rows(path)] == ["10", "20"]
+    resumed.write(30, {"loss": 0.5, "rate": 0.1})
+    assert rows(path)[-1] == {"step": "30", "loss": "0.5", "rate": "0.1"}
+    with pytest.raises(ValueError, match="has columns"):
+        Table(path, ("loss",), 0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_byte_dropout_drops_its_share_and_keeps_the_mean(dtype):
+    torch.manual_seed(0)
+    dropout = ByteDropout(0.25)
+    x = torch.ones(1001, 301, dtype=dtype, requires_grad=True)
+    y = dropout(x)
+    assert y.dtype == dtype
+    assert (y == 0).float().mean() == pytest.approx(0.25, abs=0.005)
+    assert y.detach().float().mean() == pytest.approx(1.0, abs=0.01)
+    y.sum().backward()
+    assert torch.equal(x.grad, y.detach())  # dropped elements get no gradient, the others the same scale
+    assert dropout.eval()(x) is x
+
+
+def test_dropout_is_replaced_everywhere_and_only_dropout():
+    network = MdmSmpl(11, 8, width=16, feedforward=32, layers=2, heads=2, dropout=0.1).eval()
+    names = [*network.state_dict()]
+    quicken_dropout(network)
+    kinds = [type(module) for module in network.modules()]
+    assert nn.Dropout not in kinds
+    assert kinds.count(ByteDropout) == 3
+    assert [*network.state_dict()] == names
+    assert not any(module.training for module in network.modules())
+
+
+def test_quick_attention_computes_the_same():
+    query, key, value = torch.randn(3, 2, 4, 30, 16, requires_grad=True)
+    mask = (torch.arange(30) < torch.tensor([30, 12])[:, None])[:, None, None]
+    results = []
+    for context in (quick_attention(torch.device("cpu")), quick_attention(torch.device("meta"))):
+        with context:
+            y = nn.functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+        results.append((y, torch.autograd.grad(y.square().sum(), query)[0]))
+    for quick, plain in zip(*results, strict=True):
+        torch.testing.assert_close(quick, plain, atol=1e-5, rtol=1e-4)
+    assert not torch.backends.cuda.fp16_bf16_reduction_math_sdp_allowed()
+
+
+def script(folder, *arguments) -> subprocess.Popen:
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": "", "ACCELERATE_USE_CPU": "true"}
+    return subprocess.Popen([sys.executable, *arguments, str(folder)], cwd=HERE, env=environment)
+
+
+def test_a_process_that_is_killed_goes_on_to_the_same_losses(tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    uninterrupted, victim = (script(folder, "train_toy.py", "--steps=80") for folder in (whole, killed))
+    deadline = time.monotonic() + 900
+    while len(Checkpoints(killed / "checkpoints").steps()) < 2 and victim.poll() is None:
+        assert time.monotonic() < deadline, "no checkpoint appeared"
+        time.sleep(0.01)
+    victim.send_signal(signal.SIGKILL)
+    victim.wait()
+    assert Checkpoints(killed / "checkpoints").steps()[-1] < 80, "killed too late to mean anything"
+    assert script(killed, "train_toy.py", "--steps=80").wait(900) == 0
+    assert uninterrupted.wait(900) == 0
+    assert losses(killed) == losses(whole)
+    assert len(losses(whole)) == 40 + 10
+
+
+def test_two_processes_share_a_step(tmp_path):
+    launch = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2")
+    assert script(tmp_path, *launch, "train_toy.py", "--steps=8").wait(900) == 0
+    first, second = (torch.load(tmp_path / f"process-{rank}.pt", weights_only=True) for rank in (0, 1))
+    assert all(torch.equal(first["network"][name], second["network"][name]) for name in first["network"])
+    assert first["drawn"] != second["drawn"]
+    drawn = first["drawn"] + second["drawn"]
+    assert sum(int(float(row["frames"])) for row in rows(tmp_path / "frames.csv")) == sum(drawn)
