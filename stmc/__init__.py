@@ -11,7 +11,7 @@ from importlib import import_module
 __version__ = "0.1.0"
 
 _HOMES = {
-    "assign": "assign", "plan": "planning", "Plan": "planning", "collage": "compose", "guided_crops": "compose",
+    "assign": "assignment", "plan": "planning", "Plan": "planning", "collage": "compose", "guided_crops": "compose",
     "sinc": "compose", "lerp": "compose", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",
     "guide": "diffusion", "Noise": "diffusion", "Schedule": "diffusion", "BodyPart": "body", "Prompt": "timeline",
     "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline", "Motion": "motion",

@@ -13,7 +13,7 @@ from functools import cache
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
-from stmc.assign import Run, assign
+from stmc.assignment import Run, assign
 from stmc.body import BodyPart
 from stmc.timeline import Timeline
 

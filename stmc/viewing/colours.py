@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from stmc.assign import assign
+from stmc.assignment import assign
 from stmc.body import BodyPart
 from stmc.timeline import Timeline
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import quietly, timelines
 
-from stmc.assign import assign
+from stmc.assignment import assign
 from stmc.body import BodyPart
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
 
