@@ -6,12 +6,13 @@ from pathlib import Path
 
 import hydra
 import numpy as np
-import stmc
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+
+import stmc
 from stmc.data.cache import Cache
 from stmc.metrics import kinematics
 from stmc.metrics.abilities import abilities, mean_speed
@@ -21,7 +22,7 @@ from stmc.viewing import pictures
 @hydra.main(config_path="../configs", config_name="abilities", version_base="1.3")
 def main(config: DictConfig) -> None:
     device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
-    model, folder = stmc.load(config.model, device=device), Path(config.output)
+    model, folder = stmc.load(config.model, device=device, precision=config.precision), Path(config.output)
     folder.mkdir(parents=True, exist_ok=True)
     results = {}
     with Progress() as progress:
@@ -69,7 +70,8 @@ def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
 
 
 def report(results: dict, spreads: list[str]) -> None:
-    table = Table("", "expected", *(f"{key}, {spread}" for spread in spreads for key in ("shown", "m/s", "°", "slide cm", "div cm")))
+    columns = ("shown", "m/s", "°", "slide cm", "div cm")
+    table = Table("", "expected", *(f"{column}, {spread}" for spread in spreads for column in columns))
     for name, rows in results.items():
         if name == "real":
             continue

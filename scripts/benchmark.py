@@ -23,7 +23,9 @@ def main(config: DictConfig) -> None:
     chosen = timelines[: config.batch]
     rows = []
     for _ in track(range(config.repeats), "Repeats"):
-        alone, apart = clock(lambda: [model.generate(each, seed=i, steps=config.steps)[0] for i, each in enumerate(chosen)])
+        alone, apart = clock(
+            lambda: [model.generate(one, seed=i, steps=config.steps)[0] for i, one in enumerate(chosen)]
+        )
         batch, together = clock(lambda: model.generate(chosen, seed=0, steps=config.steps))
         sinc, _ = clock(lambda: model.generate(chosen, seed=0, steps=config.steps, method="sinc"))
         rows.append((alone / batch, batch / sinc))

@@ -22,13 +22,18 @@ def main(config: DictConfig) -> None:
     if fresh(folder, inputs):
         console.print(f"{folder} is up to date")
         return
+    total = bandai.CLIPS if source.is_file() else sum(1 for _ in source.rglob("*.bvh"))
     clips = bandai.read_clips(source, config.fps, config.workers or os.cpu_count())
-    cache = bandai.gather(track(clips, "Clips", total=bandai.CLIPS, console=console), config.fps, inputs)
+    try:
+        cache = bandai.gather(track(clips, "Clips", total=total, console=console), config.fps, inputs)
+    except ValueError as error:
+        raise SystemExit(f"source={source}: {error}") from error
     cache.write(folder)
     for name, why in cache.skipped:
         console.print(f"[yellow]skipped[/] {name}: {why}")
     hours = len(cache.features) / config.fps / 3600
-    console.print(f"{len(cache.clips)} clips with their mirror images, {hours:.1f} hours, in {folder}; {len(cache.skipped)} skipped")
+    made = f"{len(cache.clips)} clips with their mirror images, {hours:.1f} hours, in {folder}"
+    console.print(f"{made}; {len(cache.skipped)} skipped")
 
 
 if __name__ == "__main__":

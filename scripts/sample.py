@@ -1,134 +1,182 @@
 """Samples motions of timelines: `python scripts/sample.py timeline=PATH`. Every setting is in configs/sample.yaml."""
 
+import hashlib
 import json
 import re
+from collections.abc import Iterator
 from functools import partial
 from importlib.resources import files
+from itertools import chain, count
 from pathlib import Path
+from typing import get_args
 
 import hydra
-import stmc
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-SAMPLERS = ("ddpm", "ddim", "dpm_solver")
+import stmc
+from stmc.diffusion.samplers import Spread
+from stmc.files import write_whole
+from stmc.model import Method, Precision
+from stmc.run import CONFIG, STATISTICS, WEIGHTS, bundled
+
+CHOICES = {
+    "sampler": ("ddpm", "ddim", "dpm_solver"),
+    "method": get_args(Method),
+    "spread": get_args(Spread),
+    "precision": get_args(Precision),
+}
 FORMATS = ("npz", "bvh", "html")
-DECIDING = ("model", "seed", "method", "sampler", "spread", "steps", "guidance", "overlap")
+TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
+DECIDING = ("seed", "method", "sampler", "spread", "steps", "guidance", "overlap", "precision")
+Job = tuple[str, stmc.Timeline, int]
+"""A motion to be: its files' name, its timeline, its seed."""
 
 
 @hydra.main(config_path="../configs", config_name="sample", version_base="1.3")
 def main(config: DictConfig) -> None:
     console = Console()
     check(config)
-    source = Path(config.timeline).expanduser() if config.timeline else files("stmc") / "assets/timelines/walk_and_wave.json"
-    jobs = waiting(list(named(stmc.Timeline.read_all(Path(source)), Path(source).stem)), config)
-    if not jobs:
-        console.print(f"every motion is in {config.output} already")
-        return
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
-    model, batch = stmc.load(config.model, device=device), max(1, config.batch)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("Motions", total=len(jobs))
-        while jobs:
-            try:
-                motions = generate(model, jobs[:batch], config, progress)
-            except torch.OutOfMemoryError:
-                if batch == 1:
-                    raise
-                torch.cuda.empty_cache()
-                batch = batch // 2
-                console.print(f"not enough memory: {batch} timelines at a time from here on")
-                continue
-            for job, motion in zip(jobs[:batch], motions, strict=True):
-                save(motion, *job, config)
-                progress.advance(task)
-            jobs = jobs[batch:]
+    try:
+        source = Path(config.timeline or str(files("stmc") / "assets/timelines/walk_and_wave.json")).expanduser()
+        timelines = list(named(stmc.Timeline.read_all(source), source.stem))
+        made_by = fingerprint(config)
+        jobs = waiting(timelines, config, made_by)
+        if not jobs:
+            console.print(f"every motion is in {config.output} already")
+            return
+        device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
+        model = stmc.load(config.model, device=device, precision=config.precision)
+        model.plans([timeline for _, timeline, _ in jobs], config.overlap)  # what cannot be planned fails now
+    except (ValueError, OSError) as error:
+        raise SystemExit(str(error)) from error
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *TIMES, console=console
+    ) as progress:
+        for job, motion in sampled(model, jobs, config, progress):
+            save(motion, *job, config, made_by)
     console.print(f"motions in {Path(config.output).resolve()}: open an .html in a browser, a .bvh in Blender")
 
 
 def check(config: DictConfig) -> None:
     """Refuses what would fail only after minutes of sampling."""
-    if config.sampler not in SAMPLERS:
-        raise SystemExit(f"sampler={config.sampler}: choose from {', '.join(SAMPLERS)}")
-    unknown = set(config.formats) - set(FORMATS)
-    if unknown or not config.formats:
+    for key, choices in CHOICES.items():
+        if config[key] not in choices:
+            raise SystemExit(f"{key}={config[key]}: choose from {', '.join(choices)}")
+    if not config.formats or set(config.formats) - set(FORMATS):
         raise SystemExit(f"formats={list(config.formats)}: choose from {', '.join(FORMATS)}")
-    if config.samples < 1:
-        raise SystemExit(f"samples={config.samples}: at least 1")
+    for key in ("samples", "batch", "steps"):
+        if config[key] is not None and config[key] < 1:
+            raise SystemExit(f"{key}={config[key]}: at least 1")
 
 
-def named(timelines: list[stmc.Timeline], stem: str):
+def named(timelines: list[stmc.Timeline], stem: str) -> Iterator[tuple[str, stmc.Timeline]]:
     """Each timeline with a file name that is its own: its name, or the file's with a number."""
     taken = set()
     for number, timeline in enumerate(timelines):
         base = timeline.name or (stem if len(timelines) == 1 else f"{stem}_{number:04d}")
         base = re.sub(r"[^\w.-]+", "_", base).strip("._") or f"{stem}_{number:04d}"
-        name = base if base not in taken else f"{base}_{number:04d}"
+        names = chain([base], (f"{base}_{again:04d}" for again in count(number)))
+        name = next(name for name in names if name not in taken)
         taken.add(name)
         yield name, timeline
 
 
-def waiting(timelines: list[tuple[str, stmc.Timeline]], config: DictConfig) -> list[tuple[str, stmc.Timeline, int]]:
-    """The samples that are not on disk yet, or were made otherwise; the longest first, so that memory runs out early."""
+def waiting(timelines: list[tuple[str, stmc.Timeline]], config: DictConfig, made_by: str) -> list[Job]:
+    """The samples that are not on disk, or were made otherwise; the longest first, so that memory runs out early."""
     jobs = [
         (f"{name}_{seed}", timeline, seed)
         for name, timeline in timelines
         for seed in range(config.seed, config.seed + config.samples)
     ]
-    return sorted((job for job in jobs if not finished(*job, config)), key=lambda job: -job[1].duration)
+    missing = [job for job in jobs if not finished(*job, config, made_by)]
+    return sorted(missing, key=lambda job: -job[1].duration)
 
 
-def record(timeline: stmc.Timeline, seed: int, config: DictConfig) -> dict:
+def fingerprint(config: DictConfig) -> str:
+    """Tells models apart, wherever they lie: a digest of the run's files ("" where some are missing)."""
+    folder = bundled() if config.model is None else Path(config.model).expanduser()
+    digest = hashlib.sha256()
+    for name in (CONFIG, WEIGHTS, STATISTICS):
+        if not (folder / name).is_file():
+            return ""
+        digest.update((folder / name).read_bytes())
+    return digest.hexdigest()
+
+
+def record(timeline: stmc.Timeline, seed: int, config: DictConfig, made_by: str) -> dict:
     """What a motion depends on."""
-    settings = {key: config[key] for key in DECIDING} | {"seed": seed}
-    return settings | {"timeline": str(timeline), "version": stmc.__version__}
+    prompts = [[prompt.text, prompt.start, prompt.end, sorted(prompt.parts)] for prompt in timeline.prompts]
+    settings = {key: config[key] for key in DECIDING} | {"seed": seed, "model": made_by}
+    return settings | {"prompts": prompts, "version": stmc.__version__}
 
 
-def finished(name: str, timeline: stmc.Timeline, seed: int, config: DictConfig) -> bool:
-    folder = Path(config.output)
+def finished(name: str, timeline: stmc.Timeline, seed: int, config: DictConfig, made_by: str) -> bool:
+    folder = Path(config.output).expanduser()
     try:
         made = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     except (FileNotFoundError, json.JSONDecodeError):
         return False
-    return made == record(timeline, seed, config) and all((folder / f"{name}.{kind}").exists() for kind in config.formats)
+    files_there = all((folder / f"{name}.{kind}").exists() for kind in config.formats)
+    return files_there and made == record(timeline, seed, config, made_by)
 
 
-def generate(model: stmc.Model, jobs: list, config: DictConfig, progress: Progress) -> list[stmc.Motion]:
+def sampled(
+    model: stmc.Model, jobs: list[Job], config: DictConfig, progress: Progress
+) -> Iterator[tuple[Job, stmc.Motion]]:
+    """Every job with its motion; in smaller batches where the memory does not suffice."""
+    batch, done, task = config.batch, 0, progress.add_task("Motions", total=len(jobs))
+    while done < len(jobs):
+        chosen = jobs[done : done + batch]
+        try:
+            motions = generate(model, chosen, config, progress)
+        except torch.OutOfMemoryError:
+            if batch == 1:
+                raise
+            torch.cuda.empty_cache()
+            batch = min(batch, len(chosen)) // 2 or 1
+            progress.console.print(f"not enough memory: {batch} timelines at a time from here on")
+            continue
+        for job, motion in zip(chosen, motions, strict=True):
+            yield job, motion
+            progress.advance(task)
+        done += len(chosen)
+
+
+def generate(model: stmc.Model, jobs: list[Job], config: DictConfig, progress: Progress) -> list[stmc.Motion]:
     sampler = getattr(stmc, config.sampler)
-    total = config.steps or model.schedule.steps
-    with_bar = partial(progress.track, total=total, description=f"Denoising {len(jobs)}")
-    motions = model.generate(
-        [timeline for _, timeline, _ in jobs],
-        seed=[seed for _, _, seed in jobs],
-        guidance=config.guidance,
-        overlap=config.overlap,
-        steps=config.steps,
-        sampler=partial(sampler, spread=config.spread) if config.sampler == "ddpm" else sampler,
-        method=config.method,
-        track=with_bar,
-    )
-    progress.remove_task(progress.task_ids[-1])
-    return motions
+    steps = config.steps or model.schedule.steps
+    task = progress.add_task(f"Denoising {len(jobs)}", total=steps)
+    try:
+        return model.generate(
+            [timeline for _, timeline, _ in jobs],
+            seed=[seed for _, _, seed in jobs],
+            guidance=config.guidance,
+            overlap=config.overlap,
+            steps=config.steps,
+            sampler=partial(sampler, spread=config.spread) if config.sampler == "ddpm" else sampler,
+            method=config.method,
+            track=partial(progress.track, total=steps, task_id=task),
+        )
+    finally:
+        progress.remove_task(task)
 
 
-def save(motion: stmc.Motion, name: str, timeline: stmc.Timeline, seed: int, config: DictConfig) -> None:
+def save(motion: stmc.Motion, name: str, timeline: stmc.Timeline, seed: int, config: DictConfig, made_by: str) -> None:
     """The motion's files, then the record that says they are complete."""
-    folder = Path(config.output)
+    folder = Path(config.output).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.json").unlink(missing_ok=True)
     for kind in config.formats:
-        path = folder / f"{name}.{kind}"
         if kind == "html":
-            temporary = path.with_name(f".{path.name}")
-            temporary.write_text(stmc.page(motion, timeline, title=name), encoding="utf-8")
-            temporary.replace(path)
+            page = stmc.page(motion, timeline, title=name)
+            write_whole(folder / f"{name}.html", partial(Path.write_text, data=page, encoding="utf-8"))
         else:
-            stmc.write(motion, path)
-    done = folder / f".{name}.json"
-    done.write_text(json.dumps(record(timeline, seed, config), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    done.replace(folder / f"{name}.json")
+            stmc.write(motion, folder / f"{name}.{kind}")
+    done = json.dumps(record(timeline, seed, config, made_by), indent=1, ensure_ascii=False) + "\n"
+    write_whole(folder / f"{name}.json", partial(Path.write_text, data=done, encoding="utf-8"))
 
 
 if __name__ == "__main__":

@@ -44,8 +44,8 @@ def main(config: DictConfig) -> None:
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
         fields=representation.layout.slices,
         hooks=[
-            Hook(settings.checkpoint_every, lambda step, network: export(config, record(config, network, corpus), step)),
-            Hook(config.draw_every, lambda step, network: draw(config, record(config, network, corpus), step)),
+            Hook(every, lambda step, network, do=do: do(config, record(config, network, corpus), step))
+            for every, do in ((settings.checkpoint_every, export), (config.draw_every, draw))
         ],
         accelerator=accelerator,
     )

@@ -1,7 +1,7 @@
 """A trained model as one record, and the way from timelines to motions through it.
 
-`Model` bundles what belongs together (denoiser, schedule, text encoder, representation, statistics, skeleton); the steps
-of `generate` are the library's own functions, each of which can be used alone.
+`Model` bundles what belongs together (denoiser, schedule, text encoder, representation, statistics, skeleton); the
+steps of `generate` are the library's own functions, each of which can be used alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from stmc.body_model import Skeleton
 from stmc.compose import collage, crop_lengths, crop_seeds, distinct_texts, guided_crops, lerp, sinc
-from stmc.diffusion import Noise, Predict, Prediction, Schedule, ddpm
+from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, ddpm
 from stmc.motion import Motion
 from stmc.planning import Plan, plan
 from stmc.representation.smpl import SmplRepresentation
@@ -28,6 +28,8 @@ from stmc.timeline import Timeline, one_text, single_track
 Method = Literal["stmc", "sinc", "sinc_lerp", "single_track", "one_text"]
 """STMC itself and the baselines of the paper's table 1: see `Model.generate`."""
 
+Precision = Literal["fp32", "bf16"]
+
 Sampler = Callable[..., Iterable[Float[Tensor, "batch frames features"]]]
 """`ddpm`, `ddim`, `dpm_solver`, or one of them with some arguments fixed."""
 
@@ -37,8 +39,10 @@ Track = Callable[[Iterable], Iterable]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Everything that makes motion from text. `fps` is the frame rate of the features, `longest` the most frames that the
-    denoiser knows from training; `config` says how to build the parts again (see `run.save`)."""
+    """Everything that makes motion from text. `fps` is the frame rate of the features, `longest` the most frames that
+    the denoiser knows from training; `config` says how to build the parts again (see `run.save`). `precision` is the
+    denoiser's at sampling: "bf16" is faster where the processor has it, but a motion then depends on its batch, a bit.
+    """
 
     denoiser: nn.Module
     schedule: Schedule
@@ -47,10 +51,11 @@ class Model:
     motion_statistics: Statistics
     text_statistics: Statistics
     skeleton: Skeleton
-    fps: float
+    fps: float | int
     longest: int
     prediction: Prediction = "x0"
     config: Mapping[str, Any] = field(default_factory=dict)
+    precision: Precision = "fp32"
 
     @property
     def device(self) -> torch.device:
@@ -61,7 +66,7 @@ class Model:
         """The model on another device. The denoiser is moved, not copied."""
         return dataclasses.replace(self, denoiser=self.denoiser.to(device))
 
-    def plans(self, timelines: Sequence[Timeline], overlap: float = 0.5) -> list[Plan]:
+    def plans(self, timelines: Sequence[Timeline], overlap: float | int = 0.5) -> list[Plan]:
         """The layouts of timelines in this model's frames; `overlap` in seconds (2 l in the paper)."""
         frames = int(overlap * self.fps)
         return [plan(timeline, fps=self.fps, overlap=frames, longest=self.longest) for timeline in timelines]
@@ -73,30 +78,34 @@ class Model:
         words = self.text_statistics.normalise(words.float().cpu())
         return {text: row[:length] for text, row, length in zip(distinct, words, lengths.tolist(), strict=True)}
 
-    def guided(self, plans: Sequence[Plan], weight: float = 2.5) -> Predict:
+    def guided(self, plans: Sequence[Plan], weight: float | int = 2.5) -> Predict:
         """A predictor of the plans' crops with classifier-free guidance: see `compose.guided_crops`."""
         embeddings = self.embed(distinct_texts(plans))
-        return guided_crops(self.denoiser, self.schedule, plans, embeddings, weight, self.prediction)
+        return guided_crops(self._denoise, self.schedule, plans, embeddings, weight, self.prediction)
+
+    def _denoise(self, x: Tensor, *others: Tensor | None) -> Tensor:
+        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
+            return self.denoiser(x, *others)
 
     @torch.inference_mode()
     def generate(
         self,
         timelines: Timeline | Sequence[Timeline],
         seed: int | Sequence[int] = 0,
-        guidance: float = 2.5,
-        overlap: float = 0.5,
+        guidance: float | int = 2.5,
+        overlap: float | int = 0.5,
         steps: int | None = None,
         sampler: Sampler = ddpm,
         method: Method = "stmc",
         track: Track = iter,
     ) -> list[Motion]:
-        """One motion for each timeline, of its duration, at the model's frame rate, with the proportions of its skeleton.
+        """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
 
         `seed`: one for each timeline, or the first of consecutive ones; a motion depends on its own alone, not on the
-        batch. `guidance` weighs the text (1: as trained, 0: no text); `overlap` in seconds; `steps` of denoising (None: as
-        many as in training). `method`: "stmc" stitches at every step (section 3.3); "sinc" once, after sampling each crop
-        on its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts by
-        "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
+        batch. `guidance` weighs the text (1: as trained, 0: no text); `overlap` in seconds; `steps` of denoising (None:
+        as many as in training). `method`: "stmc" stitches at every step (section 3.3); "sinc" once, after sampling each
+        crop on its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts
+        by "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
         Raises `ValueError` for an unknown method and for seeds that are not one for each timeline.
         """
         timelines = [timelines] if isinstance(timelines, Timeline) else list(timelines)
@@ -123,7 +132,13 @@ class Model:
         return self.decode(features, [each.frames for each in plans])
 
     def _sample(
-        self, predict: Predict, lengths: Sequence[int], seeds: Sequence, sampler: Sampler, steps: int | None, track: Track
+        self,
+        predict: Predict,
+        lengths: Sequence[int],
+        seeds: Sequence[Seed],
+        sampler: Sampler,
+        steps: int | None,
+        track: Track,
     ) -> Float[Tensor, "batch frames features"]:
         draw = Noise(seeds, lengths, self.representation.width, device=self.device)
         for x0 in track(sampler(predict, self.schedule, draw(), draw, steps=steps)):  # noqa: B007

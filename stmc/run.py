@@ -1,30 +1,42 @@
 """Run directories: a model as files, and back. The only library module that sees Hydra.
 
-A run directory holds `config.yaml` (how to build the parts), `weights.safetensors`, `statistics.safetensors` and a card,
-`README.md`. Nothing in it is unpickled, and only this library's own classes are built from it.
+A run directory holds `config.yaml` (how to build the parts), `weights.safetensors`, `statistics.safetensors` and a
+card, `README.md`. Nothing in it is unpickled, and only this library's own classes are built from it.
 """
 
 from __future__ import annotations
 
-import os
+import inspect
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
+from hydra.errors import InstantiationException
 from hydra.utils import get_class, instantiate
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from yaml import YAMLError
 
+from stmc.body import JOINTS
 from stmc.body_model import Skeleton
-from stmc.model import Model
+from stmc.diffusion import Prediction
+from stmc.files import write_whole
+from stmc.model import Model, Precision
 from stmc.statistics import Statistics
 
 BUNDLED = "mdm_smpl_bandai"
 CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
-PARTS = ("denoiser", "schedule", "text_encoder", "representation")
+PARTS = {
+    "denoiser": "stmc.denoisers",
+    "schedule": "stmc.diffusion",
+    "text_encoder": "stmc.text",
+    "representation": "stmc.representation",
+}
+"""The parts of a model that a config describes, and the only place that the classes of each may come from."""
 
 
 class RunError(ValueError):
@@ -36,36 +48,34 @@ def bundled() -> Path:
     return Path(str(files("stmc") / "assets" / BUNDLED))
 
 
-def load(folder: str | Path | None = None, device: torch.device | str = "cpu") -> Model:
+def load(folder: str | Path | None = None, device: torch.device | str = "cpu", precision: Precision = "fp32") -> Model:
     """The model of a run directory, wherever it was moved to; without `folder`, the bundled one.
 
-    Raises `RunError` for a missing or damaged file, for weights that do not fit, and for a config that asks for anything
-    but this library's classes.
+    `precision` is the denoiser's at sampling (see `Model`). Raises `RunError` for a missing or damaged file, for
+    weights that do not fit, and for a config that asks for anything but this library's classes.
     """
     folder = bundled() if folder is None else Path(folder).expanduser()
     missing = [name for name in (CONFIG, WEIGHTS, STATISTICS) if not (folder / name).is_file()]
     if missing:
         raise RunError(f"{folder} is not a run directory: {', '.join(missing)} missing")
-    config = OmegaConf.to_container(OmegaConf.load(folder / CONFIG), resolve=True)
-    absent = [key for key in (*PARTS, "fps", "longest", "prediction") if key not in config]
-    if absent:
-        raise RunError(f"{folder / CONFIG}: {', '.join(absent)} missing")
-    parts = build(config)
-    _fill(parts["denoiser"], folder / WEIGHTS)
-    numbers = _tensors(folder / STATISTICS)
+    config = _config(folder / CONFIG)
     try:
-        model = Model(
-            **parts,
-            motion_statistics=Statistics(numbers["motion_mean"], numbers["motion_std"]),
-            text_statistics=Statistics(numbers["text_mean"], numbers["text_std"]),
-            skeleton=Skeleton(numbers["skeleton"]),
-            fps=config["fps"],
-            longest=config["longest"],
-            prediction=config["prediction"],
-            config=config,
-        )
-    except KeyError as error:
-        raise RunError(f"{folder / STATISTICS}: {error} missing") from error
+        parts = build(config)
+    except RunError as error:
+        raise RunError(f"{folder / CONFIG}: {error}") from error
+    _fill(parts["denoiser"], folder / WEIGHTS)
+    numbers = _numbers(folder / STATISTICS, parts["representation"].width, parts["text_encoder"].width)
+    model = Model(
+        **parts,
+        motion_statistics=Statistics(numbers["motion_mean"], numbers["motion_std"]),
+        text_statistics=Statistics(numbers["text_mean"], numbers["text_std"]),
+        skeleton=Skeleton(numbers["skeleton"]),
+        fps=config["fps"],
+        longest=config["longest"],
+        prediction=config["prediction"],
+        config=config,
+        precision=precision,
+    )
     return model.to(device)
 
 
@@ -74,18 +84,24 @@ def build(config: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises `RunError` for a target that is not a class of this library: a run directory may come from anybody.
     """
-    for part in PARTS:
-        _check_targets(config[part], part)
-    return {part: instantiate(config[part]) for part in PARTS}
+    for part, home in PARTS.items():
+        if not isinstance(config[part], Mapping) or "_target_" not in config[part]:
+            raise RunError(f"{part} must say what to build as `_target_`, not {config[part]!r}")
+        _check_targets(config[part], part, home)
+    return {part: _made(config[part], part) for part in PARTS}
 
 
 def save(model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch.float32) -> Path:
     """Writes the model as a run directory, weights in `dtype` (half precision halves the file); returns the folder.
 
-    Every file is complete or absent: each is written under a temporary name first, the config last.
+    Every file is complete or absent: each is written under a temporary name first, the config last. Raises `RunError`,
+    and writes nothing, where `model.config` does not say how to build the parts, and for weights that are not finite or
+    that `dtype` cannot hold.
     """
     folder = Path(folder).expanduser()
-    folder.mkdir(parents=True, exist_ok=True)
+    unknown = [part for part in PARTS if part not in model.config]
+    if unknown:
+        raise RunError(f"model.config does not say how to build {', '.join(unknown)}")
     weights = {name: value.detach().cpu().to(dtype).contiguous() for name, value in model.denoiser.state_dict().items()}
     numbers = {
         "motion_mean": model.motion_statistics.mean,
@@ -96,40 +112,65 @@ def save(model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch
     }
     config = {part: model.config[part] for part in PARTS}
     config |= {"fps": model.fps, "longest": model.longest, "prediction": model.prediction}
-    _replace(folder / WEIGHTS, lambda path: save_file(weights, path))
-    _replace(folder / STATISTICS, lambda path: save_file({k: v.cpu().contiguous() for k, v in numbers.items()}, path))
-    _replace(folder / CARD, lambda path: path.write_text(card, encoding="utf-8"))
-    _replace(folder / CONFIG, lambda path: OmegaConf.save(OmegaConf.create(config), path))
+    overflown = [name for name, value in weights.items() if not value.isfinite().all()]
+    if overflown:
+        raise RunError(f"weights that {dtype} cannot hold, or that are not finite: {', '.join(overflown)}")
+    write_whole(folder / WEIGHTS, lambda path: save_file(weights, path))
+    contents = {name: value.detach().cpu().contiguous() for name, value in numbers.items()}
+    write_whole(folder / STATISTICS, lambda path: save_file(contents, path))
+    write_whole(folder / CARD, lambda path: path.write_text(card, encoding="utf-8"))
+    write_whole(folder / CONFIG, lambda path: OmegaConf.save(OmegaConf.create(config), path))
     return folder
 
 
-def _replace(path: Path, write: Any) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    write(temporary)
-    temporary.replace(path)
+def _config(path: Path) -> dict[str, Any]:
+    try:
+        config = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+    except (OmegaConfBaseException, YAMLError, OSError, UnicodeDecodeError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from error
+    absent = [key for key in (*PARTS, "fps", "longest", "prediction") if key not in config]
+    if absent:
+        raise RunError(f"{path}: {', '.join(absent)} missing")
+    fps, longest, prediction = config["fps"], config["longest"], config["prediction"]
+    if not isinstance(fps, (int, float)) or not 0 < fps < float("inf"):
+        raise RunError(f"{path}: fps must be a positive number, not {fps!r}")
+    if not isinstance(longest, int) or longest < 1:
+        raise RunError(f"{path}: longest must be a positive number of frames, not {longest!r}")
+    if prediction not in get_args(Prediction):
+        raise RunError(f"{path}: prediction must be one of {', '.join(get_args(Prediction))}, not {prediction!r}")
+    return config
 
 
-def _check_targets(node: Any, place: str) -> None:
+def _check_targets(node: Any, place: str, home: str) -> None:
     if isinstance(node, Mapping):
         target = node.get("_target_")
-        if target is not None and not _ours(target):
-            raise RunError(f"{place}: {target!r} is not a class of this library")
+        if target is not None and not _comes_from(home, str(target)):
+            raise RunError(f"{place}: {target!r} is not a class of {home}")
         for key, value in node.items():
-            _check_targets(value, f"{place}.{key}")
+            _check_targets(value, f"{place}.{key}", home)
     elif isinstance(node, list):
         for position, value in enumerate(node):
-            _check_targets(value, f"{place}[{position}]")
+            _check_targets(value, f"{place}[{position}]", home)
 
 
-def _ours(target: Any) -> bool:
-    name, _, method = str(target).rpartition(".")
-    if not str(target).startswith("stmc."):
+def _comes_from(home: str, target: str) -> bool:
+    """Whether `target` is a class of the package `home`, or a constructor such as `stmc.diffusion.Schedule.cosine`."""
+    if not target.startswith(f"{home}."):
         return False
-    try:  # a class, or a constructor of one, such as `stmc.diffusion.Schedule.cosine`
-        found = get_class(target) if target.rpartition(".")[2][:1].isupper() else get_class(name)
-    except Exception:
+    name, _, method = target.rpartition(".")
+    try:
+        found = get_class(target) if method[:1].isupper() else get_class(name)
+    except Exception:  # whatever it is, it is no class
         return False
-    return found.__module__.startswith("stmc.")
+    constructor = method[:1].isupper() or inspect.ismethod(getattr(found, method, None))
+    return constructor and f"{found.__module__}.".startswith(f"{home}.")
+
+
+def _made(description: Mapping[str, Any], part: str) -> Any:
+    try:
+        return instantiate(description)
+    except InstantiationException as error:
+        raise RunError(f"{part} cannot be built: {error}") from error
 
 
 def _tensors(path: Path) -> dict[str, torch.Tensor]:
@@ -139,8 +180,25 @@ def _tensors(path: Path) -> dict[str, torch.Tensor]:
         raise RunError(f"{path} cannot be read: {error}") from error
 
 
+def _numbers(path: Path, features: int, words: int) -> dict[str, torch.Tensor]:
+    """Statistics and skeleton, with the shapes that the other parts need."""
+    numbers = _tensors(path)
+    shapes = {"motion_mean": (features,), "motion_std": (features,), "text_mean": (words,), "text_std": (words,)}
+    for name, shape in (shapes | {"skeleton": (len(JOINTS), 3)}).items():
+        if name not in numbers:
+            raise RunError(f"{path}: {name} missing")
+        if numbers[name].shape != shape or not numbers[name].isfinite().all():
+            raise RunError(f"{path}: {name} must be {shape} finite numbers, not {tuple(numbers[name].shape)}")
+        if name.endswith("std") and not (numbers[name] > 0).all():
+            raise RunError(f"{path}: {name} must be above 0 everywhere")
+    return numbers
+
+
 def _fill(denoiser: torch.nn.Module, path: Path) -> None:
     weights = {name: value.float() for name, value in _tensors(path).items()}
+    broken = [name for name, value in weights.items() if not value.isfinite().all()]
+    if broken:
+        raise RunError(f"{path} holds weights that are not finite: {', '.join(broken)}")
     try:
         denoiser.load_state_dict(weights)
     except RuntimeError as error:

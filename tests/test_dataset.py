@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from toys import FPS, LAYOUT, LetterCounts, cache
 
+from stmc.body import BodyPart
 from stmc.data.cache import Cache, Clip
 from stmc.data.dataset import NULL, ClipBatches, Corpus, Sampling
-from stmc.representation import Field, Layout
+from stmc.representation import Field, Layout, SmplRepresentation
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,9 @@ def same(one, other) -> bool:
 def one_content(lengths: list[int], cyclic: bool) -> Corpus:
     starts = np.cumsum([0, *lengths])
     clips = tuple(
-        Clip(f"clip-{i}", "walk", "normal", "walk", cyclic, False, "train", int(starts[i]), int(starts[i + 1]))
+        Clip(
+            f"clip-{i}", "walk", "normal", "walk", ("legs",), cyclic, False, "train", int(starts[i]), int(starts[i + 1])
+        )
         for i in range(len(lengths))
     )
     motion = torch.arange(float(starts[-1]))[:, None].expand(-1, LAYOUT.width)  # every frame knows its place
@@ -254,3 +257,42 @@ def test_nothing_to_train_on_is_an_error(corpus):
 def test_sampling_that_cannot_be_meant_is_an_error(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Sampling(**wrong)
+
+
+def composing(composed: float) -> ClipBatches:
+    """Twelve walks (all features 1) and twelve raises of the right arm (all features 2)."""
+    clips, start = [], 0
+    for i in range(24):
+        walk = i % 2 == 0
+        name, part, frames = ("walk", "legs", 60) if walk else ("raise", "right arm", 40)
+        clips.append(Clip(f"{name}-{i}", name, "normal", name, (part,), walk, False, "train", start, start + frames))
+        start += frames
+    features = torch.cat([torch.full((clip.end - clip.start, 205), 1.0 + (clip.content == "raise")) for clip in clips])
+    texts = {name: ((name, 1.0),) for name in ("walk", "raise")}
+    corpus = Corpus(Cache(20.0, "smpl", features, tuple(clips), texts), LetterCounts(), SmplRepresentation().layout)
+    return ClipBatches(corpus, "train", Sampling(rows=24, crops=0.0, silent=0.0, pool=1, pieces=1, composed=composed))
+
+
+def test_a_composed_row_keeps_its_arm_and_its_text_and_walks_on_another_body() -> None:
+    batches = composing(1.0)
+    batches(0)
+    [draws] = batches._pool[1]
+    raw = batches.corpus._composed(batches.corpus._cut(draws), draws)
+    arm = torch.zeros(205, dtype=torch.bool)
+    arm[list(SmplRepresentation().columns[BodyPart.RIGHT_ARM])] = True
+    raises = [i for i, clip in enumerate(draws.clip) if batches.corpus.clips[clip].content == "raise"]
+    ridden = [i for i in raises if draws.body[i] != i]
+    assert ridden
+    for i in ridden:
+        assert (raw[i, :, arm] == 2).all() and (raw[i, :, ~arm] == 1).all()
+        assert batches.corpus.sentences[draws.sentence[i]] == "raise"
+        assert draws.frames[draws.body[i]] >= draws.frames[i]
+    walks = sorted(set(range(len(draws.clip))) - set(raises))
+    assert (draws.body[walks] == walks).all()
+
+
+def test_without_compositions_every_row_is_its_own_body() -> None:
+    batches = composing(0.0)
+    batches(0)
+    [draws] = batches._pool[1]
+    assert (draws.body == range(len(draws.body))).all()

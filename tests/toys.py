@@ -48,7 +48,7 @@ def cache(plenty: int = 12, seed: int = 0) -> Cache:
             frames = 30 + int(torch.randint(90, (1,), generator=generator))
             split = "val" if number % 6 == 5 else "train"
             name = f"{content}-{number}"
-            clips.append(Clip(name, content, "normal", content, cyclic, False, split, start, start + frames))
+            clips.append(Clip(name, content, "normal", content, ("legs",), cyclic, False, split, start, start + frames))
             motion.append(features(frames, 1.0 + len(content) % 4, generator))
             start += frames
     texts = {

@@ -1,13 +1,14 @@
 """The Bandai Namco Research motion dataset: its files, its skeleton, and the way from it to SMPL's.
 
-Knows where the clips lie (the published archive or the unpacked folder), what their names say, and the constant rotation
-between each of their joints and SMPL's. Source: Kobayashi et al. 2023, arXiv 2306.08861, CC BY-NC 4.0.
+Knows where the clips lie (the published archive or the unpacked folder), what their names say, and the constant
+rotation between each of their joints and SMPL's. Source: Kobayashi et al. 2023, arXiv 2306.08861, CC BY-NC 4.0.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import lzma
 import math
 import multiprocessing
 import re
@@ -38,7 +39,7 @@ SOURCE_JOINTS: dict[str, str] = {
     "left_hip": "UpperLeg_L", "left_knee": "LowerLeg_L", "left_ankle": "Foot_L", "left_foot": "Toes_L",
     "right_hip": "UpperLeg_R", "right_knee": "LowerLeg_R", "right_ankle": "Foot_R", "right_foot": "Toes_R",
 }  # fmt: skip
-"""SMPL's joint → the dataset's. SMPL's spine2 lies between Spine and Chest and moves with spine1; hands follow wrists."""
+"""SMPL's joint → the dataset's. SMPL's spine2 lies between Spine and Chest, moves with spine1; hands follow wrists."""
 
 CLIPS = 3076
 """How many clips the published archive holds."""
@@ -59,8 +60,8 @@ T_POSE: dict[str, tuple[tuple[float, float, float], ...]] = {
     "Shoulder": (LEFT, UP), "UpperArm": (LEFT, UP), "LowerArm": (LEFT, UP), "Hand": (LEFT, UP),
     "UpperLeg": (DOWN, LEFT), "LowerLeg": (DOWN, LEFT), "Foot": _pitched(FOOT_SLOPE), "Toes": _pitched(TOES_SLOPE),
 }  # fmt: skip
-"""Where the local x and y axes of each joint point in SMPL's rest pose: midline and left, whose bones run along +x. Bones of
-the right side run along -x."""
+"""Where the local x and y axes of each joint point in SMPL's rest pose: midline and left, whose bones run along +x.
+Bones of the right side run along -x."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,8 @@ class ClipName:
 def read_sources(source: Path) -> Iterator[tuple[str, str]]:
     """Every clip's name and BVH text, from the published `.tar.xz` (never unpacked to disk) or an unpacked folder.
 
-    Raises `FileNotFoundError` where there is neither, and `ValueError` for a folder or an archive without BVH files.
+    Raises `FileNotFoundError` where there is neither, and `ValueError` for a folder or an archive without BVH files
+    and for an archive that breaks off.
     """
     source, found = Path(source), False
     if not source.exists():
@@ -100,10 +102,17 @@ def read_sources(source: Path) -> Iterator[tuple[str, str]]:
 
 
 def _archive(path: Path) -> Iterator[tuple[str, str]]:
-    with tarfile.open(path, mode="r|*") as archive:
-        for member in archive:
-            if member.isfile() and member.name.endswith(".bvh"):
-                yield Path(member.name).stem, archive.extractfile(member).read().decode("ascii", errors="replace")
+    name = "its beginning"
+    try:
+        with lzma.open(path) as file:  # unlike tarfile's own stream, it notices an end that comes too early
+            with tarfile.open(fileobj=file, mode="r|") as archive:
+                for member in archive:
+                    if member.isfile() and member.name.endswith(".bvh"):
+                        name = Path(member.name).stem
+                        yield name, archive.extractfile(member).read().decode("ascii", errors="replace")
+            file.read()
+    except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
+        raise ValueError(f"{path} is no .tar.xz, or a half or damaged one (read up to {name}): {error}") from error
 
 
 def _folder(path: Path) -> Iterator[tuple[str, str]]:
@@ -173,7 +182,7 @@ def split(clips: Iterable[ClipName]) -> dict[str, str]:
     return result
 
 
-def convert(name: str, text: str, fps: float) -> list[tuple[Clip, Float[Tensor, "frames features"]]]:
+def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Tensor, "frames features"]]]:
     """One file as the rows of a cache: the clip and its mirror image at `fps`, as 205 features on the default skeleton.
 
     The split is still to be set. Raises `ValueError` (`BvhError` among them) with what is wrong with the file.
@@ -192,6 +201,7 @@ def convert(name: str, text: str, fps: float) -> list[tuple[Clip, Float[Tensor, 
             content=content,
             style=named.style,
             texts=f"{content}/{named.style}",
+            parts=tuple(sorted(CONTENTS[content].parts)),
             cyclic=CONTENTS[content].cyclic,
             mirrored=mirrored,
             split="",
@@ -202,7 +212,7 @@ def convert(name: str, text: str, fps: float) -> list[tuple[Clip, Float[Tensor, 
     return rows
 
 
-def read_clips(source: Path, fps: float, workers: int) -> Iterator[tuple[str, list | str]]:
+def read_clips(source: Path, fps: float | int, workers: int) -> Iterator[tuple[str, list | str]]:
     """Converts every clip, in parallel: its name, and its rows or the reason why it had to be skipped."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
@@ -222,12 +232,14 @@ def _result(name: str, future: Future) -> tuple[str, list | str]:
         return name, str(error)
 
 
-def gather(clips: Iterable[tuple[str, list | str]], fps: float, fingerprint: str) -> Cache:
-    """The cache of all converted clips, in the order of their names. Raises `ValueError` where every clip was skipped."""
+def gather(clips: Iterable[tuple[str, list | str]], fps: float | int, fingerprint: str) -> Cache:
+    """The cache of all converted clips, in the order of their names. Raises `ValueError` where all were skipped."""
     converted, skipped = {}, []
     for name, rows in clips:
         if isinstance(rows, str):
             skipped.append((name, rows))
+        elif name in converted:
+            skipped.append((name, "a second clip of this name"))
         else:
             converted[name] = rows
     if not converted:
@@ -252,7 +264,7 @@ def gather(clips: Iterable[tuple[str, list | str]], fps: float, fingerprint: str
 
 
 def measured_offsets(bvh: Bvh) -> dict[str, tuple[float, float, float]]:
-    """Every joint's rest offset to its parent, in metres and SMPL's axes: the proportions of the dataset's one skeleton.
+    """Every joint's rest offset to its parent, in metres and SMPL's axes: the proportions of the dataset's skeleton.
 
     What `assets/skeleton.json` holds. The hands (8 cm beyond the wrists) and the rest position of the pelvis (SMPL's
     neutral body's) are not the dataset's, which knows neither.

@@ -5,6 +5,8 @@ Knows the file format and nothing of any body; what the joints mean is the data 
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +34,7 @@ class Bvh:
     parents: tuple[int, ...]
     positions: Float[Tensor, "frames joints 3"]
     rotations: Float[Tensor, "frames joints 3 3"]
-    fps: float
+    fps: float | int
 
     def world(self) -> tuple[Float[Tensor, "frames joints 3 3"], Float[Tensor, "frames joints 3"]]:
         """Rotations and positions of every joint in the file's world frame, by forward kinematics."""
@@ -48,80 +50,87 @@ class Bvh:
         return torch.stack(rotations, dim=1), torch.stack(positions, dim=1)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class _Joint:
     name: str
     parent: int
-    offset: tuple[float, ...]
-    channels: tuple[str, ...]
+    offset: tuple[float, ...] = ()
+    channels: tuple[str, ...] = ()
 
 
 def parse_bvh(text: str) -> Bvh:
     """Parses the text of one BVH file.
 
     A joint's position is its position channels where it has them (as in the Bandai data set), else its OFFSET.
-    Euler angles are intrinsic, in the order of the channels, in degrees. Raises `BvhError` for a missing section, an
-    unknown channel, a frame count that does not match the numbers, or values that are not finite.
+    Euler angles are intrinsic, in the order of the channels, in degrees. Raises `BvhError` for a missing section, a
+    line or a channel that is unknown, a frame count that does not match the numbers, or values that are not finite.
     """
-    header, mark, rest = text.partition("MOTION")
-    if not mark:
+    header, *rest = re.split(r"^[ \t]*MOTION[ \t\r]*$", text, maxsplit=1, flags=re.MULTILINE)
+    if not rest:
         raise BvhError("no MOTION section: the file is truncated or not a BVH file")
-    joints = _hierarchy(header.split())
-    words = rest.split(maxsplit=5)
+    joints = _hierarchy(header.splitlines())
+    words = rest[0].split(maxsplit=5)
     if len(words) < 5 or words[0] != "Frames:" or words[2:4] != ["Frame", "Time:"]:
         raise BvhError(f"expected 'Frames: N Frame Time: S' after MOTION, found {' '.join(words[:5])!r}")
     frames, seconds = _number(words[1], int), _number(words[4], float)
     if frames < 1 or not 0 < seconds < 10:
         raise BvhError(f"{frames} frames of {seconds} s: at least one frame of a positive time is needed")
-    return _motion(joints, _values(words[5] if len(words) > 5 else "", frames, joints), 1 / seconds)
+    fps = round(1 / seconds, 2)  # files round the time: 0.0333333 s
+    return _motion(joints, _values(words[5] if len(words) > 5 else "", frames, joints), fps)
 
 
-def _hierarchy(words: list[str]) -> list[_Joint]:
+def _hierarchy(lines: Sequence[str]) -> list[_Joint]:
     joints: list[_Joint] = []
-    stack: list[int | None] = []
-    current: int | None = None
-    stream = iter(words)
-    try:
-        for word in stream:
-            if word in ("ROOT", "JOINT"):
-                parents = [index for index in stack if index is not None]
-                joints.append(_Joint(next(stream), parents[-1] if parents else -1, (), ()))
-                current = len(joints) - 1
-            elif word == "End":
-                current = None
-            elif word == "{":
-                stack.append(current)
-            elif word == "}":
-                stack.pop()
-                current = None
-            elif word == "OFFSET":
-                offset = tuple(float(next(stream)) for _ in range(3))
-                if current is not None:
-                    joints[current] = _Joint(joints[current].name, joints[current].parent, offset, ())
-            elif word == "CHANNELS":
-                channels = tuple(next(stream) for _ in range(int(next(stream))))
-                joints[current] = _Joint(*(getattr(joints[current], key) for key in ("name", "parent", "offset")), channels)
-    except (StopIteration, IndexError, TypeError, ValueError, RuntimeError) as error:
-        raise BvhError(f"malformed HIERARCHY near joint {len(joints)}: {error}") from error
-    if not joints or stack:
-        raise BvhError("HIERARCHY has no joints or its braces do not match")
+    site = _Joint("End Site", -1)  # an end has an offset and no motion: of no use here
+    path, opening = [], site
+    for number, line in enumerate(lines, start=1):
+        try:
+            match line.split():
+                case ["ROOT" | "JOINT", name]:
+                    opening = _Joint(name, joints.index(path[-1]) if path else -1)
+                    joints.append(opening)
+                case ["End", "Site"]:
+                    opening = site
+                case ["{"]:
+                    path.append(opening)
+                case ["}"]:
+                    path.pop()
+                case ["OFFSET", x, y, z]:
+                    path[-1].offset = float(x), float(y), float(z)
+                case ["CHANNELS", count, *channels] if int(count) == len(channels):
+                    path[-1].channels = tuple(channels)
+                case [] | ["HIERARCHY"]:
+                    pass
+                case _:
+                    raise ValueError("not a line of a BVH hierarchy")
+        except (IndexError, ValueError) as error:
+            wrong = "no brace is open here" if isinstance(error, IndexError) else error
+            raise BvhError(f"HIERARCHY, line {number}: {line.strip()!r}: {wrong}") from error
+    if not joints or path:
+        raise BvhError(f"HIERARCHY has {len(joints)} joints, and {len(path)} braces that are never closed")
+    if missing := [joint.name for joint in joints if not joint.offset]:
+        raise BvhError(f"joints without an OFFSET: {', '.join(missing)}")
     return joints
 
 
-def _values(text: str, frames: int, joints: list[_Joint]) -> np.ndarray:
-    width = sum(len(joint.channels) for joint in joints)
+def _values(text: str, frames: int, joints: Sequence[_Joint]) -> np.ndarray:
+    columns = [(channel, joint.name) for joint in joints for channel in joint.channels]
     try:
         values = np.array(text.split(), dtype=np.float64)
     except ValueError as error:
         raise BvhError(f"MOTION holds something that is not a number: {error}") from error
-    if values.size != frames * width:
-        raise BvhError(f"{values.size} numbers for {frames} frames of {width} channels ({frames * width} expected)")
+    expected = frames * len(columns)
+    if values.size != expected:
+        raise BvhError(f"{values.size} numbers for {frames} frames of {len(columns)} channels ({expected} expected)")
+    values = values.reshape(frames, len(columns))
     if not np.isfinite(values).all():
-        raise BvhError("MOTION holds values that are not finite")
-    return values.reshape(frames, width)
+        frame, column = np.argwhere(~np.isfinite(values))[0]
+        channel, joint = columns[column]
+        raise BvhError(f"{channel} of {joint!r} is {values[frame, column]} in frame {frame}: values must be finite")
+    return values
 
 
-def _motion(joints: list[_Joint], values: np.ndarray, fps: float) -> Bvh:
+def _motion(joints: Sequence[_Joint], values: np.ndarray, fps: float | int) -> Bvh:
     positions = np.empty((len(values), len(joints), 3))
     rotations = np.empty((len(values), len(joints), 3, 3))
     column = 0
@@ -137,8 +146,7 @@ def _motion(joints: list[_Joint], values: np.ndarray, fps: float) -> Bvh:
             else:
                 order, angles = order + axis, [*angles, values[:, column]]
             column += 1
-        stacked = np.stack(angles, axis=-1) if order else np.zeros((len(values), 1))
-        rotations[:, index] = Rotation.from_euler(order or "X", stacked, degrees=True).as_matrix()
+        rotations[:, index] = _rotations(order, angles, joint) if order else np.eye(3)
     return Bvh(
         names=tuple(joint.name for joint in joints),
         parents=tuple(joint.parent for joint in joints),
@@ -148,7 +156,14 @@ def _motion(joints: list[_Joint], values: np.ndarray, fps: float) -> Bvh:
     )
 
 
-def _number(word: str, kind: type) -> float:
+def _rotations(order: str, angles: Sequence[np.ndarray], joint: _Joint) -> np.ndarray:
+    try:
+        return Rotation.from_euler(order, np.stack(angles, axis=-1), degrees=True).as_matrix()  # upper case: intrinsic
+    except ValueError as error:
+        raise BvhError(f"the rotation channels of joint {joint.name!r} are {', '.join(order)}: {error}") from error
+
+
+def _number(word: str, kind: type) -> float | int:
     try:
         return kind(word)
     except ValueError as error:

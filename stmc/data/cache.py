@@ -9,15 +9,17 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from jaxtyping import Float
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
+
+from stmc.files import write_whole
 
 FEATURES, TABLE = "clips.safetensors", "clips.json"
 
@@ -30,13 +32,15 @@ class CacheError(ValueError):
 class Clip:
     """One clip: frames `[start, end)` of the features; `texts` names its sentences in the table.
 
-    `content` groups clips for balanced sampling; of a `cyclic` clip any trim still shows what its texts say.
+    `content` groups clips for balanced sampling and claims body `parts`, as a prompt would; of a `cyclic` clip any trim
+    still shows what its texts say.
     """
 
     name: str
     content: str
     style: str
     texts: str
+    parts: tuple[str, ...]
     cyclic: bool
     mirrored: bool
     split: str
@@ -48,7 +52,7 @@ class Clip:
 class Cache:
     """A prepared data set. `texts` maps a clip's key to its sentences, each with its probability."""
 
-    fps: float
+    fps: float | int
     representation: str
     features: Float[Tensor, "frames features"]
     clips: tuple[Clip, ...]
@@ -62,36 +66,44 @@ class Cache:
                 raise CacheError(f"clip {clip.name}: frames [{clip.start}, {clip.end}) of {len(self.features)}")
             if clip.texts not in self.texts:
                 raise CacheError(f"clip {clip.name}: no sentences under {clip.texts!r}")
+        finite = self.features.isfinite().all(dim=1)
+        if not finite.all():
+            frame = int(finite.logical_not().nonzero()[0])
+            names = [clip.name for clip in self.clips if clip.start <= frame < clip.end]
+            raise CacheError(f"clip {', '.join(names)}: features that are not finite, first in frame {frame} of all")
 
     def write(self, folder: Path) -> None:
-        """Writes both files, each under a temporary name first; the table last, so that it marks a complete cache."""
+        """Writes both files, the table last: it marks a complete cache. A kill leaves all of it or none."""
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary = folder / f".{FEATURES}.{os.getpid()}"
-        save_file({"features": self.features.contiguous()}, temporary)
-        temporary.replace(folder / FEATURES)
+        (folder / TABLE).unlink(missing_ok=True)  # it would lend its fingerprint to the new features
+        write_whole(folder / FEATURES, lambda path: save_file({"features": self.features.contiguous()}, path))
         table = {
             field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "features"
         } | {"clips": [dataclasses.asdict(clip) for clip in self.clips]}
-        temporary = folder / f".{TABLE}.{os.getpid()}"
-        temporary.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(folder / TABLE)
+        text = json.dumps(table, indent=1) + "\n"
+        write_whole(folder / TABLE, lambda path: path.write_text(text, encoding="utf-8"))
 
     @classmethod
     def read(cls, folder: Path) -> Cache:
-        """Raises `CacheError` where the folder holds no complete cache."""
-        table = _table(Path(folder))
-        if table is None or not (Path(folder) / FEATURES).exists():
+        """Raises `CacheError` where the folder holds no complete cache, or a damaged one."""
+        folder = Path(folder)
+        table = _table(folder)
+        if table is None or not (folder / FEATURES).exists():
             raise CacheError(f"{folder} holds no prepared data; make it with scripts/prepare.py")
-        return cls(
-            fps=table["fps"],
-            representation=table["representation"],
-            features=load_file(Path(folder) / FEATURES)["features"],
-            clips=tuple(Clip(**clip) for clip in table["clips"]),
-            texts={key: tuple((text, share) for text, share in rows) for key, rows in table["texts"].items()},
-            skipped=tuple((name, why) for name, why in table["skipped"]),
-            fingerprint=table["fingerprint"],
-        )
+        try:
+            return cls(
+                fps=table["fps"],
+                representation=table["representation"],
+                features=load_file(folder / FEATURES)["features"],
+                clips=tuple(Clip(**clip | {"parts": tuple(clip["parts"])}) for clip in table["clips"]),
+                texts={key: tuple((text, share) for text, share in rows) for key, rows in table["texts"].items()},
+                skipped=tuple((name, why) for name, why in table["skipped"]),
+                fingerprint=table["fingerprint"],
+            )
+        except SafetensorError as error:
+            raise CacheError(f"{folder / FEATURES} is damaged: {error}; run scripts/prepare.py again") from error
+        except (AttributeError, KeyError, TypeError) as error:
+            raise CacheError(f"{folder / TABLE} is not a cache's table: {error!r}") from error
 
 
 def fresh(folder: Path, fingerprint: str) -> bool:
@@ -100,18 +112,20 @@ def fresh(folder: Path, fingerprint: str) -> bool:
         table = _table(Path(folder))
     except CacheError:
         return False
-    return table is not None and table["fingerprint"] == fingerprint and (Path(folder) / FEATURES).exists()
+    return table is not None and table.get("fingerprint") == fingerprint and (Path(folder) / FEATURES).exists()
 
 
 def fingerprint(sources: Iterable[Path], settings: Sequence[object]) -> str:
-    """A name for the inputs of a cache: every file's path, size and time of change (folders: all files below them), the
-    contents of the Python files among them, and the settings."""
+    """A name for the inputs of a cache: every file's place, size and time of change (folders: all files below them),
+    the contents of the Python files among them, and the settings. Where a source as a whole lies does not matter."""
     digest = hashlib.sha256(repr(tuple(settings)).encode())
     for source in map(Path, sources):
-        for file in sorted(source.rglob("*")) if source.is_dir() else [source]:
-            status = file.stat()
-            state = file.read_bytes() if file.suffix == ".py" else f"{status.st_size} {status.st_mtime_ns}".encode()
-            digest.update(file.name.encode() + state)
+        below = sorted(file for file in source.rglob("*") if file.is_file())
+        for file in below if source.is_dir() else [source]:
+            status, place = file.stat(), file.relative_to(source.parent).as_posix()
+            code = file.suffix == ".py"
+            state = hashlib.sha256(file.read_bytes()).hexdigest() if code else (status.st_size, status.st_mtime_ns)
+            digest.update(repr((place, state)).encode())
     return digest.hexdigest()
 
 
@@ -126,8 +140,11 @@ def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "frames features"]]]) -> t
 
 def _table(folder: Path) -> dict | None:
     try:
-        return json.loads((folder / TABLE).read_text(encoding="utf-8"))
+        table = json.loads((folder / TABLE).read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
-    except json.JSONDecodeError as error:
+    except ValueError as error:  # no JSON, or no text
         raise CacheError(f"{folder / TABLE} is not a cache's table: {error}") from error
+    if not isinstance(table, dict):
+        raise CacheError(f"{folder / TABLE} is not a cache's table: it holds a {type(table).__name__}")
+    return table

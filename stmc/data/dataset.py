@@ -5,7 +5,7 @@ Knows prepared caches and layouts; knows no particular data set, no body and no 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc import tensors
+from stmc.body import BodyPart
 from stmc.data.cache import Cache
 from stmc.geometry import matrix_to_rows, rows_to_matrix
 from stmc.representation.layout import Layout
@@ -54,6 +55,12 @@ class Corpus:
         training = [clip for clip in cache.clips if clip.split == "train"]
         if not training or not self.described.any():
             raise ValueError(f"no content has {least} training clips among the {len(cache.clips)} clips of the cache")
+        parts = list(layout.columns)
+        self.claims = np.array([[part in clip.parts for part in parts] for clip in cache.clips], dtype=bool)
+        owned = torch.zeros(len(parts), layout.width, dtype=torch.bool)
+        for row, part in enumerate(parts):
+            owned[row, list(layout.columns[part])] = True
+        self.legs, self._owned = parts.index(BodyPart.LEGS), owned.to(device)
         self.features = cache.features.to(device)
         frames = torch.cat([torch.arange(clip.start, clip.end) for clip in training])
         self.motion = Statistics.of(cache.features[frames], floor).to(device)
@@ -108,11 +115,19 @@ class Corpus:
         text_lengths = torch.from_numpy(words).to(device)
         mask = None if (frames == frames.max()).all() else tensors.mask(lengths, int(frames.max()))
         text_mask = None if (words == words.max()).all() else tensors.mask(text_lengths, int(words.max()))
-        motion = self.motion.normalise(self._cut(draws))
+        motion = self.motion.normalise(self._composed(self._cut(draws), draws))
         if mask is not None:
             motion = torch.where(mask[..., None], motion, 0.0)
         text = self._text[torch.from_numpy(draws.sentence).to(device)][:, : int(words.max())]
         return Batch(motion, mask, text, text_mask, int(frames.sum()))
+
+    def _composed(self, motion: Float[Tensor, "batch frames features"], draws: Draws) -> Tensor:
+        """Each row with the columns of its claimed parts, and all others of the row that its `body` names."""
+        if (draws.body == np.arange(len(draws.body))).all():
+            return motion
+        claimed = torch.from_numpy(self.claims[draws.clip]).to(motion.device)
+        kept = (claimed[:, :, None] & self._owned).any(dim=1)
+        return torch.where(kept[:, None], motion, motion[torch.from_numpy(draws.body).to(motion.device)])
 
     def _cut(self, draws: Draws) -> Float[Tensor, "batch frames features"]:
         """Raw features; frames after a row's end repeat its last one."""
@@ -142,13 +157,16 @@ class Corpus:
 @dataclass(frozen=True)
 class Draws:
     """Rows to be: `frames` frames each from frame `start` of all features on, at `speed` source frames a frame, none at
-    or after `end` (where the clip ends); and a sentence's place each."""
+    or after `end` (where the clip ends); a sentence's place each; the clip; and the row whose body it moves on (its own,
+    or for a composition another's: see `Sampling.composed`)."""
 
     start: np.ndarray
     end: np.ndarray
     frames: np.ndarray
     speed: np.ndarray
     sentence: np.ndarray
+    clip: np.ndarray
+    body: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> Draws:
         return Draws(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
@@ -176,6 +194,7 @@ class Sampling:
     crop_shortest: float = 0.5
     crop_longest: float = 3.0
     silent: float = 0.1
+    composed: float = 0.0
     slowest: float = 1.0
     fastest: float = 1.0
     pool: int = 16
@@ -186,9 +205,10 @@ class Sampling:
             raise ValueError(
                 f"rows {self.rows}, pool {self.pool}, pieces {self.pieces}: all at least 1, pieces <= rows"
             )
-        if not (0 <= self.trim < 0.5 and 0 <= self.crops <= 1 and 0 <= self.silent <= 1):
+        if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in (self.crops, self.silent, self.composed))):
             raise ValueError(
-                f"trim {self.trim} must be in [0, 0.5), crops {self.crops}, silent {self.silent} in [0, 1]"
+                f"trim {self.trim} must be in [0, 0.5), crops {self.crops}, silent {self.silent} and composed "
+                f"{self.composed} in [0, 1]"
             )
         if not 0 < self.slowest <= self.fastest:
             raise ValueError(f"slowest {self.slowest} must be above 0 and at most fastest {self.fastest}")
@@ -234,7 +254,18 @@ class ClipBatches:
         order = np.argsort(draws.frames, kind="stable")
         pieces = _cut_evenly(draws.frames[order], sampling.pool * sampling.pieces)
         rows = [order[begin:end] for begin, end in pieces]
-        return [draws[rows[index]] for index in random.permutation(len(rows))]
+        return [self._compose(draws[rows[index]], random) for index in random.permutation(len(rows))]
+
+    def _compose(self, draws: Draws, random: np.random.Generator) -> Draws:
+        """Puts some rows of a piece on the bodies of others that last at least as long."""
+        claims, body = self.corpus.claims[draws.clip], np.arange(len(draws.clip))
+        moved = (random.random(len(body)) < self.sampling.composed) & claims.any(axis=1) & ~claims[:, self.corpus.legs]
+        carrying = self._cyclic[draws.clip] & claims[:, self.corpus.legs] & (claims.sum(axis=1) == 1)
+        for row in np.flatnonzero(moved):
+            bodies = np.flatnonzero(carrying & (draws.frames >= draws.frames[row]))
+            if len(bodies):
+                body[row] = random.choice(bodies)
+        return replace(draws, body=body)
 
     def _draw(self, count: int, random: np.random.Generator) -> Draws:
         sampling, fps = self.sampling, self.corpus.fps
@@ -261,7 +292,7 @@ class ClipBatches:
         sentence = np.where(is_crop | silent, NULL, sentence)
         # Neither the last pose nor the velocity after it may lie beyond the stretch; 10 / 1.25 is 8, also in floats.
         frames = np.floor(np.minimum(source / speed, (source - 1) / speed + 1) + 1e-9).astype(int)
-        return Draws(begin + offset, begin + length, frames, speed, sentence)
+        return Draws(begin + offset, begin + length, frames, speed, sentence, clip, np.arange(count))
 
 
 def _between(low: np.ndarray, high: np.ndarray, u: np.ndarray) -> np.ndarray:

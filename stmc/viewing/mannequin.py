@@ -147,9 +147,7 @@ def _head(at: _Places, size: float) -> list[_Piece]:
     ]
     profile = ((-0.020, 0.034, 0.048, 0.034), (0.020, 0.062, 0.080, 0.024), (0.075, 0.078, 0.096, 0.014),
                (0.12, 0.081, 0.101, 0.006), (0.16, 0.066, 0.084, 0.002))  # fmt: skip
-    skull = [
-        (head + size * np.array([0.0, up, front]), wide * size, deep * size) for up, wide, deep, front in profile
-    ]
+    skull = [(head + size * np.array([0.0, up, front]), wide * size, deep * size) for up, wide, deep, front in profile]
     bridge = head + size * np.array([0.0, 0.090, 0.104])
     nose = [
         (bridge, 0.008 * size, 0.010 * size),
