@@ -1,0 +1,414 @@
+"""The Bandai data set: made-up clips with its skeleton, whose every number is known, and a few real ones."""
+
+import json
+import math
+import tarfile
+from collections import Counter
+from importlib.resources import files
+
+import pytest
+import torch
+from conftest import data_file
+from mocap import UP, bvh_text, posed, skeleton, standing, tumbling
+
+from stmc.body import JOINTS, MIRROR, PARENTS, ROTATED
+from stmc.body_model import Skeleton
+from stmc.data import bandai
+from stmc.data.bvh import Bvh, BvhError, parse_bvh
+from stmc.data.cache import Cache
+from stmc.data.sentences import CONTENTS, STYLES, describe
+from stmc.geometry import mirror_positions
+from stmc.metrics.kinematics import forward_speed, turn, wrist_height
+from stmc.motion import Motion
+from stmc.representation import SmplRepresentation
+
+FPS = 20
+
+
+def source_joints(bvh: Bvh) -> dict[str, torch.Tensor]:
+    """Where the file itself puts each joint that SMPL has too: metres, z up."""
+    _, positions = bvh.world()
+    return {joint: 0.01 * positions[:, bvh.names.index(name)] @ UP.T for joint, name in bandai.SOURCE_JOINTS.items()}
+
+
+def distances(motion: Motion, bvh: Bvh) -> torch.Tensor:
+    """From each joint to the file's own, in metres, once the clip's floor is taken away; [frames, joints]."""
+    own = source_joints(bvh)
+    floor = (own["pelvis"][:, 2] - motion.translation[:, 2]).mean()
+    moved = [motion.joints[:, JOINTS.index(joint)] - place for joint, place in own.items()]
+    return (torch.stack(moved, dim=1) + torch.tensor([0.0, 0.0, float(floor)])).norm(dim=-1)
+
+
+# Retargeting made-up clips ----------------------------------------------------------------------------------------
+
+
+def test_any_clip_s_joints_are_the_file_s_own_up_to_the_floor():
+    bvh = parse_bvh(bvh_text(tumbling()))
+    motion = bandai.retarget(bvh, skeleton())
+    assert distances(motion, bvh).max() < 1e-4
+    assert motion.fps == 30
+
+
+def test_any_clip_s_rotations_come_back_as_they_were_written():
+    original = tumbling(seed=1)
+    motion = bandai.retarget(parse_bvh(bvh_text(original)), skeleton())
+    torch.testing.assert_close(motion.rotations, original.rotations, atol=1e-6, rtol=0)
+
+
+def test_the_lowest_joint_of_the_clip_stands_on_the_floor():
+    for height in (0.2, 1.0, 7.0):
+        motion = bandai.retarget(parse_bvh(bvh_text(standing(height=height))), skeleton())
+        assert motion.joints[..., 2].min() == pytest.approx(0, abs=1e-6)
+    jump = tumbling()
+    motion = bandai.retarget(parse_bvh(bvh_text(jump)), skeleton())
+    shift = motion.translation - jump.translation
+    assert shift[:, :2].abs().max() < 1e-6, "only up and down"
+    assert shift[:, 2].std() < 1e-6, "as much in every frame"
+
+
+def test_a_t_pose_gives_no_rotations_but_standing_upright():
+    motion = bandai.retarget(parse_bvh(bvh_text(standing())), skeleton())
+    torch.testing.assert_close(motion.rotations[:, 0], UP.expand(motion.frames, 3, 3), atol=1e-7, rtol=0)
+    identity = torch.eye(3, dtype=torch.float64).expand(motion.frames, ROTATED - 1, 3, 3)
+    torch.testing.assert_close(motion.rotations[:, 1:], identity, atol=1e-7, rtol=0)
+    assert motion.heading.abs().max() < 1e-7
+
+
+def test_the_constants_lay_the_dataset_s_bones_where_smpl_s_rest_pose_has_them():
+    """The dataset's bones run along +x of their own joint, on the right along -x (its description says)."""
+    offsets = skeleton().offsets
+    for child in ("neck", "head", *(f"{s}_{j}" for s in ("left", "right") for j in ("elbow", "wrist", "knee", "foot"))):
+        parent = JOINTS[PARENTS[JOINTS.index(child)]]
+        [rest] = bandai.rest_rotations([bandai.SOURCE_JOINTS[parent]])
+        along = rest[:, 0] * (-1 if child.startswith("right") else 1)
+        bone = offsets[JOINTS.index(child)]
+        assert torch.dot(along, bone / bone.norm()) > 0.98, child
+    everything = bandai.rest_rotations(bandai.SOURCE_JOINTS.values())
+    torch.testing.assert_close(everything @ everything.mT, torch.eye(3).double().expand(len(everything), 3, 3))
+    assert (torch.linalg.det(everything) > 0).all()
+
+
+def test_a_raised_left_arm_is_a_raised_left_arm():
+    up = torch.tensor([[0.0, 0.0, math.pi / 2]], dtype=torch.float64).repeat(10, 1)
+    clip = posed({"left_shoulder": up}, torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).repeat(10, 1))
+    motion = bandai.retarget(parse_bvh(bvh_text(clip)), skeleton())
+    assert wrist_height(motion, "left", "shoulder").min() > 0.4
+    assert wrist_height(motion, "right", "shoulder").abs().max() < 0.1
+
+
+def test_a_clip_that_lacks_joints_says_which():
+    text = bvh_text(standing()).replace("JOINT Neck", "JOINT Nck").replace("JOINT Toes_L", "JOINT Toe")
+    with pytest.raises(BvhError, match="joints Neck, Toes_L are missing"):
+        bandai.retarget(parse_bvh(text), skeleton())
+
+
+# Clips as rows of the cache ---------------------------------------------------------------------------------------
+
+
+def walking(frames: int = 45) -> Motion:
+    """Leaning, turning and swinging a raised left arm while going sideways: nothing in it is its own mirror image."""
+    time = torch.arange(frames, dtype=torch.float64) / 30
+    zero = torch.zeros_like(time)
+    pelvis = torch.stack([0.5 * time, -1.2 * time, 1 + 0.02 * torch.sin(9 * time)], dim=-1)
+    turns = {
+        "left_shoulder": torch.stack([zero, 0.3 * torch.sin(5 * time), zero + 1.0], dim=-1),
+        "right_shoulder": torch.stack([zero, zero, zero + 1.2], dim=-1),
+        "left_hip": torch.stack([0.5 * torch.sin(6 * time), zero, zero], dim=-1),
+        "spine1": torch.stack([zero + 0.2, zero, zero + 0.1], dim=-1),
+    }
+    return posed(turns, pelvis, heading=0.4 * time + 0.3)
+
+
+@pytest.fixture(scope="module")
+def rows() -> list:
+    return bandai.convert("dataset-2_raise-up-left-hand_active_007", bvh_text(walking()), FPS)
+
+
+def test_a_clip_becomes_two_rows_with_what_its_name_says_and_the_mirror_image_of_it(rows):
+    (clip, features), (image, mirrored) = rows
+    assert (clip.name, clip.content, clip.style) == (
+        "dataset-2_raise-up-left-hand_active_007", "raise-up-left-hand", "active",
+    )  # fmt: skip
+    assert (image.name, image.content, image.style) == (f"M/{clip.name}", "raise-up-right-hand", "active")
+    assert (clip.mirrored, image.mirrored) == (False, True)
+    assert (clip.texts, image.texts) == ("raise-up-left-hand/active", "raise-up-right-hand/active")
+    assert not clip.cyclic
+    assert (clip.parts, image.parts) == (("left arm",), ("right arm",))
+    assert (clip.start, clip.end) == (0, 30), "45 frames at 30 fps are 30 at 20"
+    assert features.shape == mirrored.shape == (30, 205)
+    assert features.dtype == torch.float32
+
+
+def test_the_features_are_those_of_the_clip_at_the_new_rate_on_the_bundled_skeleton(rows):
+    clip = walking()
+    time = torch.arange(30) / FPS + 0.5 / FPS - 0.5 / 30  # the middles of the new frames among those of the old
+    decoded = SmplRepresentation().decode(rows[0][1], FPS, Skeleton.default(), heading=float(0.3 + 0.4 * time[0]))
+    torch.testing.assert_close(decoded.heading, (0.3 + 0.4 * time).float(), atol=1e-3, rtol=0)
+    expected = torch.stack([0.5 * time, -1.2 * time], dim=-1).float()
+    way = decoded.translation[:, :2] - decoded.translation[0, :2]
+    torch.testing.assert_close(way, expected - expected[0], atol=2e-3, rtol=0)
+    arm = clip.rotations[0, JOINTS.index("right_shoulder")].float()
+    torch.testing.assert_close(decoded.rotations[5, JOINTS.index("right_shoulder")], arm, atol=1e-5, rtol=0)
+
+
+def test_the_mirrored_row_is_the_mirror_image_seen_from_the_body(rows):
+    representation = SmplRepresentation()
+    motion, image = (representation.decode(features, FPS) for _, features in rows)
+    torch.testing.assert_close(image.joints, mirror_positions(motion.joints, MIRROR), atol=1e-4, rtol=0)
+    assert wrist_height(motion, "left", "shoulder").min() > 0.3
+    assert wrist_height(image, "right", "shoulder").min() > 0.3
+    assert turn(image) == pytest.approx(-turn(motion), abs=1e-5)
+
+
+def test_a_content_without_a_side_is_its_own_mirror_image():
+    (clip, _), (image, _) = bandai.convert("dataset-1_walk_normal_001", bvh_text(walking()), FPS)
+    assert clip.content == image.content == "walk"
+    assert clip.cyclic
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("walk_normal_001", "'walk_normal_001' is not dataset-N_content_style_NNN"),
+        ("dataset-3_walk_normal_001", "is not dataset-N"),
+        ("dataset-1_walk_normal", "is not dataset-N"),
+        ("dataset-1_fly_normal_001", "unknown content 'fly'; known are walk"),
+        ("dataset-1_walk_grumpy_001", "unknown style 'grumpy'; known are normal"),
+    ],
+)
+def test_a_name_that_is_not_the_dataset_s_says_why(name, message):
+    with pytest.raises(ValueError, match=message):
+        bandai.convert(name, "", FPS)
+
+
+# Splits -----------------------------------------------------------------------------------------------------------
+
+
+def all_names() -> list[bandai.ClipName]:
+    """As many clips as the data set has of its contents, styles turn by turn."""
+    counts = {"walk": 205, "run": 332, "dash": 15, "bow": 15, "raise-up-left-hand": 444, "wave-both-hands": 208}
+    counts |= {"kick": 1, "slash": 2, "dance-short": 9}
+    styles = list(STYLES)[:15]
+    return [
+        bandai.ClipName.parse(f"dataset-1_{content}_{styles[i % len(styles)]}_{i:03d}")
+        for content, count in counts.items()
+        for i in range(count)
+    ]
+
+
+def test_a_split_keeps_eighty_ten_ten_of_every_frequent_content():
+    names = all_names()
+    parts = bandai.split(names)
+    assert set(parts) == {clip.name for clip in names}
+    for content in ("walk", "run", "dash", "bow", "raise-up-left-hand", "wave-both-hands"):
+        shares = Counter(parts[clip.name] for clip in names if clip.content == content)
+        tenth = shares.total() // 10
+        assert shares["val"] in (tenth, tenth + 1), content
+        assert shares["test"] in (tenth, tenth + 1), content
+
+
+def test_every_style_of_a_frequent_content_is_in_each_part():
+    names = all_names()
+    parts = bandai.split(names)
+    for content in ("walk", "run", "raise-up-left-hand"):
+        for part in ("train", "val", "test"):
+            styles = {clip.style for clip in names if clip.content == content and parts[clip.name] == part}
+            assert styles == {clip.style for clip in names if clip.content == content}, (content, part)
+
+
+def test_rare_contents_are_for_training_alone():
+    names = all_names()
+    parts = bandai.split(names)
+    rare = {parts[clip.name] for clip in names if clip.content in ("kick", "slash", "dance-short")}
+    assert rare == {"train"}
+
+
+def test_a_split_is_a_function_of_the_names_whatever_their_order():
+    names = all_names()
+    assert bandai.split(reversed(names)) == bandai.split(names)
+
+
+# From files to a cache --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """A folder as the archive unpacks, with one broken and one half file in it, and one that is not the dataset's."""
+    folder = tmp_path_factory.mktemp("source")
+    data = folder / "dataset" / "Bandai-Namco-Research-Motiondataset-1" / "data"
+    data.mkdir(parents=True)
+    text = bvh_text(standing(frames=8))
+    for number in range(12):
+        (data / f"dataset-1_wave-left-hand_normal_{number:03d}.bvh").write_text(text)
+    (data / "dataset-1_wave-left-hand_normal_000.json").write_text("{}")
+    (data / "dataset-1_walk_normal_001.bvh").write_text(text[: len(text) * 2 // 3])
+    (data / "dataset-1_walk_normal_002.bvh").write_bytes(b"\xff\x00garbage")
+    (data / "dataset-1_fly_normal_001.bvh").write_text(text)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cache(source) -> Cache:
+    return bandai.gather(bandai.read_clips(source, FPS, workers=1), FPS, "inputs")
+
+
+def test_every_readable_clip_is_in_the_cache_beside_its_mirror_image_in_the_same_part(cache):
+    assert len(cache.clips) == 24
+    assert Counter(clip.content for clip in cache.clips) == {"wave-left-hand": 12, "wave-right-hand": 12}
+    parts = {clip.name: clip.split for clip in cache.clips}
+    for clip in cache.clips:
+        assert parts[clip.name] == parts[clip.name.removeprefix("M/")]
+    assert Counter(parts.values()) == {"train": 20, "val": 2, "test": 2}
+    assert cache.texts["wave-left-hand/normal"] == describe("wave-left-hand", "normal")
+    assert (cache.fps, cache.representation, cache.fingerprint) == (FPS, "smpl", "inputs")
+
+
+def test_files_that_cannot_be_used_are_skipped_with_their_names_and_the_reasons(cache):
+    skipped = dict(cache.skipped)
+    assert set(skipped) == {"dataset-1_walk_normal_001", "dataset-1_walk_normal_002", "dataset-1_fly_normal_001"}
+    assert "numbers for 8 frames" in skipped["dataset-1_walk_normal_001"]
+    assert "no MOTION section" in skipped["dataset-1_walk_normal_002"]
+    assert "unknown content 'fly'" in skipped["dataset-1_fly_normal_001"]
+
+
+def packed(source, path, mode: str = "w:xz"):
+    with tarfile.open(path, mode) as archive:
+        for file in reversed(sorted((source / "dataset").rglob("*.*"))):
+            archive.add(file, arcname=file.relative_to(source))
+    return path
+
+
+def test_an_archive_gives_the_same_cache_as_the_folder_it_unpacks_to(source, cache, tmp_path):
+    texts = dict(bandai.read_sources(packed(source, tmp_path / "dataset.tar.xz")))
+    assert texts == dict(bandai.read_sources(source))
+    clips = [(name, _converted(name, text)) for name, text in texts.items()]
+    other = bandai.gather(clips, FPS, "inputs")
+    assert other.clips == cache.clips
+    assert torch.equal(other.features, cache.features)
+    assert dict(other.skipped) == dict(cache.skipped)
+
+
+def _converted(name: str, text: str) -> list | str:
+    try:
+        return bandai.convert(name, text, FPS)
+    except ValueError as error:
+        return str(error)
+
+
+def test_an_archive_that_breaks_off_is_an_error_and_not_a_smaller_data_set(source, tmp_path):
+    whole = packed(source, tmp_path / "dataset.tar.xz").read_bytes()
+    for kept in (len(whole) // 4, len(whole) // 2, len(whole) - 20, 100):
+        (tmp_path / "half.tar.xz").write_bytes(whole[:kept])
+        with pytest.raises(ValueError, match=r"half\.tar\.xz is no \.tar\.xz, or a half or damaged one"):
+            list(bandai.read_sources(tmp_path / "half.tar.xz"))
+    (tmp_path / "text.tar.xz").write_text("not an archive at all")
+    with pytest.raises(ValueError, match=r"no \.tar\.xz"):
+        list(bandai.read_sources(tmp_path / "text.tar.xz"))
+
+
+def test_a_place_without_clips_is_an_error_that_says_what_should_be_there(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere does not exist; it should be the dataset's \.tar\.xz"):
+        list(bandai.read_sources(tmp_path / "nowhere"))
+    (tmp_path / "notes.txt").write_text("nothing here")
+    with pytest.raises(ValueError, match=r"holds no \.bvh file"):
+        list(bandai.read_sources(tmp_path))
+
+
+def test_nothing_but_broken_clips_is_an_error_that_names_the_first():
+    with pytest.raises(ValueError, match="not one clip could be read; the first: a: no MOTION"):
+        bandai.gather([("a", "no MOTION section"), ("b", "no MOTION section")], FPS, "")
+
+
+def test_a_second_clip_of_one_name_is_skipped_and_named(rows):
+    cache = bandai.gather([(rows[0][0].name, rows)] * 2, FPS, "")
+    assert len(cache.clips) == 2
+    assert cache.skipped == ((rows[0][0].name, "a second clip of this name"),)
+
+
+def test_the_inputs_are_the_clips_and_all_the_code_that_converts_them(source):
+    inputs = bandai.inputs(source)
+    assert inputs[0] == source
+    assert {path.name for path in inputs} >= {"bandai.py", "bvh.py", "sentences.py", "geometry.py", "skeleton.json"}
+    assert all(path.exists() for path in inputs)
+
+
+# The real thing ---------------------------------------------------------------------------------------------------
+
+FIGURES = {
+    "dataset-1_walk_normal_001": (1.2, 0),
+    "dataset-1_run_normal_001": (2.7, 0),
+    "dataset-1_dash_normal_001": (3.3, 0),
+    "dataset-1_walk-back_normal_001": (-0.8, 0),
+    "dataset-1_walk-left_normal_001": (0.85, 0),
+    "dataset-1_bow_normal_001": (0.0, 0),
+    "dataset-2_raise-up-left-hand_normal_001": (0.0, 0),
+    "dataset-2_raise-up-right-hand_active_001": (0.0, 0),
+    "dataset-2_wave-both-hands_normal_001": (0.0, 0),
+    "dataset-2_walk_normal_001": (1.2, 0),
+    "dataset-2_run_normal_001": (2.7, 0),
+    "dataset-2_walk-turn-left_normal_001": (1.1, 90),
+    "dataset-2_walk-turn-right_normal_001": (1.1, -90),
+}
+"""Metres a second along the heading and degrees turned to the left: the means over all clips of each content."""
+
+
+@pytest.fixture(scope="module")
+def real() -> dict[str, Bvh]:
+    """Those above and every two-hundredth clip: the archive has to be read through once."""
+    archive = data_file("bandai/Bandai-Namco-Research-Motiondataset.tar.xz")
+    chosen = {}
+    for number, (name, text) in enumerate(bandai.read_sources(archive)):
+        if name in FIGURES or number % 200 == 50:
+            chosen[name] = parse_bvh(text)
+    assert number + 1 == bandai.CLIPS
+    assert set(FIGURES) <= set(chosen)
+    return chosen
+
+
+@pytest.mark.data
+def test_real_clips_keep_their_joints_on_the_one_skeleton(real):
+    errors = {name: distances(bandai.retarget(bvh, Skeleton.default()), bvh) for name, bvh in real.items()}
+    assert len(errors) > 20
+    assert max(error.mean() for error in errors.values()) < 0.005
+    assert max(error.max() for error in errors.values()) < 0.02
+
+
+@pytest.mark.data
+def test_the_bundled_skeleton_is_measured_on_the_real_clips(real):
+    asset = json.loads((files("stmc") / "assets" / "skeleton.json").read_text("utf-8"))
+    assert list(asset) == list(JOINTS)
+    for bvh in list(real.values())[::5]:
+        measured = bandai.measured_offsets(bvh)
+        for joint in JOINTS:
+            assert asset[joint] == pytest.approx(measured[joint], abs=2e-4), joint
+
+
+@pytest.mark.data
+def test_real_clips_move_as_their_description_says(real):
+    for name, (speed, degrees) in FIGURES.items():
+        motion = bandai.retarget(real[name], Skeleton.default())
+        assert float(forward_speed(motion).mean()) == pytest.approx(speed, abs=0.1 + 0.4 * abs(speed)), name
+        assert math.degrees(turn(motion)) == pytest.approx(degrees, abs=30), name
+        assert motion.joints[..., 2].min() == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.data
+def test_real_raises_lift_the_hand_that_their_name_says_and_lower_it_again(real):
+    for name, raised, other in (
+        ("dataset-2_raise-up-left-hand_normal_001", "left", "right"),
+        ("dataset-2_raise-up-right-hand_active_001", "right", "left"),
+    ):
+        motion = bandai.retarget(real[name], Skeleton.default())
+        height = wrist_height(motion, raised, "shoulder")
+        assert height.max() > 0.2
+        assert height[0] < -0.2
+        assert height[-1] < -0.2
+        assert wrist_height(motion, other, "shoulder").max() < -0.2
+
+
+@pytest.mark.data
+def test_every_real_clip_s_name_is_understood(real):
+    for name in real:
+        named = bandai.ClipName.parse(name)
+        assert named.content in CONTENTS
+        assert named.style in STYLES
