@@ -172,6 +172,7 @@ def test_without_overlap_each_part_is_selected_from_one_crop_of_its_owner(timeli
 @quietly
 @settings(max_examples=200, deadline=None)
 @given(timelines(), st.integers(0, 30))
+@example(Timeline([Prompt("shorter than the overlap", 0, 0.5)]), 30)
 def test_a_longest_that_holds_the_timeline_changes_nothing(timeline, overlap):
     assert plan(timeline, 20, overlap, timeline.frames(20)) == plan(timeline, 20, overlap)
 
@@ -276,4 +277,6 @@ def test_a_plan_that_breaks_the_invariant_is_refused(crops, tiles, words):
 
 
 def test_a_plan_made_by_hand_may_have_fractional_weights():
-    Plan(10, (Crop("a", 0, 10), Crop("b", 0, 10)), tiles_of(0, 0, 10, 0.9) + tiles_of(1, 0, 10, 0.1))
+    weights = (0.7, 0.2, 0.1)  # floats whose sum is just below 1
+    tiles = tuple(tile for crop, weight in enumerate(weights) for tile in tiles_of(crop, 0, 10, weight))
+    Plan(10, tuple(Crop(text, 0, 10) for text in "abc"), tiles)
