@@ -15,7 +15,7 @@ from rich.table import Table
 import stmc
 from stmc.data.cache import Cache
 from stmc.metrics import kinematics
-from stmc.metrics.abilities import abilities, mean_speed
+from stmc.metrics.ability import abilities, mean_speed
 from stmc.viewing import pictures
 
 
@@ -41,8 +41,8 @@ def main(config: DictConfig) -> None:
                 figure = pictures(motions[0], ability.timeline)
                 figure.savefig(folder / f"{ability.name.replace(' ', '_')}_{spread}.png", dpi=80)
                 progress.advance(task)
-    if config.data:
-        results["real"] = real(Cache.read(Path(config.data)), model)
+    if config.cache:
+        results["real"] = real(Cache.read(Path(config.cache)), model)
     (folder / "abilities.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     report(results, config.spreads)
 

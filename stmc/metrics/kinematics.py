@@ -26,8 +26,8 @@ def joint(motion: Motion, name: str) -> Float[Tensor, "frames 3"]:
     return motion.joints[:, JOINTS.index(name)]
 
 
-def forward_speed(motion: Motion) -> Float[Tensor, "frames"]:
-    """Speed of the pelvis along the heading, metres per second; negative where it moves backwards. One frame shorter."""
+def forward_speed(motion: Motion) -> Float[Tensor, " frames"]:
+    """Metres per second of the pelvis along the heading, negative where it moves backwards; one frame shorter."""
     velocity = motion.translation.diff(dim=0) * motion.fps
     return (velocity * motion.facing[:-1]).sum(dim=-1)
 
@@ -37,16 +37,16 @@ def turn(motion: Motion) -> float:
     return float(wrap(motion.heading.diff()).sum())
 
 
-def wrist_height(motion: Motion, side: str, above: str) -> Float[Tensor, "frames"]:
+def wrist_height(motion: Motion, side: str, above: str) -> Float[Tensor, " frames"]:
     """Height of the wrist of `side` ("left" or "right") above that side's joint `above` ("shoulder", "elbow")."""
     return joint(motion, f"{side}_wrist")[:, 2] - joint(motion, f"{side}_{above}")[:, 2]
 
 
-def swings(motion: Motion, side: str, extent: float = 0.05) -> int:
-    """How often the forearm of `side` changes the direction in which it swings sideways while the wrist is above the elbow.
+def swings(motion: Motion, side: str, extent: float | int = 0.05) -> int:
+    """How often the forearm of `side` swings sideways, one way or the other, while the wrist is above the elbow.
 
-    A swing counts when the wrist has moved at least `extent` metres, relative to the elbow and along the shoulders' line,
-    since the last turning point; so one wave to and fro makes two.
+    A swing counts when the wrist has moved at least `extent` metres, relative to the elbow and along the shoulders'
+    line, since the last turning point; so one wave to and fro makes two.
     """
     raised = wrist_height(motion, side, "elbow") > 0
     across = joint(motion, "left_shoulder") - joint(motion, "right_shoulder")
@@ -79,7 +79,7 @@ def foot_sliding(motion: Motion) -> float:
     return float(way[low[1:] & low[:-1]].mean())
 
 
-def floor_penetration(motion: Motion, floor: float = 0.0) -> float:
+def floor_penetration(motion: Motion, floor: float | int = 0.0) -> float:
     """Mean depth of the lowest joint below `floor` over all frames, in metres; 0 where nothing goes below."""
     return float((floor - motion.joints[..., 2].amin(dim=-1)).clamp(min=0).mean())
 
@@ -87,8 +87,8 @@ def floor_penetration(motion: Motion, floor: float = 0.0) -> float:
 def diversity(motions: list[Motion]) -> float:
     """Mean distance of a joint between two of the motions, in metres, over all pairs, frames and joints.
 
-    Joints are relative to the pelvis of the same frame and turned to heading zero; motions are compared up to the end of the
-    shorter. How different samples of one timeline are.
+    Joints are relative to the pelvis of the same frame and turned to heading zero; motions are compared up to the end
+    of the shorter. How different samples of one timeline are.
     """
     local = [_local(motion) for motion in motions]
     distances = [

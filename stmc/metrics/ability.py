@@ -6,7 +6,7 @@ Each ability is a timeline and a yes-or-no question about one motion's geometry:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from stmc.metrics.kinematics import forward_speed, swings, turn, wrist_height
@@ -27,7 +27,7 @@ class Ability:
     name: str
     timeline: Timeline
     shown: Callable[[Motion], bool]
-    expected: float
+    expected: float | int
 
 
 def mean_speed(motion: Motion) -> float:
@@ -41,9 +41,14 @@ def raises(motion: Motion, left: bool, right: bool) -> bool:
     return up == [left, right]
 
 
+def waves(motion: Motion, sides: Sequence[str]) -> bool:
+    """Whether the forearm of each of the `sides` swings at least three times while the wrist is above the elbow."""
+    return all(swings(motion, side) >= 3 for side in sides)
+
+
 def raises_while_walking(motion: Motion) -> bool:
-    """Whether the right wrist is above the shoulder during `RAISE` (and `SLACK`) alone, the left one never, and the body
-    walks at 0.5 to 2 m/s before, during and after."""
+    """Whether the right wrist is above the shoulder during `RAISE` (and `SLACK`) alone, the left one never, and the
+    body walks at 0.5 to 2 m/s before, during and after."""
     first, last = (int(second * motion.fps) for second in RAISE)
     slack = int(SLACK * motion.fps)
     up = wrist_height(motion, "right", "shoulder") > 0
@@ -72,15 +77,14 @@ def abilities() -> tuple[Ability, ...]:
         _ability("turn left", 5, "legs", lambda motion: turn(motion) > math.pi / 4, 0.9),
         _ability("turn right", 5, "legs", lambda motion: turn(motion) < -math.pi / 4, 0.9),
         *(
-            _ability(
-                waved[side], 6, arms[side], lambda motion, which=sides[side]: all(swings(motion, s) >= 3 for s in which), 0.9
-            )
+            _ability(waved[side], 6, arms[side], lambda motion, which=sides[side]: waves(motion, which), 0.9)
             for side in sides
         ),
         Ability(
             "walk and raise the right arm meanwhile",
             Timeline.parse(
-                f"walk forwards # {WALK[0]} # {WALK[1]} # legs\nraise the right arm # {RAISE[0]} # {RAISE[1]} # right arm"
+                f"walk forwards # {WALK[0]} # {WALK[1]} # legs\n"
+                f"raise the right arm # {RAISE[0]} # {RAISE[1]} # right arm"
             ),
             raises_while_walking,
             0.85,
@@ -88,5 +92,7 @@ def abilities() -> tuple[Ability, ...]:
     )
 
 
-def _ability(text: str, seconds: float, parts: str, shown: Callable[[Motion], bool], expected: float) -> Ability:
+def _ability(
+    text: str, seconds: float | int, parts: str, shown: Callable[[Motion], bool], expected: float | int
+) -> Ability:
     return Ability(text, Timeline.parse(f"{text} # 0 # {seconds} # {parts}"), shown, expected)
