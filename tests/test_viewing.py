@@ -24,7 +24,7 @@ from stmc.timeline import Timeline
 from stmc.viewing import figure, page, pictures, view
 from stmc.viewing.camera import framing
 from stmc.viewing.colours import NEUTRAL, as_rgb, ink, owners, palette, transitions, worn
-from stmc.viewing.mannequin import dressed, mannequin
+from stmc.viewing.mannequin import dressed, sculpt
 from stmc.viewing.skin import PARTS, Skin
 
 WALK, RAISE = "walk forwards", "raise the right arm"
@@ -94,7 +94,7 @@ def test_without_a_timeline_everything_has_one_colour_that_is_not_neutral():
 
 
 def test_the_mannequin_is_closed_faces_outwards_and_is_carried_by_its_joints():
-    skin = mannequin(Skeleton.default())
+    skin = sculpt(Skeleton.default())
     assert skin.weights.sum(axis=1) == pytest.approx(np.ones(len(skin.vertices)))
     assert skin.weights.min() >= 0
     assert set(skin.parts) == set(range(5))
@@ -107,7 +107,7 @@ def test_the_mannequin_is_closed_faces_outwards_and_is_carried_by_its_joints():
 
 
 def test_every_joint_of_the_mannequin_is_inside_the_piece_that_bears_its_part_s_colour():
-    skin = mannequin(Skeleton.default())
+    skin = sculpt(Skeleton.default())
     for part in BodyPart:
         vertices = skin.only(part).vertices
         for name in part.joints:
@@ -117,7 +117,7 @@ def test_every_joint_of_the_mannequin_is_inside_the_piece_that_bears_its_part_s_
 
 
 def test_a_skin_in_the_rest_pose_is_where_its_vertices_are():
-    skin, motion = mannequin(Skeleton.default()), standing()
+    skin, motion = sculpt(Skeleton.default()), standing()
     upright = motion.rotations[0, 0].double().numpy()
     pelvis = Skeleton.default().rest[0].numpy()
     expected = (skin.vertices - pelvis) @ upright.T + motion.translation[0].numpy()

@@ -27,10 +27,10 @@ def dressed(motion: Motion, body: Body | None = None) -> Skin:
     """What is drawn of a motion: `body`'s mesh, or a mannequin around the motion's own bones."""
     if body is not None:
         return Skin.of_body(body)
-    return mannequin(Skeleton.measured(motion.rotations, motion.joints, Skeleton.default().offsets[0]))
+    return sculpt(Skeleton.measured(motion.rotations, motion.joints, Skeleton.default().offsets[0]))
 
 
-def mannequin(skeleton: Skeleton) -> Skin:
+def sculpt(skeleton: Skeleton) -> Skin:
     """The mannequin around a skeleton's rest pose (arms stretched sideways)."""
     at = dict(zip(JOINTS, skeleton.rest.double().cpu().numpy(), strict=True))
     size = float(np.linalg.norm(at["left_hip"] - at["left_ankle"])) / 0.80  # thicknesses are for legs of 0.80 m
