@@ -6,7 +6,7 @@ import torch
 
 from stmc.body import JOINTS, ROTATED
 from stmc.body_model import Skeleton
-from stmc.geometry import axis_angle_to_matrix, rotation_z
+from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle, rotation_z
 from stmc.motion import Motion
 
 _UPRIGHT = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
@@ -33,7 +33,7 @@ def walking(seconds: float = 6.0, fps: float = 20.0, speed: float = 1.1, turn: f
     for side, sign, lift in (("left", 1.0, zero), ("right", -1.0, up)):
         hang = axis_angle_to_matrix(torch.stack([zero, zero, -sign * (1.25 - 2.3 * lift)], -1))
         forth = axis_angle_to_matrix(torch.stack([0.45 * sign * torch.sin(step) * (1 - lift), zero, zero], -1))
-        poses[:, JOINTS.index(f"{side}_shoulder")] = _axis_angle(forth @ hang)
+        poses[:, JOINTS.index(f"{side}_shoulder")] = matrix_to_axis_angle(forth @ hang)
     bend("spine2", x=zero + 0.05, y=0.08 * torch.sin(step))
     bend("head", x=zero + 0.05, y=0.25 * torch.sin(2 * torch.pi * time / seconds))
     rotations = axis_angle_to_matrix(poses)
@@ -46,9 +46,3 @@ def walking(seconds: float = 6.0, fps: float = 20.0, speed: float = 1.1, turn: f
     grounded = translation.clone()
     grounded[:, 2] = -motion.joints[:, :, 2].amin(dim=1) + 0.02
     return Motion.posed(rotations, grounded, fps, skeleton)
-
-
-def _axis_angle(matrix):
-    from stmc.geometry import matrix_to_axis_angle
-
-    return matrix_to_axis_angle(matrix)
