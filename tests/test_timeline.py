@@ -82,7 +82,7 @@ def test_an_empty_timeline_is_refused():
 
 
 def test_frames_are_truncated_seconds():
-    timeline = Timeline([Prompt("sit", 0.07, 1.99)])
+    timeline = Timeline([Prompt("sit", 0.09, 1.99)])
     assert timeline.spans(20) == ((1, 39),)
     assert timeline.frames(20) == 39
 
