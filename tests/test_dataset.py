@@ -285,8 +285,9 @@ def test_a_composed_row_keeps_its_arm_and_its_text_and_walks_on_another_body() -
     assert ridden
     for i in ridden:
         assert (raw[i, :, arm] == 2).all() and (raw[i, :, ~arm] == 1).all()
-        assert batches.corpus.sentences[draws.sentence[i]] == "raise"
         assert draws.frames[draws.body[i]] >= draws.frames[i]
+    said = [batches.corpus.sentences[draws.sentence[i]] for i in ridden]
+    assert said.count("raise") > said.count("walk") > 0
     walks = sorted(set(range(len(draws.clip))) - set(raises))
     assert (draws.body[walks] == walks).all()
 

@@ -180,7 +180,10 @@ class Sampling:
     the data; 0: all alike). A clip whose content is cyclic is cut to any stretch of at least `shortest`, the others
     lose at most `trim` of their length at either end; nothing is longer than `longest`. A share `crops` of the rows is
     cut anywhere out of any clip, `crop_shortest` to `crop_longest`, and has no text: transitions. A share `silent` of
-    the others loses its text. `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and
+    the others loses its text. Of the rows whose content claims no legs, a share `composed` is put on the body of another
+    row of the same piece whose content is cyclic and claims legs alone: an arm is raised also while walking, under its
+    own text or, one time in four, that of the body (compositions as in SINC, of features as in a collage). Networks that
+    never saw an arm raised on walking legs lower it in a collage. `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and
     sorted by length into pieces of about as many frames each, `pieces` to a batch: more of either means less padding;
     more pieces also mean more lengths, so more contents, in every batch.
     """
@@ -265,7 +268,8 @@ class ClipBatches:
             bodies = np.flatnonzero(carrying & (draws.frames >= draws.frames[row]))
             if len(bodies):
                 body[row] = random.choice(bodies)
-        return replace(draws, body=body)
+        of_body = (body != np.arange(len(body))) & (random.random(len(body)) < 0.25) & (draws.sentence != NULL)
+        return replace(draws, body=body, sentence=np.where(of_body, draws.sentence[body], draws.sentence))
 
     def _draw(self, count: int, random: np.random.Generator) -> Draws:
         sampling, fps = self.sampling, self.corpus.fps
