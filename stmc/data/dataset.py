@@ -156,9 +156,9 @@ class Corpus:
 
 @dataclass(frozen=True)
 class Draws:
-    """Rows to be: `frames` frames each from frame `start` of all features on, at `speed` source frames a frame, none at
-    or after `end` (where the clip ends); a sentence's place each; the clip; and the row whose body it moves on (its own,
-    or for a composition another's: see `Sampling.composed`)."""
+    """Rows to be: `frames` frames each from frame `start` of all features on, at `speed` source frames a frame, none
+    at or after `end` (where the clip ends); a sentence's place each; the clip; and the row whose body it moves on (its
+    own, or for a composition another's: see `Sampling.composed`)."""
 
     start: np.ndarray
     end: np.ndarray
@@ -180,12 +180,13 @@ class Sampling:
     the data; 0: all alike). A clip whose content is cyclic is cut to any stretch of at least `shortest`, the others
     lose at most `trim` of their length at either end; nothing is longer than `longest`. A share `crops` of the rows is
     cut anywhere out of any clip, `crop_shortest` to `crop_longest`, and has no text: transitions. A share `silent` of
-    the others loses its text. Of the rows whose content claims no legs, a share `composed` is put on the body of another
-    row of the same piece whose content is cyclic and claims legs alone: an arm is raised also while walking, under its
-    own text or, one time in four, that of the body (compositions as in SINC, of features as in a collage). Networks that
-    never saw an arm raised on walking legs lower it in a collage. `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and
-    sorted by length into pieces of about as many frames each, `pieces` to a batch: more of either means less padding;
-    more pieces also mean more lengths, so more contents, in every batch.
+    the others loses its text. Of the rows whose content claims no legs, a share `composed` is put on the body of
+    another row of the same piece whose content is cyclic and claims legs alone: an arm is raised also while walking,
+    under its own text or, one time in four, that of the body (compositions as in SINC, of features as in a collage).
+    Networks that never saw an arm raised on walking legs lower it in a collage. `slowest` and `fastest` bound the
+    change of speed. `pool` batches are drawn at once and sorted by length into pieces of about as many frames each,
+    `pieces` to a batch: more of either means less padding; more pieces also mean more lengths, so more contents, in
+    every batch.
     """
 
     rows: int = 64
