@@ -277,7 +277,7 @@ def lerp(
 def _seams(plan: Plan, part: BodyPart) -> list[int]:
     """The frames at which `part` changes from one crop to another, in a plan without overlap."""
     tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
-    if any(tile.weight != 1 for tile in tiles) or any(a.end > b.start for a, b in pairwise(tiles)):
+    if any(a.end > b.start for a, b in pairwise(tiles)):
         raise ValueError(f"the tiles of {part} overlap: seams are smoothed in plans made with overlap=0")
     return [b.start for a, b in pairwise(tiles) if a.crop != b.crop]
 

@@ -346,9 +346,10 @@ def test_lerp_draws_a_line_across_each_seam_of_the_part_that_changes():
 
 
 def test_lerp_leaves_parts_alone_that_do_not_change():
-    plans = plans_of(WALK_WAVE, overlap=0)
-    features = torch.randn(1, 74, 10)
+    plans = plans_of(WALK_WAVE, timeline(("stand", 0, 74)), overlap=0)
+    features = torch.randn(2, 74, 10)
     smooth = lerp(features, plans, COLUMNS, overlap=10)
+    assert torch.equal(smooth[1], features[1])
     arm, legs = list(COLUMNS[BodyPart.RIGHT_ARM]), list(COLUMNS[BodyPart.LEGS])
     assert torch.equal(smooth[0, 9:19, legs], features[0, 9:19, legs])
     assert not torch.equal(smooth[0, 9:19, arm], features[0, 9:19, arm])

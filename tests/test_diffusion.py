@@ -312,6 +312,7 @@ def test_a_negative_seed_and_a_wrong_shape_are_errors():
 def test_noise_has_the_same_numbers_in_any_dtype():
     single, double = Noise([3], [5], 2)(), Noise([3], [5], 2, dtype=torch.float64)()
     assert double.dtype == torch.float64 and torch.equal(single.double(), double)
+    assert not torch.equal(single, single.half().float())
 
 
 def test_guidance_is_a_line_through_both_predictions():
