@@ -106,12 +106,14 @@ class Model:
         as many as in training). `method`: "stmc" stitches at every step (section 3.3); "sinc" once, after sampling each
         crop on its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts
         by "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
-        Raises `ValueError` for an unknown method and for seeds that are not one for each timeline.
+        Raises `ValueError` for an unknown method, negative seeds, and seeds that are not one for each timeline.
         """
         timelines = [timelines] if isinstance(timelines, Timeline) else list(timelines)
         seeds = list(range(seed, seed + len(timelines))) if isinstance(seed, int) else list(seed)
         if len(seeds) != len(timelines):
             raise ValueError(f"{len(seeds)} seeds for {len(timelines)} timelines: each needs one")
+        if min(seeds, default=0) < 0:
+            raise ValueError(f"seed {min(seeds)} is negative: seeds count from 0")
         if method not in get_args(Method):
             raise ValueError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
         if not timelines:

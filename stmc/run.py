@@ -182,7 +182,7 @@ def _tensors(path: Path) -> dict[str, torch.Tensor]:
 
 def _numbers(path: Path, features: int, words: int) -> dict[str, torch.Tensor]:
     """Statistics and skeleton, with the shapes that the other parts need."""
-    numbers = _tensors(path)
+    numbers = {name: value.clone() for name, value in _tensors(path).items()}  # not mapped: the file may be replaced
     shapes = {"motion_mean": (features,), "motion_std": (features,), "text_mean": (words,), "text_std": (words,)}
     for name, shape in (shapes | {"skeleton": (len(JOINTS), 3)}).items():
         if name not in numbers:

@@ -129,7 +129,7 @@ def fingerprint(sources: Iterable[Path], settings: Sequence[object]) -> str:
     return digest.hexdigest()
 
 
-def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "frames features"]]]) -> tuple[tuple[Clip, ...], Tensor]:
+def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "_ features"]]]) -> tuple[tuple[Clip, ...], Tensor]:
     """Clips and their features, with `start` and `end` set to where each comes to lie in the one tensor."""
     clips, start = [], 0
     for clip, features in rows:

@@ -1,0 +1,170 @@
+"""Who may import whom, how long things may be, and what they may be called: read off the code's syntax trees."""
+
+import ast
+import importlib
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import stmc
+
+ROOT = Path(stmc.__file__).parent
+REPOSITORY = ROOT.parent
+TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob("*.py"))}
+
+TIERS = [
+    {"body", "files", "geometry", "statistics", "tensors"},
+    {"body_model", "denoisers", "diffusion", "motion", "text", "timeline"},
+    {"assignment", "export", "representation", "training"},
+    {"data", "metrics", "planning", "viewing"},
+    {"compose"},
+    {"model"},
+    {"run"},
+]
+"""A module or package imports those of lower tiers only, or of its own package."""
+
+FORBIDDEN = {
+    "timeline": {"torch"},
+    "assignment": {"torch"},
+    "planning": {"torch"},
+    "diffusion": {"planning", "representation", "motion", "timeline"},
+    "denoisers": {"diffusion", "planning", "representation", "motion"},
+    "metrics": {"diffusion", "denoisers", "compose"},
+    "export": {"diffusion", "denoisers", "compose"},
+    "viewing": {"diffusion", "denoisers", "compose"},
+    "training": {"data", "representation", "timeline", "motion"},
+}
+"""What a package must not even import through others."""
+
+
+def home(path: Path) -> str:
+    """The module or package right below `stmc` that a file belongs to."""
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def imports(tree: ast.AST) -> set[str]:
+    """Everything imported anywhere in it: `stmc`'s own by their homes, others by their first names."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            names |= {f"stmc.{alias.name}" for alias in node.names} if node.module == "stmc" else {node.module}
+    return {name.split(".")[1] if name.startswith("stmc.") else name.split(".")[0] for name in names}
+
+
+MODULES = {path: tree for path, tree in TREES.items() if path != ROOT / "__init__.py"}
+DIRECT: dict[str, set[str]] = {}
+for _path, _tree in MODULES.items():
+    DIRECT.setdefault(home(_path), set()).update(imports(_tree))
+
+
+def reached(module: str) -> set[str]:
+    """Everything that `module` imports, through whomever."""
+    found, left = set(), [module]
+    while left:
+        new = DIRECT.get(left.pop(), set()) - found
+        found |= new
+        left += new
+    return found
+
+
+def functions(path: Path) -> list[tuple[str, int]]:
+    """Every function of a file and its lines, methods and nested ones too."""
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
+    tree = ast.parse(path.read_text("utf-8"))
+    return [
+        (f"{path.name}:{node.name}", node.end_lineno - node.lineno + 1)
+        for node in ast.walk(tree)
+        if isinstance(node, kinds)
+    ]
+
+
+def test_every_module_has_a_tier():
+    assert set(DIRECT) == set().union(*TIERS)
+
+
+@pytest.mark.parametrize("module", sorted(DIRECT))
+def test_a_module_imports_lower_tiers_only(module):
+    tier = next(number for number, tier in enumerate(TIERS) if module in tier)
+    lower = set().union(*TIERS[:tier])
+    own = set(DIRECT) & DIRECT[module]
+    assert own - lower - {module} == set()
+
+
+@pytest.mark.parametrize("module", sorted(FORBIDDEN))
+def test_a_module_knows_nothing_of_what_it_must_not(module):
+    assert reached(module) & FORBIDDEN[module] == set()
+
+
+def test_hydra_is_seen_by_runs_alone():
+    for module, imported in DIRECT.items():
+        assert module == "run" or not {"hydra", "omegaconf"} & imported, module
+
+
+def test_planning_a_timeline_does_not_import_torch():
+    code = "import sys, stmc.planning; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_no_module_is_a_drawer_for_everything_and_none_is_called_like_a_public_function():
+    modules = {path.parent.name if path.name == "__init__.py" else path.stem for path in MODULES}
+    assert not modules & {"utils", "util", "tools", "common", "misc", "helpers"}
+    public = {
+        node.name
+        for tree in MODULES.values()
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
+    }
+    assert not modules & public
+
+
+def test_every_name_of_the_package_is_what_it_says_also_once_all_modules_are_imported():
+    for module in DIRECT:
+        importlib.import_module(f"stmc.{module}")
+    for name in stmc.__all__:
+        value = getattr(stmc, name)
+        assert inspect.isclass(value) or inspect.isfunction(value), name
+        assert value.__module__.startswith("stmc."), name
+
+
+def test_sizes_stay_within_the_yardstick():
+    """No file over 400 lines, no function over 80, 95 of 100 functions within 40."""
+    files = [*ROOT.rglob("*.py"), *(REPOSITORY / "scripts").glob("*.py")]
+    assert {path.name: lines for path in files if (lines := len(path.read_text("utf-8").splitlines())) > 400} == {}
+    found = [each for path in files for each in functions(path)]
+    assert [each for each in found if each[1] > 80] == []
+    longer = [each for each in found if each[1] > 40]
+    assert len(longer) <= 0.05 * len(found), longer
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_library_module_says_what_it_is_and_prints_nothing(path):
+    assert ast.get_docstring(TREES[path]) or not TREES[path].body, "a module docstring"
+    for node in ast.walk(TREES[path]):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in ("print", "breakpoint", "eval", "exec"), f"line {node.lineno}"
+        assert not isinstance(node, ast.Global), f"line {node.lineno}: global"
+        if isinstance(node, ast.ExceptHandler):
+            assert node.type is not None, f"line {node.lineno}: a bare except"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_everything_public_says_what_it_does(path):
+    """Functions, classes and methods without an underscore, but for what a protocol or PyTorch has said already."""
+    for node in TREES[path].body:
+        if not isinstance(node, (ast.FunctionDef, ast.ClassDef)) or node.name.startswith("_"):
+            continue
+        assert ast.get_docstring(node), f"{node.name}, line {node.lineno}"
+        for method in node.body if isinstance(node, ast.ClassDef) else []:
+            if isinstance(method, ast.FunctionDef) and not method.name.startswith("_") and method.name != "forward":
+                assert ast.get_docstring(method) or _is_protocol(node), f"{node.name}.{method.name}"
+
+
+def _is_protocol(node: ast.ClassDef) -> bool:
+    return any(isinstance(base, ast.Name) and base.id == "Protocol" for base in node.bases)

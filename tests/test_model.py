@@ -1,0 +1,268 @@
+"""A tiny random model: every method and sampler gives motions of the right length that belong to their seeds."""
+
+import dataclasses
+import subprocess
+import sys
+from functools import partial
+
+import pytest
+import torch
+from hypothesis import Phase, given, settings
+from strategies import quietly, timelines
+from tiny import Hashes, tiny
+
+import stmc
+from stmc.body import JOINTS, BodyPart
+from stmc.diffusion import Noise, ddim, ddpm, dpm_solver
+from stmc.model import Model
+from stmc.motion import Motion
+from stmc.timeline import Timeline
+
+WALK_WAVE = Timeline.parse("walk forwards # 0 # 4 # legs\nwave # 1 # 3 # right arm\nsit down # 4 # 5.5 # legs # spine")
+NOD = Timeline.parse("nod # 0 # 1.3 # head")
+GAP = Timeline.parse("turn left # 0 # 1 # legs\nturn left # 2 # 3 # legs")
+THREE = [WALK_WAVE, NOD, GAP]
+METHODS = ("stmc", "sinc", "sinc_lerp", "single_track", "one_text")
+SAMPLERS = {
+    "ddpm": ddpm,
+    "ddpm, variance": partial(ddpm, spread="variance"),
+    "ddim": ddim,
+    "ddim, eta": partial(ddim, eta=1.0),
+    "dpm_solver": dpm_solver,
+}
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return tiny()
+
+
+def apart(one: Motion, other: Motion) -> float:
+    return float((one.joints - other.joints).abs().max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_every_method_and_sampler_gives_each_timeline_its_motion(model, sampler, method):
+    motions = model.generate(THREE, steps=3, sampler=SAMPLERS[sampler], method=method)
+    for timeline, motion in zip(THREE, motions, strict=True):
+        if method == "one_text":
+            assert motion.frames <= model.longest
+        assert motion.frames == min(timeline.frames(20), model.longest if method == "one_text" else 10**6)
+        assert motion.fps == model.fps
+        assert motion.duration == pytest.approx(motion.frames / 20)
+        posed = model.skeleton.pose(motion.rotations, motion.translation)
+        torch.testing.assert_close(motion.joints, posed, msg="bones keep their length")
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("sampler", ["ddpm", "dpm_solver"])
+def test_a_motion_is_the_same_alone_and_in_any_batch(model, sampler, method):
+    generate = partial(model.generate, steps=4, sampler=SAMPLERS[sampler], method=method)
+    together = generate(THREE, seed=[7, 8, 9])
+    backwards = generate(THREE[::-1], seed=[9, 8, 7])[::-1]
+    for timeline, seed, motion, other in zip(THREE, (7, 8, 9), together, backwards, strict=True):
+        [alone] = generate(timeline, seed=seed)
+        assert apart(motion, alone) < 1e-4
+        assert apart(motion, other) < 1e-4
+
+
+def test_a_number_of_steps_that_is_not_said_is_that_of_training(model):
+    seen = []
+
+    def counted(steps):
+        for x0 in steps:
+            seen.append(x0.shape)
+            yield x0
+
+    model.generate(NOD, track=counted)
+    assert seen == [(1, 26, 205)] * 100
+
+
+def test_seeds_are_consecutive_from_the_first_and_decide_alone(model):
+    generate = partial(model.generate, steps=2)
+    first, second = generate([NOD, NOD], seed=3)
+    listed = generate([NOD, NOD], seed=[3, 4])
+    assert apart(first, listed[0]) == apart(second, listed[1]) == 0
+    assert apart(first, second) > 1e-3
+    torch.manual_seed(123)
+    assert apart(first, generate([NOD, NOD], seed=3)[0]) == 0
+
+
+def test_sampling_leaves_the_global_generator_alone(model):
+    torch.manual_seed(5)
+    before = torch.get_rng_state()
+    for method in METHODS:
+        model.generate(THREE, steps=2, method=method)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_the_text_guidance_and_overlap_change_the_motion(model):
+    [plain] = model.generate(WALK_WAVE, steps=4)
+    other_words = dataclasses.replace(
+        WALK_WAVE, prompts=[dataclasses.replace(prompt, text="jump") for prompt in WALK_WAVE.prompts]
+    )
+    assert apart(plain, model.generate(other_words, steps=4)[0]) > 1e-3
+    assert apart(plain, model.generate(WALK_WAVE, steps=4, guidance=1.0)[0]) > 1e-3
+    assert apart(plain, model.generate(WALK_WAVE, steps=4, overlap=1.0)[0]) > 1e-3
+    silent = model.generate([WALK_WAVE, other_words], seed=[0, 0], steps=4, guidance=0.0)
+    assert apart(*silent) == 0
+
+
+def test_without_overlap_and_simultaneous_texts_all_methods_of_one_track_agree_with_a_single_crop(model):
+    """One prompt for the whole body is one crop: nothing is left that the methods could do differently."""
+    one = Timeline.parse("jump # 0 # 3")
+    motions = [model.generate(one, steps=3, method=method)[0] for method in ("stmc", "single_track", "one_text")]
+    assert apart(motions[0], motions[1]) < 1e-5
+    assert apart(motions[0], motions[2]) < 1e-5
+
+
+def test_sinc_takes_each_part_from_one_crop_and_its_lerp_changes_only_the_seams(model):
+    timeline = Timeline.parse("walk # 0 # 2 # legs\nrun # 2 # 4 # legs")
+    plain, smooth = (model.generate(timeline, steps=3, method=method)[0].rotations for method in ("sinc", "sinc_lerp"))
+    plain, smooth = plain[:, 1:], smooth[:, 1:]  # the root's heading is a sum: it keeps what it gained at the seam
+    changed = (plain - smooth).abs().amax(dim=(1, 2, 3)) > 1e-4
+    assert changed[36:44].any(), "half a second around the seam at frame 40"
+    assert not changed[:35].any()
+    assert not changed[45:].any()
+
+
+def test_a_prompt_longer_than_the_model_knows_is_sampled_in_pieces(model):
+    crops = []
+    long = Timeline.parse("walk # 0 # 12 # legs")
+
+    class Watched(torch.nn.Module):
+        def __init__(self, network):
+            super().__init__()
+            self.network = network
+
+        def forward(self, x, *rest):
+            crops.append(x.shape[1])
+            return self.network(x, *rest)
+
+    watched = dataclasses.replace(model, denoiser=Watched(model.denoiser))
+    [motion] = watched.generate(long, steps=2)
+    assert motion.frames == 240
+    assert max(crops) <= model.longest
+
+
+def test_each_distinct_text_is_encoded_once():
+    model = tiny()
+    assert isinstance(model.text_encoder, Hashes)
+    model.generate([GAP, GAP, NOD], steps=2)
+    assert sorted(model.text_encoder.encoded) == ["", "nod", "turn left"]
+
+
+def test_embeddings_are_normalised_and_as_long_as_their_texts(model):
+    embedded = model.embed(["walk forwards", "", "walk forwards"])
+    assert {text: len(words) for text, words in embedded.items()} == {"walk forwards": 2, "": 1}
+    words, _ = model.text_encoder.encode(["walk forwards"])
+    torch.testing.assert_close(embedded["walk forwards"], (words[0] - 0.1) / 2.0)
+
+
+def test_the_pieces_of_generate_give_what_generate_gives(model):
+    """As in the documentation: plans, guided crops, the collage, a sampler, decoding."""
+    plans = model.plans(THREE, overlap=0.5)
+    predict = stmc.collage(model.guided(plans, weight=2.5), plans, model.representation.columns)
+    draw = Noise([0, 1, 2], [plan.frames for plan in plans], model.representation.width)
+    with torch.inference_mode():
+        for x0 in stmc.ddim(predict, model.schedule, draw(), draw, steps=5):  # noqa: B007
+            pass
+    pieces = model.decode(x0, [plan.frames for plan in plans])
+    for one, other in zip(pieces, model.generate(THREE, seed=0, steps=5, sampler=ddim), strict=True):
+        assert apart(one, other) == 0
+
+
+def test_a_body_part_obeys_its_own_prompt_alone(model):
+    """What the right arm is told changes the right arm's columns, and no other's, in the first prediction."""
+    wave, salute = (Timeline.parse(f"walk # 0 # 3 # legs\n{text} # 0 # 3 # right arm") for text in ("wave", "salute"))
+    predictions = []
+    for timeline in (wave, salute):
+        plans = model.plans([timeline])
+        predict = stmc.collage(model.guided(plans), plans, model.representation.columns)
+        x = Noise([0], [60], 205)()
+        with torch.inference_mode():
+            predictions.append(predict(x, 99))
+    changed = (predictions[0] - predictions[1]).abs().amax(dim=(0, 1)) > 0
+    assert set(changed.nonzero().flatten().tolist()) == set(model.representation.columns[BodyPart.RIGHT_ARM])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"seed": [1]}, "1 seeds for 3 timelines"),
+        ({"method": "magic"}, "magic"),
+        ({"seed": -5}, "seed -5 is negative"),
+        ({"overlap": -1.0}, "overlap -20 must be 0"),
+        ({"steps": 101}, "101"),
+        ({"steps": 0}, "0"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(model, arguments, message):
+    with pytest.raises((ValueError, TypeError), match=message):  # in tests, types are checked first
+        model.generate(THREE, **({"steps": 2} | arguments))
+
+
+def test_no_timelines_are_no_motions(model):
+    assert model.generate([]) == []
+
+
+def test_a_model_in_training_mode_samples_without_dropout():
+    model = tiny()
+    [expected] = model.generate(NOD, steps=2)
+    model.denoiser.train()
+    assert apart(model.generate(NOD, steps=2)[0], expected) == 0
+
+
+def test_another_device_is_another_record_of_the_same_model(model):
+    moved = model.to("cpu")
+    assert moved.device == torch.device("cpu")
+    assert moved.schedule is model.schedule
+    assert apart(moved.generate(NOD, steps=2)[0], model.generate(NOD, steps=2)[0]) == 0
+
+
+# A thousand timelines ---------------------------------------------------------------------------------------------
+
+
+def thousand() -> list[Timeline]:
+    drawn = []
+
+    @settings(max_examples=1000, deadline=None, database=None, derandomize=True, phases=[Phase.generate])
+    @given(timelines())
+    def draw(timeline: Timeline) -> None:
+        drawn.append(timeline)
+
+    draw()
+    return drawn
+
+
+@quietly
+def test_a_thousand_random_legal_timelines_are_sampled():
+    """At 10 frames a second and at most 4 seconds at once: everything happens, quickly."""
+    model, drawn = tiny(fps=10, longest=40), thousand()
+    assert len(drawn) >= 1000
+    assert {len(timeline.prompts) for timeline in drawn} == set(range(1, 9))
+    for start in range(0, len(drawn), 50):
+        batch = drawn[start : start + 50]
+        motions = model.generate(batch, seed=start, steps=2, sampler=ddim)
+        for timeline, motion in zip(batch, motions, strict=True):
+            assert motion.joints.shape == (timeline.frames(10), len(JOINTS), 3)
+
+
+# The package ------------------------------------------------------------------------------------------------------
+
+
+def test_importing_the_package_imports_neither_torch_nor_anything_slow():
+    code = """
+import sys, stmc
+assert stmc.Timeline.parse("walk # 0 # 1").duration == 1.0
+assert stmc.plan and stmc.assign
+print(sorted({"torch", "transformers", "hydra", "matplotlib", "viser", "scipy"} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_an_unknown_name_of_the_package_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'stmc' has no attribute 'magic'"):
+        stmc.magic  # noqa: B018

@@ -1,0 +1,312 @@
+"""Run directories: what is saved comes back wherever it lies, and what is damaged or malicious is refused by name."""
+
+import dataclasses
+import json
+import os
+import shutil
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from safetensors.torch import load_file, save_file
+from tiny import CONFIG as PARTS
+from tiny import Hashes, tiny
+
+import stmc
+from stmc.diffusion import ddim
+from stmc.model import Model
+from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, RunError, bundled
+from stmc.text import MiniLM
+from stmc.timeline import Timeline
+
+WALK = Timeline.parse("walk forwards # 0 # 3 # legs\nwave # 1 # 2 # right arm")
+FILES = sorted([CARD, CONFIG, STATISTICS, WEIGHTS])
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return tiny()
+
+
+@pytest.fixture
+def run(model, tmp_path):
+    return stmc.save(model, tmp_path / "runs" / "tiny", "# A tiny model\n")
+
+
+def loaded(folder, **arguments) -> Model:
+    """As loaded, but for the text encoder: the tiny model's has no weights to load."""
+    model = stmc.load(folder, **arguments)
+    assert isinstance(model.text_encoder, MiniLM)
+    return dataclasses.replace(model, text_encoder=Hashes())
+
+
+def joints(model: Model) -> torch.Tensor:
+    return model.generate(WALK, steps=4, sampler=ddim)[0].joints
+
+
+def edit(folder, **changes) -> None:
+    config = OmegaConf.to_container(OmegaConf.load(folder / CONFIG)) | changes
+    OmegaConf.save(
+        OmegaConf.create({key: value for key, value in config.items() if value is not None}), folder / CONFIG
+    )
+
+
+# There and back -----------------------------------------------------------------------------------------------------
+
+
+def test_a_model_comes_back_as_it_was_saved(model, run):
+    back = loaded(run)
+    assert sorted(os.listdir(run)) == FILES
+    assert torch.equal(joints(back), joints(model))
+    assert (back.fps, back.longest, back.prediction) == (model.fps, model.longest, model.prediction)
+    assert torch.equal(back.schedule.alpha_bar, model.schedule.alpha_bar)
+    assert torch.equal(back.skeleton.offsets, model.skeleton.offsets)
+    assert (run / CARD).read_text() == "# A tiny model\n"
+
+
+def test_a_run_can_be_moved_and_lent(model, run, tmp_path, monkeypatch):
+    shutil.move(run, tmp_path / "elsewhere")
+    monkeypatch.chdir(tmp_path)
+    assert torch.equal(joints(loaded("elsewhere")), joints(model))
+    text = "".join(path.read_text() for path in (tmp_path / "elsewhere").glob("*.yaml"))
+    assert str(tmp_path) not in text
+
+
+def test_a_loaded_model_saves_the_same_files_again(run, tmp_path):
+    again = stmc.save(stmc.load(run), tmp_path / "again", "# A tiny model\n")
+    for name in FILES:
+        assert (again / name).read_bytes() == (run / name).read_bytes(), name
+
+
+def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, run, tmp_path):
+    half = stmc.save(model, tmp_path / "half", "", dtype=torch.float16)
+    stored = load_file(half / WEIGHTS)
+    assert {tensor.dtype for tensor in stored.values()} == {torch.float16}
+    assert (half / WEIGHTS).stat().st_size < 0.6 * (run / WEIGHTS).stat().st_size
+    back = loaded(half)
+    assert {weight.dtype for weight in back.denoiser.parameters()} == {torch.float32}
+    torch.testing.assert_close(joints(back), joints(model), atol=0.02, rtol=0)
+    assert {tensor.dtype for tensor in load_file(half / STATISTICS).values()} == {torch.float32}
+
+
+def test_a_loaded_model_is_ready_to_sample_and_has_no_gradients(run):
+    back = stmc.load(run)
+    assert not back.denoiser.training
+    assert not any(weight.requires_grad for weight in back.denoiser.parameters())
+
+
+def test_saving_again_replaces_the_model(model, run):
+    other = dataclasses.replace(model, longest=77)
+    stmc.save(other, run, "# Another\n")
+    assert stmc.load(run).longest == 77
+    assert sorted(os.listdir(run)) == FILES
+
+
+# What cannot be saved -----------------------------------------------------------------------------------------------
+
+
+def test_writing_that_fails_leaves_the_old_model_and_no_litter(model, run, monkeypatch):
+    before = {name: (run / name).read_bytes() for name in FILES}
+
+    def full(tensors, path):
+        path.write_bytes(b"half")
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr("stmc.run.save_file", full)
+    with pytest.raises(OSError, match="no space"):
+        stmc.save(model, run, "# Another\n")
+    assert {name: (run / name).read_bytes() for name in os.listdir(run)} == before
+
+
+def test_a_model_that_does_not_say_how_to_build_its_parts_is_not_saved(model, tmp_path):
+    config = {part: PARTS[part] for part in ("denoiser", "schedule")}
+    with pytest.raises(RunError, match="how to build text_encoder, representation"):
+        stmc.save(dataclasses.replace(model, config=config), tmp_path / "run", "")
+    assert not (tmp_path / "run").exists()
+
+
+def test_weights_that_half_precision_cannot_hold_are_not_saved(tmp_path):
+    model = tiny()
+    with torch.no_grad():
+        model.denoiser.registers[0, 0] = 1e6
+    with pytest.raises(RunError, match=r"torch\.float16 cannot hold, or that are not finite: registers"):
+        stmc.save(model, tmp_path / "run", "", dtype=torch.float16)
+    assert not (tmp_path / "run").exists()
+
+
+# What is damaged ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lost", [CONFIG, WEIGHTS, STATISTICS])
+def test_a_missing_file_is_named(run, lost):
+    (run / lost).unlink()
+    with pytest.raises(RunError, match=f"is not a run directory: {lost} missing"):
+        stmc.load(run)
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(RunError, match=r"nowhere is not a run directory: config\.yaml, weights"):
+        stmc.load(tmp_path / "nowhere")
+
+
+def test_a_run_without_its_card_is_still_a_run(run):
+    (run / CARD).unlink()
+    stmc.load(run)
+
+
+@pytest.mark.parametrize("name", [WEIGHTS, STATISTICS])
+@pytest.mark.parametrize("damage", [lambda data: data[:-100], lambda data: b"", lambda data: b"\x80\x04junk" * 9])
+def test_a_file_that_was_cut_or_is_something_else_is_named(run, name, damage):
+    (run / name).write_bytes(damage((run / name).read_bytes()))
+    with pytest.raises(RunError) as error:
+        stmc.load(run)
+    assert str(run / name) in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["denoiser: [", "just text", "- a\n- list", "", "denoiser: ${nothing}\n", "\0"])
+def test_a_config_that_is_none_is_named(run, text):
+    (run / CONFIG).write_text(text)
+    with pytest.raises(RunError) as error:
+        stmc.load(run)
+    assert str(run / CONFIG) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schedule": None}, "schedule missing"),
+        ({"fps": None, "prediction": None}, "fps, prediction missing"),
+        ({"fps": 0}, "fps must be a positive number, not 0"),
+        ({"fps": "twenty"}, "fps must be a positive number, not 'twenty'"),
+        ({"longest": 7.5}, r"longest must be a positive number of frames, not 7\.5"),
+        ({"longest": 0}, "longest must be a positive number of frames, not 0"),
+        ({"prediction": "noise"}, "prediction must be one of x0, eps, v, score, not 'noise'"),
+        ({"denoiser": 3}, "denoiser must say what to build as `_target_`, not 3"),
+        ({"denoiser": {"width": 16}}, "denoiser must say what to build"),
+        ({"denoiser": PARTS["denoiser"] | {"depth": 3}}, "denoiser cannot be built: .*depth"),
+        ({"denoiser": PARTS["denoiser"] | {"heads": 5}}, r"denoiser cannot be built: .*multiple of heads \(5\)"),
+        ({"schedule": PARTS["schedule"] | {"steps": 0}}, "schedule cannot be built"),
+        ({"denoiser": PARTS["denoiser"] | {"width": 32}}, f"{WEIGHTS} does not fit the denoiser of {CONFIG}:.*size"),
+        ({"denoiser": PARTS["denoiser"] | {"layers": 2}}, f"{WEIGHTS} does not fit .*{CONFIG}.*layers.1"),
+        ({"text_encoder": {"_target_": "stmc.text.Clip"}}, rf"{STATISTICS}: text_mean must be \(512,\) .*not \(384,\)"),
+    ],
+)  # fmt: skip
+def test_a_config_that_does_not_describe_the_files_says_where(run, changes, message):
+    edit(run, **changes)
+    with pytest.raises(RunError, match="(?s)" + message) as error:
+        stmc.load(run)
+    assert str(run) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("motion_mean", lambda value: None, "motion_mean missing"),
+        ("skeleton", lambda value: value[:22], r"skeleton must be \(24, 3\) finite numbers, not \(22, 3\)"),
+        ("text_std", lambda value: 0 * value, "text_std must be above 0"),
+        ("motion_std", lambda value: value * torch.nan, r"motion_std must be \(205,\) finite"),
+        ("motion_mean", lambda value: value[:-1], r"motion_mean must be \(205,\) finite numbers, not \(204,\)"),
+    ],
+)
+def test_statistics_that_cannot_be_meant_are_named(run, name, change, message):
+    numbers = load_file(run / STATISTICS)
+    changed = change(numbers.pop(name))
+    save_file(numbers if changed is None else numbers | {name: changed.contiguous()}, run / STATISTICS)
+    with pytest.raises(RunError, match=f"{STATISTICS}: {message}"):
+        stmc.load(run)
+
+
+def test_weights_that_are_not_finite_are_named(run):
+    weights = load_file(run / WEIGHTS)
+    weights["registers"][0, 0] = torch.inf
+    save_file(weights, run / WEIGHTS)
+    with pytest.raises(RunError, match=f"{WEIGHTS} holds weights that are not finite: registers"):
+        stmc.load(run)
+
+
+# What is malicious --------------------------------------------------------------------------------------------------
+
+TARGETS = [
+    "os.system",
+    "posix.system",
+    "builtins.eval",
+    "builtins.exec",
+    "subprocess.Popen",
+    "stmc.run.os.system",
+    "stmc.text.os.system",
+    "stmc.text.tempfile.mkstemp",
+    "stmc.denoisers.mdm_smpl.torch.load",
+    "torch.load",
+    "torch.nn.Linear",
+    "pickle.loads",
+    "stmc.denoisers",
+    "stmc.denoisers.",
+    "stmc.nothing.Denoiser",
+    "stmc.data.cache.Cache.write",
+    "stmc.training.Checkpoints.save",
+    "stmc.training.logs.Table",
+    "stmc.text.Path",
+    "stmc.text.Cached.file",
+    "stmc.text.MiniLM.__init__.__globals__",
+    "hydra.utils.call",
+    ["os", "system"],
+    {"_target_": "os.system"},
+    7,
+]
+
+
+@pytest.mark.parametrize("part", list(PARTS))
+@pytest.mark.parametrize("target", TARGETS, ids=str)
+def test_a_config_that_asks_for_anything_but_the_part_s_own_classes_is_refused_unexecuted(run, part, target, tmp_path):
+    proof = tmp_path / "proof"
+    edit(run, **{part: {"_target_": target, "_args_": [f"touch {proof}"]}})
+    with pytest.raises(RunError, match=f"{part}: .* is not a class of stmc"):
+        stmc.load(run)
+    assert not proof.exists()
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        {"nested": {"_target_": "os.system", "_args_": ["touch proof"]}},
+        {"nested": [1, {"deep": {"_target_": "os.system", "_args_": ["touch proof"]}}]},
+        {"_target_": "${text_encoder.evil}", "evil": "os.system", "_args_": ["touch proof"]},
+    ],
+)
+def test_what_is_hidden_deep_inside_is_refused_too(run, hidden, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    edit(run, text_encoder=PARTS["text_encoder"] | hidden)
+    with pytest.raises(RunError, match=r"'os\.system' is not a class of stmc\.text"):
+        stmc.load(run)
+    assert not (tmp_path / "proof").exists()
+
+
+def test_tags_that_yaml_could_run_are_refused(run, tmp_path):
+    proof = tmp_path / "proof"
+    text = (run / CONFIG).read_text()
+    (run / CONFIG).write_text(f'{text}evil: !!python/object/apply:os.system ["touch {proof}"]\n')
+    with pytest.raises(RunError, match=CONFIG):
+        stmc.load(run)
+    assert not proof.exists()
+
+
+def test_pickled_weights_are_not_weights(run, tmp_path):
+    weights = {name: value.clone() for name, value in load_file(run / WEIGHTS).items()}
+    torch.save(weights, run / WEIGHTS)
+    with pytest.raises(RunError, match=WEIGHTS):
+        stmc.load(run)
+
+
+# The bundled model --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not (bundled() / WEIGHTS).exists(), reason="this checkout has no bundled model")
+def test_the_bundled_model_loads_is_small_and_says_where_it_comes_from():
+    model = stmc.load()
+    assert (bundled() / WEIGHTS).stat().st_size < 16 * 2**20
+    assert model.fps == 20
+    card = (bundled() / CARD).read_text("utf-8")
+    for words in ("CC BY-NC 4.0", "Bandai Namco", "Kobayashi"):
+        assert words in card
+    config = json.dumps(OmegaConf.to_container(OmegaConf.load(bundled() / CONFIG)))
+    assert "/" not in config, "no paths of the machine that trained it"

@@ -1,0 +1,329 @@
+"""From motion capture to motions to look at, as a user goes: the scripts, on a toy data set, as processes."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from mocap import about, bvh_text, posed
+from tiny import tiny
+
+import stmc
+from stmc.data.cache import Cache
+from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS
+
+ROOT = Path(__file__).parents[1]
+
+TIMELINES = """\
+walk forwards # 0 # 2 # legs
+raise the left arm # 0.5 # 1.5 # left arm
+
+raise the right arm # 0 # 1 # right arm
+"""
+
+
+def script(name: str, *settings: object, folder: Path, check: bool = True) -> subprocess.CompletedProcess:
+    """Runs a script with its output in one stream, in a folder where it must leave nothing."""
+    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *map(str, settings)]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200", "HYDRA_FULL_ERROR": "1"}
+    folder.mkdir(exist_ok=True)
+    done = subprocess.run(
+        command, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
+    )
+    assert not check or done.returncode == 0, done.stdout
+    return done
+
+
+def clip(content: str, number: int) -> stmc.Motion:
+    """A second and a half of walking, or of one raised arm."""
+    time = torch.arange(45 + number, dtype=torch.float64) / 30
+    zero = torch.zeros_like(time)
+    hanging = {f"{side}_shoulder": about("z", zero + sign * 1.3) for side, sign in (("left", -1), ("right", 1))}
+    if content == "walk":
+        hanging["left_hip"] = about("x", 0.4 * torch.sin(6 * time + number))
+        hanging["right_hip"] = about("x", -0.4 * torch.sin(6 * time + number))
+        return posed(hanging, torch.stack([zero, -(1.0 + 0.02 * number) * time, zero + 0.9], dim=-1))
+    hanging["left_shoulder"] = about("z", -1.3 + (2.6 - 0.05 * number) * torch.sin(2 * time) ** 2)
+    return posed(hanging, torch.stack([zero, zero, zero + 0.9], dim=-1))
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("work")
+
+
+@pytest.fixture(scope="module")
+def source(work) -> Path:
+    """Ten clips of one content, so that each part of the split has one, five of another, and one that is broken."""
+    folder = work / "dataset"
+    folder.mkdir()
+    for content, count in (("walk", 10), ("raise-up-left-hand", 5)):
+        for number in range(count):
+            text = bvh_text(clip(content, number))
+            (folder / f"dataset-1_{content}_normal_{number:03d}.bvh").write_text(text)
+    (folder / "dataset-1_bow_normal_001.bvh").write_text(text[: len(text) // 2])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def prepared(work, source) -> tuple[Path, subprocess.CompletedProcess]:
+    settings = (f"source={source}", f"folder={work / 'cache'}", "workers=1")
+    return work / "cache", script("prepare", *settings, folder=work / "here")
+
+
+@pytest.fixture(scope="module")
+def trained(work, prepared) -> tuple[Path, subprocess.CompletedProcess]:
+    small = ("denoiser=mdm_smpl_small", "denoiser.width=32", "denoiser.feedforward=64", "denoiser.layers=1")
+    few = ("training.steps=4", "training.log_every=2", "training.validate_every=4", "training.checkpoint_every=4")
+    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1", "draw_every=4")
+    done = script(
+        "train",
+        f"run={work / 'run'}",
+        f"data.folder={prepared[0]}",
+        f"text_cache={work / 'texts'}",
+        *small,
+        *few,
+        *batches,
+        "device=cpu",
+        "threads=1",
+        "training.warmup=1",
+        folder=work / "here",
+    )
+    return work / "run", done
+
+
+@pytest.fixture(scope="module")
+def timeline(work) -> Path:
+    (work / "two.txt").write_text(TIMELINES)
+    return work / "two.txt"
+
+
+@pytest.fixture(scope="module")
+def sampled(work, trained, timeline) -> tuple[Path, subprocess.CompletedProcess]:
+    return work / "out", script("sample", *sampling(work, timeline), folder=work / "here")
+
+
+def sampling(work: Path, timeline: Path) -> tuple[str, ...]:
+    return (f"timeline={timeline}", f"model={work / 'run'}", f"output={work / 'out'}", "steps=2", "device=cpu")
+
+
+def test_preparing_makes_a_cache_names_what_it_skipped_and_leaves_the_rest_alone(prepared, work):
+    folder, done = prepared
+    cache = Cache.read(folder)
+    assert len(cache.clips) == 30
+    assert {clip.content for clip in cache.clips} == {"walk", "raise-up-left-hand", "raise-up-right-hand"}
+    assert {clip.split for clip in cache.clips} == {"train", "val", "test"}
+    assert "skipped dataset-1_bow_normal_001" in done.stdout
+    assert "30 clips" in done.stdout
+    assert list((work / "here").iterdir()) == []
+
+
+def test_preparing_again_sees_that_nothing_changed(prepared, source, work):
+    before = {path: path.stat().st_mtime_ns for path in prepared[0].iterdir()}
+    done = script("prepare", f"source={source}", f"folder={prepared[0]}", folder=work / "here")
+    assert "is up to date" in done.stdout
+    assert {path: path.stat().st_mtime_ns for path in prepared[0].iterdir()} == before
+
+
+def test_preparing_what_is_not_there_is_a_sentence_and_no_traceback(work):
+    done = script("prepare", f"source={work / 'nowhere'}", folder=work / "here", check=False)
+    assert done.returncode != 0
+    assert "nowhere does not exist" in done.stdout
+    assert "Traceback" not in done.stdout
+
+
+def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
+    run, _ = trained
+    model = stmc.load(run)
+    assert model.fps == 20
+    assert {CARD, CONFIG, STATISTICS, WEIGHTS, "train.csv", "validation.csv"} <= {path.name for path in run.iterdir()}
+    with (run / "train.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["2", "4"]
+    assert all(float(row["loss"]) > 0 for row in rows)
+    assert list((run / "checkpoints").glob("*.pt"))
+    assert list((run / "pictures").glob("*.png"))
+    assert list((run / "tensorboard").iterdir())
+    assert str(work) not in (run / CONFIG).read_text(), "a run can be moved"
+
+
+def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
+    folder, _ = sampled
+    names = [f"two_{number:04d}_0.{kind}" for number in (0, 1) for kind in ("bvh", "html", "json", "npz")]
+    assert sorted(path.name for path in folder.iterdir()) == names
+    for name, frames in (("two_0000_0", 40), ("two_0001_0", 20)):
+        with np.load(folder / f"{name}.npz", allow_pickle=False) as archive:
+            assert archive["poses"].shape == (frames, 66)
+            assert archive["joints"].shape == (frames, 24, 3)
+            assert float(archive["mocap_framerate"]) == 20
+        assert f"Frames: {frames}" in (folder / f"{name}.bvh").read_text()
+        page = (folder / f"{name}.html").read_text()
+        assert "raise the" in page
+        assert stmc.read(folder / f"{name}.npz").frames == frames
+
+
+def test_sampling_again_makes_nothing_but_what_is_missing(sampled, work, timeline):
+    folder, _ = sampled
+    (folder / "two_0001_0.bvh").unlink()
+    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    script("sample", *sampling(work, timeline), folder=work / "here")
+    after = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    assert "two_0001_0.bvh" in after
+    assert {name for name in before if after[name] == before[name]} == {name for name in before if "0000" in name}
+
+
+# The decisions of the sampling script, without a process each --------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sample():
+    spec = spec_from_file_location("sample_script", ROOT / "scripts" / "sample.py")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def settings(*overrides: str):
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        return compose("sample", overrides=list(overrides))
+
+
+@pytest.fixture
+def run(tmp_path) -> Path:
+    return stmc.save(tiny(), tmp_path / "run", "")
+
+
+def jobs_left(sample, config, timeline: str = TIMELINES.split("\n\n")[1]) -> int:
+    timelines = [("nod", stmc.Timeline.parse(timeline))]
+    return len(sample.waiting(timelines, config, sample.fingerprint(config)))
+
+
+def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample, run, tmp_path):
+    base = (f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz]", "steps=2")
+    config, timeline = settings(*base), stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
+    [motion] = tiny().generate(timeline, steps=2)
+    sample.save(motion, "nod_0", timeline, 0, config, sample.fingerprint(config))
+    assert jobs_left(sample, config) == 0
+    for change in ("guidance=2", "overlap=0.6", "method=sinc", "sampler=ddim", "spread=variance", "seed=1"):
+        assert jobs_left(sample, settings(*base, change)) == 1, change
+    assert jobs_left(sample, settings(*base[:3], "steps=3")) == 1
+    assert jobs_left(sample, settings(*base, "samples=3")) == 2
+    assert jobs_left(sample, settings(*base[:2], "steps=2", "formats=[npz,bvh]")) == 1
+    assert jobs_left(sample, config, "raise the right arm # 0 # 1.00001 # right arm") == 1
+    assert jobs_left(sample, config, "raise the right arm # 0 # 1 # left arm") == 1
+    for change in ("batch=3", "device=cpu"):
+        assert jobs_left(sample, settings(*base, change)) == 0, change
+
+
+def test_a_moved_model_is_the_same_and_another_model_in_its_place_is_not(sample, run, tmp_path):
+    before = sample.fingerprint(settings(f"model={run}"))
+    moved = run.rename(tmp_path / "moved")
+    assert sample.fingerprint(settings(f"model={moved}")) == before
+    (moved / WEIGHTS).write_bytes((moved / WEIGHTS).read_bytes()[:-1] + b"\0")
+    assert sample.fingerprint(settings(f"model={moved}")) != before
+
+
+def test_a_motion_whose_record_is_damaged_or_files_are_gone_is_made_again(sample, run, tmp_path):
+    config = settings(f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz]", "steps=2")
+    timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
+    [motion] = tiny().generate(timeline, steps=2)
+    for damage in (lambda out: (out / "nod_0.json").write_text("{"), lambda out: (out / "nod_0.npz").unlink()):
+        sample.save(motion, "nod_0", timeline, 0, config, sample.fingerprint(config))
+        assert jobs_left(sample, config) == 0
+        damage(tmp_path / "out")
+        assert jobs_left(sample, config) == 1
+
+
+def test_a_motion_whose_files_cannot_be_written_is_not_taken_for_finished(sample, run, tmp_path, monkeypatch):
+    config = settings(f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz,bvh]", "steps=2")
+    timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
+    [motion] = tiny().generate(timeline, steps=2)
+    sample.save(motion, "nod_0", timeline, 0, config, sample.fingerprint(config))
+    monkeypatch.setattr(stmc, "write", lambda *_: (_ for _ in ()).throw(OSError("no space left on device")))
+    with pytest.raises(OSError, match="no space"):
+        sample.save(motion, "nod_0", timeline, 0, config, sample.fingerprint(config))
+    assert jobs_left(sample, config) == 1
+
+
+def test_every_timeline_gets_a_file_name_of_its_own(sample):
+    one = stmc.Timeline.parse("nod # 0 # 1 # head")
+    named = [stmc.Timeline(one.prompts, name) for name in ("a", "a", "", "b/../c", "…", "a_0001", "a_0006", "a")]
+    names = [name for name, _ in sample.named(named, "file")]
+    assert names == ["a", "a_0001", "file_0002", "b_.._c", "file_0004", "a_0001_0005", "a_0006", "a_0007"]
+    assert [name for name, _ in sample.named([one], "file")] == ["file"]
+    collision = [stmc.Timeline(one.prompts, name) for name in ("a_0002", "a", "a")]
+    assert len({name for name, _ in sample.named(collision, "file")}) == 3
+
+
+def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp_path):
+    config = settings(f"model={run}", "steps=2", "batch=4")
+    timelines = [stmc.Timeline.parse("nod # 0 # 1 # head")] * 5
+    jobs = [(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
+    model, tried = tiny(), []
+
+    class Small:
+        schedule = model.schedule
+
+        def generate(self, timelines, **arguments):
+            tried.append(len(timelines))
+            if len(timelines) > 2:
+                raise torch.OutOfMemoryError("CUDA out of memory")
+            return model.generate(timelines, **arguments)
+
+    with sample.Progress(disable=True) as progress:
+        made = list(sample.sampled(Small(), jobs, config, progress))
+    assert tried == [4, 2, 2, 1]
+    assert [job for job, _ in made] == jobs
+    whole = model.generate(timelines, seed=0, steps=2)
+    for (_, motion), expected in zip(made, whole, strict=True):
+        torch.testing.assert_close(motion.joints, expected.joints, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("sampler=euler", "sampler=euler: choose from ddpm, ddim, dpm_solver"),
+        ("method=magic", "method=magic: choose from stmc, sinc"),
+        ("spread=wide", "spread=wide: choose from std, variance"),
+        ("formats=[fbx]", "choose from npz, bvh, html"),
+        ("formats=[]", "choose from npz, bvh, html"),
+        ("samples=0", "samples=0: at least 1"),
+        ("batch=0", "batch=0: at least 1"),
+        ("steps=0", "steps=0: at least 1"),
+    ],
+)
+def test_a_setting_that_cannot_be_meant_is_refused_before_anything_is_loaded(sample, override, message):
+    with pytest.raises(SystemExit, match=message.replace("[", r"\[")):
+        sample.check(settings(override))
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("timeline={0}/none.txt", "none.txt"),
+        ("timeline={0}/bad.txt", r"bad\.txt, line 1"),
+        ("model={0}/nowhere", "is not a run directory"),
+        ("overlap=-1", "overlap -20 must be 0"),
+    ],
+)
+def test_what_the_user_got_wrong_ends_in_a_sentence(sample, run, tmp_path, override, message):
+    (tmp_path / "bad.txt").write_text("walk # 3 # 1 # legs\n")
+    (tmp_path / "good.txt").write_text("walk # 0 # 1 # legs\n")
+    given = {"timeline": f"{tmp_path}/good.txt", "model": str(run), "output": f"{tmp_path}/out"}
+    given |= [override.format(tmp_path).split("=")]
+    with pytest.raises(SystemExit, match=message):
+        sample.main.__wrapped__(settings(*(f"{key}={value}" for key, value in given.items())))
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_record_of_a_motion_can_be_read_by_people(sampled):
+    record = json.loads((sampled[0] / "two_0000_0.json").read_text())
+    assert record["seed"] == 0
+    assert record["prompts"][0] == ["walk forwards", 0.0, 2.0, ["legs"]]
