@@ -179,7 +179,7 @@ def test_the_average_follows_at_the_warmed_up_decay():
         ema.update(network, step)
         decay = min(0.9, (1 + step) / (10 + step))
         expected = decay * expected + (1 - decay) * network.weight.item()
-    assert ema.model.weight.item() == pytest.approx(expected, rel=1e-5)
+        assert ema.model.weight.item() == pytest.approx(expected, rel=1e-5)
     assert ema.model.weight.item() == pytest.approx(network.weight.item() - 9, rel=1e-3)  # its lag: decay / (1 - decay)
     assert not ema.model.weight.requires_grad
 
