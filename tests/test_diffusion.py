@@ -1,6 +1,7 @@
 """Schedules, samplers, noise and guidance against closed forms for Gaussian data, and the published code."""
 
 import inspect
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,7 @@ from torch import Tensor
 from stmc.diffusion import Noise, Schedule, ddim, ddpm, dpm_solver, guide
 
 SCHEDULES = {"cosine 100": Schedule.cosine(100), "linear 1000": Schedule.linear(1000)}
-SAMPLERS = {"ddpm": ddpm, "ddim": ddim, "dpm_solver": dpm_solver}
+SAMPLERS = {"ddpm": partial(ddpm, spread="std"), "ddim": ddim, "dpm_solver": dpm_solver}
 
 
 def drawn(seed: int = 0, dtype: torch.dtype = torch.float64):
