@@ -61,6 +61,7 @@ def test_the_lowest_joint_of_the_clip_stands_on_the_floor():
         assert motion.joints[..., 2].min() == pytest.approx(0, abs=1e-6)
     jump = tumbling()
     motion = bandai.retarget(parse_bvh(bvh_text(jump)), skeleton())
+    assert motion.joints[..., 2].min() == pytest.approx(0, abs=1e-6)
     shift = motion.translation - jump.translation
     assert shift[:, :2].abs().max() < 1e-6, "only up and down"
     assert shift[:, 2].std() < 1e-6, "as much in every frame"

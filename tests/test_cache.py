@@ -153,9 +153,10 @@ def test_the_fingerprint_stays_while_nothing_changes_also_where_all_was_moved(so
         lambda folder, code: (folder / "one" / "a.bvh").unlink(),
         lambda folder, code: (folder / "c.bvh").write_text(""),
         lambda folder, code: (folder / "b.bvh").rename(folder / "one" / "b.bvh"),
+        lambda folder, code: (folder / "b.bvh").rename(folder / "c.bvh"),
         lambda folder, code: code.write_text("pas\n\n"),
     ],
-    ids=["size", "time", "fewer", "more", "moved", "code"],
+    ids=["size", "time", "fewer", "more", "moved", "renamed", "code"],
 )
 def test_the_fingerprint_changes_with_every_input(change, sources):
     before = fingerprint(sources, [20])

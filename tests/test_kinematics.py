@@ -122,6 +122,13 @@ def test_feet_that_are_dragged_slide_by_the_way_of_each_frame():
     assert kinematics.foot_sliding(moving(speed=0.6)) == pytest.approx(0.6 / FPS, abs=1e-9)
 
 
+def test_feet_that_tread_on_the_spot_do_not_slide():
+    motion = moving()
+    tread = 0.01 * torch.sin(9 * seconds(4.0))[:, None] * torch.tensor([0.0, 0.0, 1.0])
+    treading = Motion.posed(motion.rotations, motion.translation + tread, FPS, skeleton())
+    assert kinematics.foot_sliding(treading) == pytest.approx(0, abs=1e-9)
+
+
 def test_a_foot_in_the_air_may_move():
     swing = 0.5 * torch.sin(9 * seconds(4.0))
     raised = about("x", -1.0 + swing)  # the thigh forward and up: the foot stays above the other
