@@ -6,13 +6,13 @@ Knows syntax: lines, fields, keys, and where in a document each prompt stands. W
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from stmc.body import BodyPart
+from stmc.files import write_whole
 
 
 class TimelineError(ValueError):
@@ -197,9 +197,4 @@ def read(path: Path) -> list[Draft]:
 def write(drafts: Sequence[Draft], path: Path) -> None:
     """Write by the suffix, under a temporary name first, so that the file appears whole or not at all."""
     content = choose(path, to_json, to_text)(drafts)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text(content, encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(path, lambda temporary: temporary.write_text(content, encoding="utf-8"))
