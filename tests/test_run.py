@@ -281,6 +281,15 @@ def test_what_is_hidden_deep_inside_is_refused_too(run, hidden, tmp_path, monkey
     assert not (tmp_path / "proof").exists()
 
 
+def test_a_module_that_is_named_is_not_even_imported(run, tmp_path, monkeypatch):
+    (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'proof')!r}, 'w')\nclass Evil: pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    edit(run, schedule={"_target_": "evil.Evil"})
+    with pytest.raises(RunError, match=r"'evil\.Evil' is not a class of stmc\.diffusion"):
+        stmc.load(run)
+    assert not (tmp_path / "proof").exists()
+
+
 def test_tags_that_yaml_could_run_are_refused(run, tmp_path):
     proof = tmp_path / "proof"
     text = (run / CONFIG).read_text()

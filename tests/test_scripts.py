@@ -221,6 +221,10 @@ def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample,
     assert jobs_left(sample, config, "raise the right arm # 0 # 1 # left arm") == 1
     for change in ("batch=3", "device=cpu"):
         assert jobs_left(sample, settings(*base, change)) == 0, change
+    moved = run.rename(tmp_path / "moved")
+    assert jobs_left(sample, settings(base[0], *base[2:], f"model={moved}")) == 0
+    stmc.save(tiny(longest=99), moved, "")
+    assert jobs_left(sample, settings(base[0], *base[2:], f"model={moved}")) == 1
 
 
 def test_a_moved_model_is_the_same_and_another_model_in_its_place_is_not(sample, run, tmp_path):
