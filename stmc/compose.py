@@ -21,7 +21,7 @@ from stmc.body import BodyPart
 from stmc.denoisers import Denoiser
 from stmc.diffusion import Predict, Prediction, Schedule, Seed, guide
 from stmc.planning import Plan, Tile
-from stmc.tensors import mask
+from stmc.tensors import mask, pad
 
 NULL = ""
 """The text that stands for no text: its embedding is what the network saw when the text was dropped in training."""
@@ -106,10 +106,6 @@ def _runs(lengths: Sequence[int], padding: float) -> list[tuple[int, int]]:
 
 
 def _by_words(rows: Sequence[_Row], embeddings: Mapping[str, Tensor]) -> list[list[_Row]]:
-    """Rows whose texts have equally many words; padded words would shift the frames' positions in a transformer.
-
-    So a row does not depend on the texts beside it. Pooled text encoders give one word to all.
-    """
     groups: dict[int, list[_Row]] = {}
     for row in rows:
         groups.setdefault(len(embeddings[row.text]), []).append(row)
@@ -132,6 +128,7 @@ def guided_crops(
     prediction: Prediction = "x0",
     padding: float = 0.1,
     budget: int = 32768,
+    mixed: bool = False,
 ) -> Predict:
     """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance.
 
@@ -140,46 +137,53 @@ def guided_crops(
     grouped by length into as few calls as keep the share of padding within `padding` and the frames of one call within
     `budget`, but for a longer crop alone. What stands beyond a crop's end is not seen, and comes out as zero.
 
+    `mixed`: texts of different numbers of words share calls, padded. Only for denoisers that padded words do not
+    disturb, such as `MdmSmpl` with its `words` set: the published network moves the frames behind the longest text.
+
     Raises `ValueError` for a text without an embedding and for a crop without frames.
     """
     missing = [text for text in distinct_texts(plans) if text not in embeddings]
     if missing:
         raise ValueError(f"no embedding for {missing}; every text of the plans needs one, and the empty text too")
-    batches = [
-        _Batch.of(rows, embeddings)
-        for same_words in _by_words(_rows(plans, weight), embeddings)
-        for rows in _calls(same_words, padding, budget)
-    ]
+    rows = _rows(plans, weight)
+    alike = [rows] if mixed else _by_words(rows, embeddings)
+    batches = [_Batch.of(call, embeddings) for group in alike for call in _calls(group, padding, budget)]
     guided = torch.tensor([text != NULL for text in _crop_texts(plans)])
     return _GuidedCrops(denoiser, schedule, crop_lengths(plans), batches, guided, weight, prediction)
 
 
 @dataclass(frozen=True)
 class _Batch:
-    """One call of the denoiser as tensors; the mask is None where nothing is padded."""
+    """One call of the denoiser as tensors; a mask is None where nothing is padded."""
 
     crops: Tensor
     with_text: Tensor
     frames: int
     text: Tensor
+    text_mask: Tensor | None
     mask: Tensor | None
 
     @classmethod
     def of(cls, rows: Sequence[_Row], embeddings: Mapping[str, Tensor]) -> _Batch:
-        present = mask(torch.tensor([row.frames for row in rows]))
+        text, words = pad([embeddings[row.text] for row in rows])
         return cls(
             crops=torch.tensor([row.crop for row in rows]),
             with_text=torch.tensor([row.text != NULL for row in rows]).long(),
             frames=rows[-1].frames,
-            text=torch.stack([embeddings[row.text] for row in rows]),
-            mask=None if bool(present.all()) else present,
+            text=text,
+            text_mask=_unless_full(mask(words)),
+            mask=_unless_full(mask(torch.tensor([row.frames for row in rows]))),
         )
 
     def to(self, x: Tensor) -> _Batch:
         """On the device of `x`, with the text in its dtype."""
         crops, with_text = self.crops.to(x.device), self.with_text.to(x.device)
-        mask = None if self.mask is None else self.mask.to(x.device)
-        return _Batch(crops, with_text, self.frames, self.text.to(x), mask)
+        masks = [None if each is None else each.to(x.device) for each in (self.text_mask, self.mask)]
+        return _Batch(crops, with_text, self.frames, self.text.to(x), *masks)
+
+
+def _unless_full(mask: Tensor) -> Tensor | None:
+    return None if bool(mask.all()) else mask
 
 
 class _GuidedCrops:
@@ -205,7 +209,7 @@ class _GuidedCrops:
         for batch in batches:
             noisy = x[batch.crops, : batch.frames]
             step = torch.full((len(noisy),), t, device=x.device)
-            output = self._denoiser(noisy, step, batch.text, None, batch.mask).to(x)
+            output = self._denoiser(noisy, step, batch.text, batch.text_mask, batch.mask).to(x)
             x0 = self._schedule.to_x0(output, noisy, t, self._prediction)
             x0 = x0 if batch.mask is None else x0.masked_fill(~batch.mask[..., None], 0)
             both[batch.with_text, batch.crops, : batch.frames] = x0

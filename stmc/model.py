@@ -81,7 +81,8 @@ class Model:
     def guided(self, plans: Sequence[Plan], weight: float | int = 2.5) -> Predict:
         """A predictor of the plans' crops with classifier-free guidance: see `compose.guided_crops`."""
         embeddings = self.embed(distinct_texts(plans))
-        return guided_crops(self._denoise, self.schedule, plans, embeddings, weight, self.prediction)
+        mixed = getattr(self.denoiser, "words", None) is not None
+        return guided_crops(self._denoise, self.schedule, plans, embeddings, weight, self.prediction, mixed=mixed)
 
     def _denoise(self, x: Tensor, *others: Tensor | None) -> Tensor:
         with torch.autocast(x.device.type, torch.bfloat16, enabled=self.precision == "bf16"):

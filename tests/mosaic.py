@@ -46,10 +46,10 @@ def embeddings(plans: list[Plan]) -> dict[str, Tensor]:
     return {text: torch.full((1, 1), float(i or 100)) for i, text in enumerate(distinct_texts(plans))}
 
 
-def small_network(features: int = 10, text_width: int = 4, seed: int = 0) -> MdmSmpl:
+def small_network(features: int = 10, text_width: int = 4, words: int | None = None) -> MdmSmpl:
     with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        return MdmSmpl(features, text_width, width=16, feedforward=32, layers=2, heads=2).eval()
+        torch.manual_seed(0)
+        return MdmSmpl(features, text_width, width=16, feedforward=32, layers=2, heads=2, words=words).eval()
 
 
 def random_embeddings(plans: list[Plan], width: int = 4) -> dict[str, Tensor]:

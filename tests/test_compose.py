@@ -197,17 +197,26 @@ def test_what_stands_beyond_a_crop_is_not_seen_and_comes_out_as_zero():
     assert all(row[length:].eq(0).all() for row, length in zip(crops(dirty, 30), lengths, strict=True))
 
 
+@pytest.mark.parametrize(("mixed", "place", "calls"), [(False, None, 4), (True, 5, 1)])
 @torch.no_grad()
-def test_a_row_does_not_depend_on_the_number_of_words_beside_it():
+def test_a_row_does_not_depend_on_the_number_of_words_beside_it(mixed, place, calls):
     plans = plans_of(WALK_WAVE)
     lengths = crop_lengths(plans)
     x = torch.randn(len(lengths), max(lengths), 10)
     words = dict(zip(distinct_texts(plans), torch.randn(4, 6, 4), strict=True))
     ragged = {text: value[: 2 + i] for i, (text, value) in enumerate(words.items())}
-    together, alone = (
-        guided_crops(small_network(), Schedule.cosine(100), plans, ragged, budget=budget)(x, 3) for budget in (10**6, 1)
-    )
-    torch.testing.assert_close(together, alone, atol=1e-5, rtol=0)
+    network, widths = small_network(words=place), []
+
+    def denoiser(x: Tensor, t: Tensor, text: Tensor, *masks: Tensor | None) -> Tensor:
+        widths.append(text.shape[1])
+        return network(x, t, text, *masks)
+
+    def crops(**how) -> Tensor:
+        return guided_crops(denoiser, Schedule.cosine(100), plans, ragged, padding=0.9, mixed=mixed, **how)(x, 3)
+
+    together, called = crops(), len(widths)
+    torch.testing.assert_close(together, crops(budget=1), atol=1e-5, rtol=0)
+    assert called == calls
 
 
 @pytest.mark.parametrize("prediction", ["eps", "v", "score"])
