@@ -101,6 +101,21 @@ def _unit(vector: Tensor, otherwise: Tensor) -> Tensor:
     return torch.where(empty, otherwise, vector / torch.where(empty, torch.ones_like(norm), norm))
 
 
+def shortest_arc(start: Float[Tensor, "*batch 3"], end: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The smallest rotation that turns the unit vector `start` to the unit vector `end`.
+
+    Where the two are opposite, a half turn about some axis perpendicular to them.
+    """
+    least = torch.nn.functional.one_hot(start.abs().argmin(dim=-1), 3).to(start.dtype)
+    middle = _unit(start + end, _unit(_without(least, start), least))
+    return _half_turn(middle) @ _half_turn(start)
+
+
+def _half_turn(unit: Tensor) -> Tensor:
+    """About `unit`; two of them turn by twice the angle between their axes."""
+    return 2 * unit[..., :, None] * unit[..., None, :] - torch.eye(3, dtype=unit.dtype, device=unit.device)
+
+
 def global_rotations(
     rotations: Float[Tensor, "*batch joints 3 3"], parents: Sequence[int]
 ) -> Float[Tensor, "*batch _ 3 3"]:

@@ -20,7 +20,7 @@ from stmc.compose import collage, crop_lengths, crop_seeds, distinct_texts, guid
 from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, ddpm
 from stmc.motion import Motion
 from stmc.planning import Plan, plan
-from stmc.representation.smpl import SmplRepresentation
+from stmc.representation import Representation
 from stmc.statistics import Statistics
 from stmc.text import TextEncoder
 from stmc.timeline import Timeline, one_text, single_track
@@ -47,7 +47,7 @@ class Model:
     denoiser: nn.Module
     schedule: Schedule
     text_encoder: TextEncoder
-    representation: SmplRepresentation
+    representation: Representation
     motion_statistics: Statistics
     text_statistics: Statistics
     skeleton: Skeleton

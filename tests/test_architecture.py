@@ -16,8 +16,9 @@ REPOSITORY = ROOT.parent
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob("*.py"))}
 
 TIERS = [
-    {"body", "files", "geometry", "statistics", "tensors"},
+    {"arrays", "body", "files", "geometry", "statistics", "tensors"},
     {"body_model", "denoisers", "diffusion", "motion", "text", "timeline"},
+    {"inverse_kinematics"},
     {"assignment", "export", "representation", "training"},
     {"data", "metrics", "planning", "viewing"},
     {"compose"},

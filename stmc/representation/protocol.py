@@ -1,0 +1,53 @@
+"""What every representation is: motions as feature vectors with a named layout, and back.
+
+Knows no formula: these are `smpl`'s and `humanml3d`'s.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body import BodyPart
+from stmc.body_model import Skeleton
+from stmc.motion import Motion
+from stmc.representation.layout import Layout
+
+
+@runtime_checkable
+class Representation(Protocol):
+    """Motion ⇄ features that are not normalised and do not depend on where the body stands and looks."""
+
+    @property
+    def layout(self) -> Layout:
+        """The fields, in their order."""
+        ...
+
+    @property
+    def width(self) -> int:
+        """Numbers per frame: the layout's."""
+        ...
+
+    @property
+    def columns(self) -> dict[BodyPart, tuple[int, ...]]:
+        """The columns that each body part owns: the layout's."""
+        ...
+
+    def encode(self, motion: Motion) -> Float[Tensor, "_ features"]:
+        """Features of the motion in its dtype; as many rows as frames, or fewer where the format needs a next frame."""
+        ...
+
+    def decode(
+        self,
+        features: Float[Tensor, "frames features"],
+        fps: float | int,
+        skeleton: Skeleton | None = None,
+        heading: float | int = 0.0,
+    ) -> Motion:
+        """A motion with a frame for each row that starts above the origin with `heading` radians, from any features.
+
+        Joints are the features' own; with a `skeleton` it is posed, so that bones keep its lengths.
+        """
+        ...
