@@ -1,0 +1,195 @@
+"""Files of arrays from others: the honest are read, the broken or hostile end in a sentence and run nothing."""
+
+import io
+import os
+import pickle
+import zipfile
+
+import numpy as np
+import pytest
+from pickled import Foreign, python_2_pickle, run_code
+from scipy import sparse
+
+from stmc.arrays import ArraysError, npz_names, read_npy, read_npz, read_pickle
+
+
+def test_required_and_optional_arrays_come_back_and_nothing_else(tmp_path):
+    np.savez_compressed(tmp_path / "a.npz", one=np.arange(3), two=np.eye(2), three=np.zeros(1))
+    assert npz_names(tmp_path / "a.npz") == ("one", "two", "three")
+    arrays = read_npz(tmp_path / "a.npz", ["one"], ["two", "four"])
+    assert list(arrays) == ["one", "two"]
+    assert arrays["one"].tolist() == [0, 1, 2]
+    with pytest.raises(ArraysError, match=r"a\.npz has no array four; it has one, two, three"):
+        read_npz(tmp_path / "a.npz", ["one", "four"])
+
+
+def saved(**arrays) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()
+
+
+def flipped(content: bytes) -> bytes:
+    middle = len(content) // 3
+    return content[:middle] + bytes([content[middle] ^ 255]) + content[middle + 1 :]
+
+
+WHOLE = saved(one=np.random.default_rng(0).random(2000))
+BROKEN = {
+    "empty": (b"", "cannot be read"),
+    "cut off": (WHOLE[: len(WHOLE) // 2], "cannot be read"),
+    "damaged inside": (flipped(WHOLE), "cannot be read"),
+    "a text": (b"hello, this is a text and no archive", "cannot be read"),
+    "a bare pickle": (pickle.dumps({"one": 1}), "pickled Python objects, which could run code"),
+    "objects": (saved(one=np.array([Foreign()], dtype=object)), "pickled Python objects, which could run code"),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BROKEN.values(), ids=BROKEN)
+def test_a_broken_npz_is_named(content, message, tmp_path):
+    (tmp_path / "a.npz").write_bytes(content)
+    with pytest.raises(ArraysError, match=rf"a\.npz.*{message}"):
+        read_npz(tmp_path / "a.npz", ["one"])
+
+
+@pytest.mark.parametrize("name", ["../one.npy", "/etc/one.npy", "a/../../one.npy", "..\\one.npy"])
+def test_a_zip_that_names_places_outside_of_itself_is_refused(name, tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        for inside in ("one.npy", name):
+            file = io.BytesIO()
+            np.save(file, np.zeros(3))
+            archive.writestr(inside, file.getvalue())
+    with pytest.raises(ArraysError, match="a place outside of itself"):
+        read_npz(tmp_path / "a.npz", ["one"])
+    assert os.listdir(tmp_path) == ["a.npz"]
+
+
+def test_a_small_zip_that_would_become_more_than_any_memory_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr("stmc.arrays.numpy_files.LARGEST", 10**6)
+    np.savez_compressed(tmp_path / "a.npz", small=np.zeros(10), one=np.zeros(200_000))
+    assert (tmp_path / "a.npz").stat().st_size < 10_000
+    assert list(read_npz(tmp_path / "a.npz", ["small"])) == ["small"]
+    with pytest.raises(ArraysError, match="one would take 1600128 bytes, more than"):
+        read_npz(tmp_path / "a.npz", ["one"])
+
+
+def test_one_array_and_a_zip_of_arrays_are_not_taken_for_one_another(tmp_path):
+    np.save(tmp_path / "a.npy", np.arange(4))
+    assert read_npy(tmp_path / "a.npy").tolist() == [0, 1, 2, 3]
+    (tmp_path / "a.npy").rename(tmp_path / "a.npz")
+    with pytest.raises(ArraysError, match=r"one array \(\.npy\)"):
+        read_npz(tmp_path / "a.npz", ["one"])
+    (tmp_path / "a.npy").write_bytes(WHOLE)
+    with pytest.raises(ArraysError, match=r"a zip of arrays \(\.npz\)"):
+        read_npy(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize("content", [b"", b"text", pickle.dumps([1]), b"\x93NUMPY\x01\x00"])
+def test_a_broken_npy_is_named(content, tmp_path):
+    (tmp_path / "a.npy").write_bytes(content)
+    with pytest.raises(ArraysError, match=r"a\.npy cannot be read as \.npy"):
+        read_npy(tmp_path / "a.npy")
+
+
+def written(folder, content) -> object:
+    path = folder / "a.pkl"
+    path.write_bytes(content if isinstance(content, bytes) else pickle.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_pickled_arrays_matrices_and_numbers_are_read_in_every_protocol(protocol, tmp_path):
+    rng = np.random.default_rng(0)
+    dense = rng.standard_normal((4, 6)) * (rng.random((4, 6)) < 0.4)
+    content = {
+        "plain": dense,
+        "fortran": np.asfortranarray(dense.astype(">f4")),
+        "whole": rng.integers(0, 9, (3, 2)).astype(np.uint32),
+        "number": np.float64(2.5),
+        "csc": sparse.csc_matrix(dense),
+        "csr": sparse.csr_matrix(dense),
+        "coo": sparse.coo_matrix(dense),
+        "style": "lbs",
+        "info": {"nested": [1, None, {"a": {2}}]},
+    }
+    names = [name for name in content if name not in ("style", "info")]
+    arrays = read_pickle(written(tmp_path, pickle.dumps(content, protocol)), names, ["absent"])
+    assert list(arrays) == names
+    for name, array in arrays.items():
+        expected = content[name].toarray() if sparse.issparse(content[name]) else content[name]
+        np.testing.assert_array_equal(array, expected)
+    assert np.dtype("f4").byteorder == "=", "a file's byte order is its own"
+
+
+@pytest.mark.parametrize("protocol", [0, 1, 2])
+def test_chumpy_s_objects_in_python_2_s_pickles_are_their_arrays(protocol, tmp_path):
+    values = np.random.default_rng(1).standard_normal((5, 3))
+    content = python_2_pickle(
+        {"constant": ("Ch", values), "chosen": ("Select", values, [3, 0, 14, 2], (2, 2))}, protocol
+    )
+    assert b"copy_reg" in content or protocol == 2
+    assert b"chumpy" in content
+    arrays = read_pickle(written(tmp_path, content), ["constant", "chosen"])
+    np.testing.assert_array_equal(arrays["constant"], values)
+    np.testing.assert_array_equal(arrays["chosen"], values.ravel()[[3, 0, 14, 2]].reshape(2, 2))
+
+
+def test_a_formula_of_chumpy_s_is_named_only_where_it_is_asked_for(tmp_path):
+    content = python_2_pickle({"sum": ("add", np.eye(2)), "plain": ("Ch", np.eye(2))}, 2)
+    assert read_pickle(written(tmp_path, content), ["plain"])["plain"].shape == (2, 2)
+    with pytest.raises(ArraysError, match=r"a\.pkl: sum is a chumpy\.ch\.add, a formula that only chumpy can compute"):
+        read_pickle(tmp_path / "a.pkl", ["sum"])
+
+
+@pytest.mark.parametrize("protocol", range(6))
+@pytest.mark.parametrize("call", ["os.system", "builtins.eval", "builtins.getattr", "numpy.load", "subprocess.Popen"])
+def test_a_pickle_that_would_run_code_runs_nothing(call, protocol, tmp_path):
+    mark = tmp_path / "it ran"
+    content = run_code(call, f"touch '{mark}'", protocol)
+    with pytest.raises(ArraysError, match=r"refused to run .*this is not a file of arrays alone"):
+        read_pickle(written(tmp_path, content), ["plain"])
+    assert not mark.exists()
+
+
+HOSTILE = {
+    "a foreign subclass of arrays": b"cnumpy.core.multiarray\n_reconstruct\n(S'x'\n(I0\ntS'b'\ntR.",
+    "an object of no class": b"ccopy_reg\n_reconstructor\n(cnumpy\ndtype\nc__builtin__\nobject\nNtR.",
+    "another encoding": b"c_codecs\nencode\n(S'x'\nS'rot13'\ntR.",
+    "attributes of ours": b"cnumpy.core.multiarray\nscalar\n(N}S'__defaults__'\nS'x'\nstb.",
+    "cut off": pickle.dumps({"plain": np.zeros(1000)})[:500],
+    "empty": b"",
+    "a text": b"hello",
+    "a persistent name": b"Psomething\n.",
+}
+
+
+@pytest.mark.parametrize("content", HOSTILE.values(), ids=HOSTILE)
+def test_a_hostile_or_broken_pickle_is_named(content, tmp_path):
+    with pytest.raises(ArraysError, match=r"a\.pkl"):
+        read_pickle(written(tmp_path, content), ["plain"])
+
+
+def matrix(**state):
+    """A pickled sparse matrix whose state is what a broken file may hold."""
+    made = sparse.csc_matrix(np.eye(3))
+    made.__dict__.update(state)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (np.array([{"a": 1}], dtype=object), "holds Python objects"),
+        ([1, 2], "is a list, not an array"),
+        (matrix(indices=np.array([0, 1, 99], dtype=np.int32)), "damaged scipy"),
+        (matrix(_shape=(10**9, 10**9)), "1000000000 x 1000000000 numbers"),
+        (matrix(indptr=None), "damaged scipy"),
+    ],
+)
+def test_what_is_no_array_is_named(value, message, tmp_path):
+    with pytest.raises(ArraysError, match=message):
+        read_pickle(written(tmp_path, {"plain": value}), ["plain"])
+    with pytest.raises(ArraysError, match="holds a list, not a dict"):
+        read_pickle(written(tmp_path, [value]), ["plain"])
+    with pytest.raises(ArraysError, match="has no array plain; it has other"):
+        read_pickle(written(tmp_path, {"other": value}), ["plain"])
