@@ -35,14 +35,22 @@ def main(config: DictConfig) -> None:
     torch.manual_seed(settings.seed)
     with open_dict(config):
         config.denoiser.update(features=corpus.features_width, text_width=corpus.text_width)
+    derive = instantiate(config.data.derive, _partial_=True)(corpus) if config.data.derive else None
+    fields = dict(representation.layout.slices)
+    if derive:
+        fields[derive.name] = slice(corpus.features_width, None)
+    denoiser = instantiate(config.denoiser)
+    if config.start:
+        denoiser.load_state_dict(stmc.load(config.start).denoiser.state_dict())
     trainer = Trainer(
-        instantiate(config.denoiser),
+        denoiser,
         instantiate(config.schedule),
         ClipBatches(corpus, "train", sampling, settings.seed),
         Path(config.run).expanduser(),
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
-        fields=representation.layout.slices,
+        fields=fields,
+        derive=derive,
         hooks=[
             Hook(every, lambda step, network, do=do: do(config, record(config, network, corpus), step))
             for every, do in ((settings.checkpoint_every, export), (config.draw_every, draw))

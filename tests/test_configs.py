@@ -8,11 +8,30 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from test_motion import walk
 from toys import LAYOUT, LetterCounts, cache
+
+from stmc.data.cache import Cache, Clip
+from stmc.data.dataset import Corpus
+from stmc.representation import SmplRepresentation
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 NAMES = sorted(str(path.relative_to(CONFIGS).with_suffix("")) for path in CONFIGS.rglob("*.yaml"))
-FROM_THE_DATA = {"features": 11, "text_width": 8, "cache": cache(), "encoder": LetterCounts(), "layout": LAYOUT}
+CLIP = Clip("walk-1", "walk", "normal", "walk", ("legs",), True, False, "train", 0, 12)
+CORPUS = Corpus(
+    Cache(20, "smpl", SmplRepresentation().encode(walk()).float(), (CLIP,), {"walk": (("walk", 1.0),)}),
+    LetterCounts(),
+    SmplRepresentation.layout,
+    least=1,
+)
+FROM_THE_DATA = {
+    "features": 11,
+    "text_width": 8,
+    "cache": cache(),
+    "encoder": LetterCounts(),
+    "layout": LAYOUT,
+    "corpus": CORPUS,
+}
 """Arguments that a script supplies, not a YAML."""
 
 

@@ -11,7 +11,7 @@ from toys import FPS, LAYOUT, LetterCounts, cache
 
 from stmc.body import BodyPart
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import NULL, ClipBatches, Corpus, Sampling
+from stmc.data.dataset import NULL, SEAM, ClipBatches, Corpus, Draws, Sampling
 from stmc.representation import Field, Layout, SmplRepresentation
 
 
@@ -25,7 +25,7 @@ def draw(corpus: Corpus, count: int = 4000, split: str = "train", **settings):
     batches = ClipBatches(corpus, split, Sampling(**settings))
     draws = batches._draw(count, np.random.default_rng(0))
     starts = np.array([clip.start for clip in corpus.clips])
-    return draws, [corpus.clips[index] for index in np.searchsorted(starts, draws.start, side="right") - 1]
+    return draws, [corpus.clips[index] for index in np.searchsorted(starts, draws.body.start, side="right") - 1]
 
 
 def same(one, other) -> bool:
@@ -89,12 +89,12 @@ def test_crops_without_text_are_there_short_and_anywhere(corpus):
     draws, _ = draw(corpus, crops=0.25, silent=0.0)
     assert (draws.sentence == NULL).mean() == pytest.approx(0.25, abs=0.03)
     draws, clips = draw(corpus, crops=1.0)
-    assert draws.frames.min() == 10
-    assert draws.frames.max() == 60
+    assert draws.body.frames.min() == 10
+    assert draws.body.frames.max() == 60
     ends = np.array([clip.end for clip in clips])
     starts = np.array([clip.start for clip in clips])
-    assert (draws.start == starts).any()
-    assert (draws.start + draws.frames == ends).any()
+    assert (draws.body.start == starts).any()
+    assert (draws.body.start + draws.body.frames == ends).any()
 
 
 def test_texts_are_lost_as_often_as_asked(corpus):
@@ -121,35 +121,37 @@ def test_a_row_is_never_empty_never_too_long_and_within_its_clip(lengths, cyclic
     draws, clips = draw(
         corpus, 300, trim=trim, crops=crops, slowest=speed[0], fastest=speed[1], shortest=1.0, longest=8.0
     )
-    assert draws.frames.min() >= 1
-    assert draws.frames.max() <= 160
+    assert draws.body.frames.min() >= 1
+    assert draws.body.frames.max() <= 160
     ends = np.array([clip.end for clip in clips])
-    assert (draws.start + (draws.frames - 1) * draws.speed <= ends - 1 + 1e-9).all()
-    assert (draws.end == ends).all()
+    assert (draws.body.start + (draws.body.frames - 1) * draws.body.speed <= ends - 1 + 1e-9).all()
+    assert (draws.body.end == ends).all()
 
 
 def test_a_clip_that_is_not_cyclic_keeps_its_middle():
     draws, clips = draw(one_content([50, 100], cyclic=False), trim=0.12, crops=0.0)
-    for start, frames, clip in zip(draws.start, draws.frames, clips, strict=True):
+    for start, frames, clip in zip(draws.body.start, draws.body.frames, clips, strict=True):
         most = int(0.12 * (clip.end - clip.start))
         assert clip.start <= start <= clip.start + most
         assert clip.end - most <= start + frames <= clip.end
-    assert len({*draws.start}) > 10
+    assert len({*draws.body.start}) > 10
 
 
 def test_a_cyclic_clip_is_cut_to_any_stretch_that_is_long_enough():
     draws, _ = draw(one_content([100, 20], cyclic=True), crops=0.0, shortest=1.5)
-    long = draws.frames[draws.end == 100]
+    long = draws.body.frames[draws.body.end == 100]
     assert (long.min(), long.max()) == (30, 100)
-    assert set(draws.frames[draws.end == 120]) == {20}  # shorter than the shortest: whole
+    assert set(draws.body.frames[draws.body.end == 120]) == {20}  # shorter than the shortest: whole
 
 
 def test_rows_are_normalised_frames_of_their_clips_and_padding_is_zero(corpus):
     batches = ClipBatches(corpus, "train", Sampling(rows=16, pool=1, pieces=1))
     draws = batches._draw_pool(0, 0)[0]
     [batch] = batches(0)
-    assert batch.frames == draws.frames.sum() == batch.mask.sum()
-    for row, (start, frames, sentence) in enumerate(zip(draws.start, draws.frames, draws.sentence, strict=True)):
+    assert batch.frames == draws.body.frames.sum() == batch.mask.sum()
+    for row, (start, frames, sentence) in enumerate(
+        zip(draws.body.start, draws.body.frames, draws.sentence, strict=True)
+    ):
         raw = corpus.features[start : start + frames]
         torch.testing.assert_close(corpus.motion.restore(batch.motion[row, :frames]), raw)
         assert batch.mask[row, :frames].all()
@@ -201,23 +203,25 @@ def test_a_faster_clip_covers_the_same_distance_in_less_time():
     moving[:, 0] = torch.rand(len(moving), generator=generator)
     corpus = Corpus(dataclasses.replace(data, features=moving), LetterCounts(), LAYOUT, least=3)
     draws, _ = draw(corpus, 100, trim=0.0, crops=0.0, slowest=0.8, fastest=1.25)
-    raw = corpus._cut(draws)
-    for row, (start, frames, speed) in enumerate(zip(draws.start, draws.frames, draws.speed, strict=True)):
+    raw = corpus._cut(draws.body)
+    for row, (start, frames, speed) in enumerate(
+        zip(draws.body.start, draws.body.frames, draws.body.speed, strict=True)
+    ):
         source = frames * speed
         whole = int(source + 1e-6)
         distance = moving[start : start + whole, 0].sum() + (source - whole) * moving[start + whole - 1, 0]
         assert abs(raw[row, :frames, 0].sum() - distance) < 1.01 * abs(source - whole) + 1e-3
-    assert (draws.frames < 0.85 * (draws.frames * draws.speed)).any()
+    assert (draws.body.frames < 0.85 * (draws.body.frames * draws.body.speed)).any()
 
 
 def test_a_change_of_speed_interpolates_poses_and_keeps_rotations_rotations(corpus):
     draws, _ = draw(corpus, 50, crops=0.0, slowest=0.6, fastest=1.6)
-    raw = corpus._cut(draws)
+    raw = corpus._cut(draws.body)
     first, second = raw[..., 2:5], raw[..., 5:8]
     for vector in (first, second):
         torch.testing.assert_close(vector.norm(dim=-1), torch.ones(raw.shape[:2]))
     torch.testing.assert_close((first * second).sum(dim=-1), torch.zeros(raw.shape[:2]), atol=1e-5, rtol=0)
-    for row, (start, speed) in enumerate(zip(draws.start, draws.speed, strict=True)):
+    for row, (start, speed) in enumerate(zip(draws.body.start, draws.body.speed, strict=True)):
         place = start + 3 * speed
         low, share = int(place), place - int(place)
         expected = torch.lerp(corpus.features[low, 8:], corpus.features[low + 1, 8:], share)
@@ -226,8 +230,8 @@ def test_a_change_of_speed_interpolates_poses_and_keeps_rotations_rotations(corp
 
 def test_unchanged_speed_gives_the_very_frames_by_both_ways(corpus):
     draws, _ = draw(corpus, 20)
-    barely = dataclasses.replace(draws, speed=draws.speed * (1 + 1e-12))
-    torch.testing.assert_close(corpus._cut(draws), corpus._cut(barely), atol=1e-5, rtol=1e-5)
+    barely = dataclasses.replace(draws.body, speed=draws.body.speed * (1 + 1e-12))
+    torch.testing.assert_close(corpus._cut(draws.body), corpus._cut(barely), atol=1e-5, rtol=1e-5)
 
 
 def test_a_layout_that_does_not_fit_is_an_error():
@@ -270,30 +274,54 @@ def composing(composed: float) -> ClipBatches:
     features = torch.cat([torch.full((clip.end - clip.start, 205), 1.0 + (clip.content == "raise")) for clip in clips])
     texts = {name: ((name, 1.0),) for name in ("walk", "raise")}
     corpus = Corpus(Cache(20.0, "smpl", features, tuple(clips), texts), LetterCounts(), SmplRepresentation().layout)
-    return ClipBatches(corpus, "train", Sampling(rows=24, crops=0.0, silent=0.0, pool=1, pieces=1, composed=composed))
+    return ClipBatches(corpus, "train", Sampling(rows=96, crops=0.0, silent=0.0, pool=1, pieces=1, composed=composed))
 
 
-def test_a_composed_row_keeps_its_arm_and_its_text_and_walks_on_another_body() -> None:
+def rows_of(batches: ClipBatches) -> tuple[Draws, torch.Tensor]:
+    batches(0)
+    [draws] = batches._pool[1]
+    return draws, batches.corpus._composed(batches.corpus._cut(draws.body), draws)
+
+
+def arm() -> torch.Tensor:
+    """Columns of the right arm but those of rotations, which do not blend linearly."""
+    columns = torch.tensor(SmplRepresentation().columns[BodyPart.RIGHT_ARM])
+    return columns[columns >= SmplRepresentation().layout["positions"].start]
+
+
+def test_a_guest_that_fills_a_row_keeps_its_arm_and_its_text_and_walks_on_another_body() -> None:
     batches = composing(1.0)
-    batches(0)
-    [draws] = batches._pool[1]
-    raw = batches.corpus._composed(batches.corpus._cut(draws), draws)
-    arm = torch.zeros(205, dtype=torch.bool)
-    arm[list(SmplRepresentation().columns[BodyPart.RIGHT_ARM])] = True
-    raises = [i for i, clip in enumerate(draws.clip) if batches.corpus.clips[clip].content == "raise"]
-    ridden = [i for i in raises if draws.body[i] != i]
-    assert ridden
-    for i in ridden:
-        assert (raw[i, :, arm] == 2).all() and (raw[i, :, ~arm] == 1).all()
-        assert draws.frames[draws.body[i]] >= draws.frames[i]
-    said = [batches.corpus.sentences[draws.sentence[i]] for i in ridden]
-    assert said.count("raise") > said.count("walk") > 0
-    walks = sorted(set(range(len(draws.clip))) - set(raises))
-    assert (draws.body[walks] == walks).all()
+    draws, raw = rows_of(batches)
+    filled = np.flatnonzero(draws.guest.frames == draws.body.frames)
+    assert len(filled) > 10
+    legs = SmplRepresentation().layout["root_velocity"]
+    for row in filled:
+        frames = draws.body.frames[row]
+        assert (raw[row, :frames, arm()] == 2).all()
+        assert (raw[row, :frames, legs] == 1).all()
+        assert batches.corpus.clips[draws.body.clip[row]].content == "walk"
+    assert {batches.corpus.sentences[draws.sentence[row]] for row in filled} >= {"raise"}
 
 
-def test_without_compositions_every_row_is_its_own_body() -> None:
-    batches = composing(0.0)
-    batches(0)
-    [draws] = batches._pool[1]
-    assert (draws.body == range(len(draws.body))).all()
+def test_a_guest_within_a_walk_comes_and_goes_under_the_text_of_the_walk() -> None:
+    batches = composing(1.0)
+    draws, raw = rows_of(batches)
+    within = np.flatnonzero((draws.guest.frames > 0) & (draws.guest.frames < draws.body.frames))
+    assert len(within) > 5
+    for row in within:
+        assert batches.corpus.sentences[draws.sentence[row]] == "walk"
+        first, frames = draws.offset[row], draws.guest.frames[row]
+        shown = raw[row, : draws.body.frames[row], arm()].mean(dim=1)
+        expected = torch.ones(len(shown))
+        for frame in range(frames):  # a ramp of `SEAM` frames where the walk goes on beyond the guest
+            come = (frame + 1) / (SEAM + 1) if first else 1.0
+            go = (frames - frame) / (SEAM + 1) if first + frames < len(shown) else 1.0
+            expected[first + frame] += min(come, go, 1.0)
+        torch.testing.assert_close(shown, expected)
+        assert (raw[row, : len(shown), SmplRepresentation().layout["root_velocity"]] == 1).all()
+
+
+def test_without_compositions_no_row_has_a_guest() -> None:
+    draws, raw = rows_of(composing(0.0))
+    assert not draws.guest.frames.any()
+    assert all((raw[row, :frames] == raw[row, 0]).all() for row, frames in enumerate(draws.body.frames))

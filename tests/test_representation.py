@@ -230,3 +230,13 @@ def test_the_published_translation_is_the_pelvis_so_reposing_with_it_shifts_the_
     assert_close(skeleton.smpl_translation(motion.translation), data["walk_trans"])
     shift = data["walk_inv_a0_trans"] - skeleton.smpl_translation(data["walk_inv_a0_joints"][:, 0])
     assert_close(shift, data["rest_offsets"][0].expand_as(shift))
+
+
+def test_foot_steps_are_the_ways_of_the_decoded_feet_seen_from_the_heading():
+    representation, skeleton = SmplRepresentation(), Skeleton.default()
+    noise = torch.randn(30, 205, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    features = representation.encode(walk(30)) + 0.05 * noise  # as of a network: no two fields agree
+    motion = representation.decode(features, 20, skeleton)
+    feet = motion.joints[:, [JOINTS.index("left_foot"), JOINTS.index("right_foot")]].diff(dim=0)
+    seen = (feet @ rotation_z(motion.heading[:-1])).flatten(1)
+    torch.testing.assert_close(representation.foot_steps(features, skeleton), seen, atol=1e-5, rtol=0)

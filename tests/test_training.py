@@ -40,7 +40,9 @@ class Killed(BaseException):
     """As sudden as a kill, within one process."""
 
 
-def trainer(folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, **settings) -> Trainer:
+def trainer(
+    folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, derive=None, fields=LAYOUT.slices, **settings
+) -> Trainer:
     torch.manual_seed(0)
     corpus = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
     sampling = Sampling(rows=8, pool=2, pieces=pieces)
@@ -51,7 +53,8 @@ def trainer(folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, **settings) 
         folder,
         Settings(**({"steps": 16} | QUICK | settings)),
         validation=ClipBatches(corpus, "val", sampling)(0),
-        fields=LAYOUT.slices,
+        fields=fields,
+        derive=derive,
         hooks=hooks,
     )
 
@@ -99,6 +102,34 @@ def test_a_denoiser_that_knows_the_answer_has_no_loss(prediction):
 
     errors = squared_errors(oracle, schedule, batch_of(motion), t, noise, prediction)
     torch.testing.assert_close(errors, torch.zeros(4), atol=1e-4, rtol=0)
+
+
+def test_errors_of_derived_numbers_follow_where_both_frames_exist():
+    motion = torch.arange(12.0).reshape(2, 3, 2)
+    mask = torch.tensor([[True, True, True], [True, True, False]])
+    errors = squared_errors(
+        lambda x, *_: torch.zeros_like(x), Schedule.cosine(10), batch_of(motion, mask),
+        torch.tensor([3, 4]), torch.zeros_like(motion), derive=lambda x: x[:, 1:].sum(-1, keepdim=True),
+    )  # fmt: skip
+    assert errors.tolist() == [0 + 4 + 16 + 36 + 64, 1 + 9 + 25 + 49 + 81, 5**2 + 9**2 + 17**2]
+
+
+def test_only_a_prediction_of_the_clean_motion_has_derived_numbers(tmp_path):
+    with pytest.raises(ValueError, match="x0, not of eps"):
+        trainer(tmp_path, derive=lambda x: x[:, 1:], prediction="eps")
+
+
+def test_derived_numbers_are_logged_and_weighed_by_their_name(tmp_path):
+    fields = LAYOUT.slices | {"steps": slice(LAYOUT.width, None)}
+    derived = {"derive": lambda x: x.diff(dim=1), "fields": fields}
+    run = trainer(tmp_path / "heavy", steps=2, weights={"steps": 100.0}, **derived)
+    run.run()
+    light = trainer(tmp_path / "light", steps=2, **derived)
+    light.run()
+    assert float(rows(tmp_path / "heavy" / "train.csv")[0]["loss_steps"]) > 0
+    assert any(
+        (a - b).abs().max() > 1e-5 for a, b in zip(run.network.parameters(), light.network.parameters(), strict=True)
+    )
 
 
 def test_steps_of_noising_are_uniform_and_noise_is_standard():

@@ -44,6 +44,19 @@ SOURCE_JOINTS: dict[str, str] = {
 CLIPS = 3076
 """How many clips the published archive holds."""
 
+UNSAID = ""
+"""The key of clips that no sentence describes: they are learnt from, but not by name."""
+
+MISNAMED = frozenset(
+    f"dataset-2_walk-turn-{number}"
+    for number in (
+        *("left_masculine_006", "left_masculine_007", "left_normal_031", "left_normal_032", "left_normal_033"),
+        *("right_masculine_006", "right_masculine_007"),
+        *("right_normal_004", "right_normal_032", "right_normal_033"),
+    )
+)
+"""Turns that go to the other side than their names say, or twice as far as all others (184 to 222 degrees)."""
+
 FOOT_SLOPE, TOES_SLOPE = math.radians(39.6), math.radians(23.0)
 """How far the foot's and the toes' bones point below the horizontal while they stand flat: medians over all frames in
 which neither ankle nor toes moves."""
@@ -200,7 +213,7 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
             name=f"M/{name}" if mirrored else name,
             content=content,
             style=named.style,
-            texts=f"{content}/{named.style}",
+            texts=UNSAID if name in MISNAMED else f"{content}/{named.style}",
             parts=tuple(sorted(CONTENTS[content].parts)),
             cyclic=CONTENTS[content].cyclic,
             mirrored=mirrored,
@@ -251,13 +264,13 @@ def gather(clips: Iterable[tuple[str, list | str]], fps: float | int, fingerprin
         for clip, features in converted[name]
     ]
     table, features = assemble(rows)
-    labels = sorted({(clip.texts, clip.content, clip.style) for clip in table})
+    labels = sorted({(clip.texts, clip.content, clip.style) for clip in table if clip.texts != UNSAID})
     return Cache(
         fps=fps,
         representation="smpl",
         features=features,
         clips=table,
-        texts={key: describe(content, style) for key, content, style in labels},
+        texts={UNSAID: ()} | {key: describe(content, style) for key, content, style in labels},
         skipped=tuple(skipped),
         fingerprint=fingerprint,
     )

@@ -26,6 +26,12 @@ from stmc.training.loss import Batch
 NULL = 0
 """The empty text's place among the sentences: what the network gets for "no text"."""
 
+SEAM = 6
+"""Frames over which a composition's guest comes and goes within a row."""
+
+WHOLE_WALKS = 1 / 3
+"""The share of the compositions that are the host's whole stretch, under its text."""
+
 
 class Corpus:
     """A cache and its texts, normalised and ready to draw from, on one device.
@@ -51,7 +57,9 @@ class Corpus:
         counts: dict[str, int] = {}
         for clip in cache.clips:
             counts[clip.content] = counts.get(clip.content, 0) + (clip.split == "train")
-        self.described = np.array([counts[clip.content] >= least for clip in cache.clips])
+        self.described = np.array(
+            [counts[clip.content] >= least and any(cache.texts[clip.texts]) for clip in cache.clips]
+        )
         training = [clip for clip in cache.clips if clip.split == "train"]
         if not training or not self.described.any():
             raise ValueError(f"no content has {least} training clips among the {len(cache.clips)} clips of the cache")
@@ -109,41 +117,55 @@ class Corpus:
 
     def batch(self, draws: Draws) -> Batch:
         """The motion and the texts of `draws`, padded to the longest of each."""
-        frames, words = draws.frames, self.words[draws.sentence]
+        frames, words = draws.body.frames, self.words[draws.sentence]
         device = self.features.device
         lengths = torch.from_numpy(frames).to(device)
         text_lengths = torch.from_numpy(words).to(device)
         mask = None if (frames == frames.max()).all() else tensors.mask(lengths, int(frames.max()))
         text_mask = None if (words == words.max()).all() else tensors.mask(text_lengths, int(words.max()))
-        motion = self.motion.normalise(self._composed(self._cut(draws), draws))
+        motion = self.motion.normalise(self._composed(self._cut(draws.body), draws))
         if mask is not None:
             motion = torch.where(mask[..., None], motion, 0.0)
         text = self._text[torch.from_numpy(draws.sentence).to(device)][:, : int(words.max())]
         return Batch(motion, mask, text, text_mask, int(frames.sum()))
 
     def _composed(self, motion: Float[Tensor, "batch frames features"], draws: Draws) -> Tensor:
-        """Each row with the columns of its claimed parts, and all others of the row that its `body` names."""
-        if (draws.body == np.arange(len(draws.body))).all():
+        """Each row with its guest, if it has one, in the columns of the parts that the guest claims."""
+        rows = np.flatnonzero(draws.guest.frames)
+        if not len(rows):
             return motion
-        claimed = torch.from_numpy(self.claims[draws.clip]).to(motion.device)
-        kept = (claimed[:, :, None] & self._owned).any(dim=1)
-        return torch.where(kept[:, None], motion, motion[torch.from_numpy(draws.body).to(motion.device)])
+        guest, device = draws.guest[rows], motion.device
+        moved, offset = self._cut(guest), draws.offset[rows]
+        frame = np.arange(motion.shape[1])[None] - offset[:, None]  # of the guest
+        share = torch.from_numpy(_shares(frame, guest.frames, offset, draws.body.frames[rows])).to(device)
+        inside = torch.from_numpy(frame.clip(0, moved.shape[1] - 1)).to(device)
+        moved = moved.gather(1, inside[..., None].expand(-1, -1, moved.shape[2]))
+        claimed = torch.from_numpy(self.claims[guest.clip]).to(device)
+        owned = (claimed[:, :, None] & self._owned).any(dim=1)
+        chosen = torch.from_numpy(rows).to(device)
+        blended = torch.lerp(motion[chosen], moved, share[..., None] * owned[:, None])
+        return motion.index_copy(0, chosen, self._rotating(blended))
 
-    def _cut(self, draws: Draws) -> Float[Tensor, "batch frames features"]:
+    def _cut(self, stretches: Stretches) -> Float[Tensor, "batch frames features"]:
         """Raw features; frames after a row's end repeat its last one."""
         device = self.features.device
-        start, end, last = (torch.from_numpy(a).to(device)[:, None] for a in (draws.start, draws.end, draws.frames - 1))
-        frame = torch.arange(int(draws.frames.max()), device=device)
-        if (draws.speed == 1).all():
+        bounds = (stretches.start, stretches.end, stretches.frames - 1)
+        start, end, last = (torch.from_numpy(bound).to(device)[:, None] for bound in bounds)
+        frame = torch.arange(int(stretches.frames.max()), device=device)
+        if (stretches.speed == 1).all():
             return self.features[start + torch.minimum(frame, last)]
-        speed = torch.from_numpy(draws.speed).to(device)[:, None]
+        speed = torch.from_numpy(stretches.speed).to(device)[:, None]
         position = torch.minimum(frame, last) * speed
         before = (start + position.long()).clamp(max=end - 1)
         share = (position - position.floor())[..., None].float()
         raw = torch.lerp(self.features[before], self.features[(before + 1).clamp(max=end - 1)], share)
         raw[..., self.velocity] = (self._gone(start, position + speed) - self._gone(start, position)).float()
-        rotations = rearrange(raw[..., self.layout["rotations"]], "... (joints six) -> ... joints six", six=6)
-        rotations = matrix_to_rows(rows_to_matrix(rotations))
+        return self._rotating(raw)
+
+    def _rotating(self, raw: Float[Tensor, "batch frames features"]) -> Tensor:
+        """`raw` after blending in place: with rotations again."""
+        rows = rearrange(raw[..., self.layout["rotations"]], "... (joints six) -> ... joints six", six=6)
+        rotations = matrix_to_rows(rows_to_matrix(rows))
         raw[..., self.layout["rotations"]] = rearrange(rotations, "... joints six -> ... (joints six)")
         return raw
 
@@ -155,21 +177,32 @@ class Corpus:
 
 
 @dataclass(frozen=True)
-class Draws:
-    """Rows to be: `frames` frames each from frame `start` of all features on, at `speed` source frames a frame, none
-    at or after `end` (where the clip ends); a sentence's place each; the clip; and the row whose body it moves on (its
-    own, or for a composition another's: see `Sampling.composed`)."""
+class Stretches:
+    """Of clips: `frames` frames each from frame `start` of all features on, at `speed` source frames a frame, none at
+    or after `end` (where the clip ends)."""
 
+    clip: np.ndarray
     start: np.ndarray
     end: np.ndarray
     frames: np.ndarray
     speed: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> Stretches:
+        return Stretches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Rows to be: the stretch that each is, and the place of its sentence; for a composition the `guest` whose claimed
+    parts it takes over from its frame `offset` on (else a stretch of no frames): see `Sampling.composed`."""
+
+    body: Stretches
     sentence: np.ndarray
-    clip: np.ndarray
-    body: np.ndarray
+    guest: Stretches
+    offset: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> Draws:
-        return Draws(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return Draws(self.body[rows], self.sentence[rows], self.guest[rows], self.offset[rows])
 
 
 @dataclass(frozen=True)
@@ -181,10 +214,10 @@ class Sampling:
     lose at most `trim` of their length at either end; nothing is longer than `longest`. A share `crops` of the rows is
     cut anywhere out of any clip, `crop_shortest` to `crop_longest`, and has no text: transitions. A share `silent` of
     the others loses its text. Of the rows whose content claims no legs, a share `composed` is put on the body of
-    another row of the same piece whose content is cyclic and claims legs alone: an arm is raised also while walking,
-    under its own text or, one time in four, that of the body (compositions as in SINC, of features as in a collage).
-    Networks that never saw an arm raised on walking legs lower it in a collage. `slowest` and `fastest` bound the
-    change of speed. `pool` batches are drawn at once and sorted by length into pieces of about as many frames each,
+    another row whose content is cyclic and claims legs alone, as in a collage: an arm is raised while walking. Two of
+    three last as long as the arm's clip and keep its text; the third is the whole walk, under its own text, and
+    somewhere in it the arm is raised. (Networks that never saw an arm raised on walking legs lower it in a collage.)
+    `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces of about as many frames each,
     `pieces` to a batch: more of either means less padding; more pieces also mean more lengths, so more contents, in
     every batch.
     """
@@ -254,25 +287,37 @@ class ClipBatches:
         sampling = self.sampling
         split = sum(self.split.encode())  # training and validation draw differently
         random = np.random.default_rng([self.seed, number, process, split])
-        draws = self._draw(sampling.rows * sampling.pool, random)
-        order = np.argsort(draws.frames, kind="stable")
-        pieces = _cut_evenly(draws.frames[order], sampling.pool * sampling.pieces)
+        draws = self._compose(self._draw(sampling.rows * sampling.pool, random), random)
+        order = np.argsort(draws.body.frames, kind="stable")
+        pieces = _cut_evenly(draws.body.frames[order], sampling.pool * sampling.pieces)
         rows = [order[begin:end] for begin, end in pieces]
-        return [self._compose(draws[rows[index]], random) for index in random.permutation(len(rows))]
+        return [draws[rows[index]] for index in random.permutation(len(rows))]
 
     def _compose(self, draws: Draws, random: np.random.Generator) -> Draws:
-        """Puts some rows of a piece on the bodies of others that last at least as long."""
-        claims, body = self.corpus.claims[draws.clip], np.arange(len(draws.clip))
-        moved = (random.random(len(body)) < self.sampling.composed) & claims.any(axis=1) & ~claims[:, self.corpus.legs]
-        carrying = self._cyclic[draws.clip] & claims[:, self.corpus.legs] & (claims.sum(axis=1) == 1)
+        """Makes some rows guests on the bodies of others that last at least as long."""
+        drawn, sentence = draws.body, draws.sentence
+        claims = self.corpus.claims[drawn.clip]
+        moved = (random.random(len(claims)) < self.sampling.composed) & claims.any(axis=1)
+        moved &= ~claims[:, self.corpus.legs]
+        carrying = self._cyclic[drawn.clip] & claims[:, self.corpus.legs] & (claims.sum(axis=1) == 1)
+        host, whole, offset = (
+            np.arange(len(claims)),
+            np.zeros(len(claims), dtype=bool),
+            np.zeros(len(claims), dtype=int),
+        )
         for row in np.flatnonzero(moved):
-            bodies = np.flatnonzero(carrying & (draws.frames >= draws.frames[row]))
-            if len(bodies):
-                body[row] = random.choice(bodies)
-        of_body = (body != np.arange(len(body))) & (random.random(len(body)) < 0.25) & (draws.sentence != NULL)
-        return replace(draws, body=body, sentence=np.where(of_body, draws.sentence[body], draws.sentence))
+            room = drawn.frames - drawn.frames[row]
+            hosts = np.flatnonzero(carrying & (room >= 0))
+            if len(hosts):
+                host[row] = random.choice(hosts)
+                whole[row] = random.random() < WHOLE_WALKS
+                offset[row] = whole[row] * random.integers(room[host[row]] + 1)
+        frames = np.where(whole, drawn.frames[host], drawn.frames)
+        guest = replace(drawn, frames=np.where(host == np.arange(len(host)), 0, drawn.frames))
+        return Draws(replace(drawn[host], frames=frames), np.where(whole, sentence[host], sentence), guest, offset)
 
     def _draw(self, count: int, random: np.random.Generator) -> Draws:
+        """So many rows, without compositions."""
         sampling, fps = self.sampling, self.corpus.fps
         clip = random.choice(self._described, count, p=self.shares)
         silent = random.random(count) < sampling.silent
@@ -297,7 +342,16 @@ class ClipBatches:
         sentence = np.where(is_crop | silent, NULL, sentence)
         # Neither the last pose nor the velocity after it may lie beyond the stretch; 10 / 1.25 is 8, also in floats.
         frames = np.floor(np.minimum(source / speed, (source - 1) / speed + 1) + 1e-9).astype(int)
-        return Draws(begin + offset, begin + length, frames, speed, sentence, clip, np.arange(count))
+        body, none = Stretches(clip, begin + offset, begin + length, frames, speed), np.zeros(count, dtype=int)
+        return Draws(body, sentence, replace(body, frames=none), none)
+
+
+def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:
+    """How much of the guest shows in its frame `frame`: all, but for ramps at its ends and nothing beyond them, where
+    these lie within the row."""
+    come = np.where(offset == 0, SEAM + 1, 0)[:, None] + frame + 1
+    go = np.where(offset + frames == of_row, SEAM + 1, 0)[:, None] + frames[:, None] - frame
+    return (np.minimum(come, go) / (SEAM + 1)).clip(0, 1).astype(np.float32)
 
 
 def _between(low: np.ndarray, high: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from stmc.diffusion.schedule import Prediction, Schedule
 from stmc.training.checkpoint import Checkpoints
 from stmc.training.ema import Ema
 from stmc.training.logs import Board, Table
-from stmc.training.loss import Batch, draw_noise, squared_errors
+from stmc.training.loss import Batch, Derive, draw_noise, squared_errors
 from stmc.training.speed import quick_attention, quicken_dropout
 
 logger = logging.getLogger(__name__)
@@ -87,7 +87,8 @@ class Settings:
 class Trainer:
     """Trains `denoiser` in `folder`, from the newest checkpoint there if there is one.
 
-    `fields` names columns of the features, for the logs. `validation` pieces are met with the same noise every time.
+    `fields` names columns of the features, and after them of what `derive` makes of these, for the logs and for
+    `Settings.weights`. `validation` pieces are met with the same noise every time.
     """
 
     def __init__(
@@ -99,11 +100,15 @@ class Trainer:
         settings: Settings,
         validation: Sequence[Batch] = (),
         fields: Mapping[str, slice] | None = None,
+        derive: Derive | None = None,
         hooks: Sequence[Hook] = (),
         accelerator: Accelerator | None = None,
     ) -> None:
         self.schedule, self.batches, self.settings = schedule, batches, settings
         self.folder, self.validation, self.fields, self.hooks = Path(folder), validation, fields or {}, hooks
+        self.derive = derive
+        if derive is not None and settings.prediction != "x0":
+            raise ValueError(f"further features are derived from a prediction of x0, not of {settings.prediction}")
         self.accelerator = accelerator or Accelerator()
         self.device = self.accelerator.device
         if unknown := set(settings.weights) - set(self.fields):
@@ -155,7 +160,7 @@ class Trainer:
         share = self.accelerator.reduce(torch.tensor(float(frames), device=self.device), "mean")  # DDP averages
         for group in self.optimizer.param_groups:
             group["lr"] = settings.rate_at(self.step)
-        total = torch.zeros(pieces[0].motion.shape[-1], device=self.device)
+        total: Tensor | float = 0.0
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
             torch.manual_seed(seed)  # dropout draws from the global generator
             for piece in pieces:
@@ -163,7 +168,7 @@ class Trainer:
                 with nullcontext() if last else self.accelerator.no_sync(self.denoiser):
                     errors = self._errors(self.denoiser, piece, generator)
                     self.accelerator.backward(self._weigh(errors).sum() / (share * len(errors)))
-                total += errors.detach()
+                total = total + errors.detach()
         norm = self.accelerator.clip_grad_norm_(self.denoiser.parameters(), settings.clip)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
@@ -175,7 +180,7 @@ class Trainer:
         t, noise = draw_noise(piece, self.schedule.steps, generator)
         half = self.settings.precision == "bf16"
         with torch.autocast(self.device.type, torch.bfloat16, enabled=half), quick_attention(self.device):
-            return squared_errors(denoiser, self.schedule, piece, t, noise, self.settings.prediction)
+            return squared_errors(denoiser, self.schedule, piece, t, noise, self.settings.prediction, self.derive)
 
     def _weigh(self, errors: Tensor) -> Tensor:
         weight = torch.ones_like(errors)

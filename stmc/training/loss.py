@@ -5,6 +5,7 @@ Knows schedules and any network with a denoiser's signature; knows no data set a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -13,6 +14,9 @@ from torch import Tensor
 
 from stmc.denoisers.protocol import Denoiser
 from stmc.diffusion.schedule import Prediction, Schedule
+
+Derive = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor, "batch _ derived"]]
+"""Clean normalised features → more numbers that should be right too, each of a frame and the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +40,27 @@ def squared_errors(
     t: Int[Tensor, " batch"],
     noise: Float[Tensor, "batch frames features"],
     prediction: Prediction = "x0",
-) -> Float[Tensor, " features"]:
-    """Squared error of the prediction from x_t, per feature, summed over real frames: Eq. 5 before its mean."""
+    derive: Derive | None = None,
+) -> Float[Tensor, " _"]:
+    """Squared error of the prediction from x_t, per feature, summed over real frames: Eq. 5 before its mean.
+
+    The errors of what `derive` makes of the features follow those of the features; it needs a prediction of x0.
+    """
     noisy = schedule.q_sample(batch.motion, t, noise)
     target = schedule.from_x0(batch.motion, noisy, t, prediction)
     output = denoiser(noisy, t, batch.text, batch.text_mask, batch.mask)
-    errors = (output.float() - target).square()
-    if batch.mask is not None:
-        errors = torch.where(batch.mask[..., None], errors, 0.0)
+    sums = [_summed(output.float(), target, batch.mask)]
+    if derive is not None:
+        both = None if batch.mask is None else batch.mask[:, 1:] & batch.mask[:, :-1]
+        with torch.autocast(output.device.type, enabled=False):
+            sums.append(_summed(derive(output.float()), derive(target), both))
+    return torch.cat(sums)
+
+
+def _summed(output: Tensor, target: Tensor, mask: Tensor | None) -> Tensor:
+    errors = (output - target).square()
+    if mask is not None:
+        errors = torch.where(mask[..., None], errors, 0.0)
     return errors.sum(dim=(0, 1))
 
 
