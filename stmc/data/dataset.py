@@ -217,9 +217,9 @@ class Sampling:
     another row whose content is cyclic and claims legs alone, as in a collage: an arm is raised while walking. Two of
     three last as long as the arm's clip and keep its text; the third is the whole walk, under its own text, and
     somewhere in it the arm is raised. (Networks that never saw an arm raised on walking legs lower it in a collage.)
-    `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces of about as many frames each,
-    `pieces` to a batch: more of either means less padding; more pieces also mean more lengths, so more contents, in
-    every batch.
+    `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
+    of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
+    lengths, so more contents, in every batch.
     """
 
     rows: int = 64
