@@ -1,14 +1,16 @@
-"""Padding and masks: sequences of different lengths as one batch.
+"""Padding, masks and positions: sequences of different lengths as one batch.
 
 Knows nothing of what the frames mean.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Int, Shaped
+from einops import rearrange
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 
@@ -30,3 +32,10 @@ def mask(lengths: Int[Tensor, " batch"], frames: int | None = None) -> Bool[Tens
     """True where a frame exists, False in the padding; as long as the longest sequence if `frames` does not say."""
     frames = int(lengths.max()) if frames is None else frames
     return torch.arange(frames, device=lengths.device) < lengths[:, None]
+
+
+def sinusoids(rows: int, width: int) -> Float[Tensor, "rows width"]:
+    """Positional table: sines in the even columns, cosines in the odd ones, wavelengths 2 pi to 20,000 pi."""
+    frequency = torch.exp(torch.arange(0, width, 2).float() * (-math.log(10000.0) / width))
+    angle = torch.arange(rows).float()[:, None] * frequency
+    return rearrange([angle.sin(), angle.cos()], "two rows half -> rows (half two)")

@@ -1,9 +1,11 @@
-"""Padding and masks."""
+"""Padding, masks and positions."""
+
+import math
 
 import pytest
 import torch
 
-from stmc.tensors import mask, pad
+from stmc.tensors import mask, pad, sinusoids
 
 
 def test_padded_sequences_keep_their_frames_and_end_in_zeros():
@@ -28,3 +30,11 @@ def test_an_empty_batch_cannot_be_padded():
 def test_a_mask_is_true_where_frames_exist():
     assert mask(torch.tensor([1, 3])).tolist() == [[True, False, False], [True, True, True]]
     assert mask(torch.tensor([1, 0]), 2).tolist() == [[True, False], [False, False]]
+
+
+def test_positions_are_sines_and_cosines_of_wavelengths_that_grow_along_the_width():
+    table = sinusoids(100, 6)
+    for place in (0, 1, 37, 99):
+        angles = [place / 10000 ** (pair / 3) for pair in range(3)]
+        expected = [f(angle) for angle in angles for f in (math.sin, math.cos)]
+        torch.testing.assert_close(table[place], torch.tensor(expected), atol=1e-5, rtol=0)

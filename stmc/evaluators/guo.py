@@ -1,0 +1,144 @@
+"""The motion and text feature extractors of Guo et al. (2022), by which R-precision, matching score, FID, diversity and
+multimodality are measured in most of the field's tables.
+
+Parameter names and shapes are those of `text_mot_match/model/finest.tar`. Knows nothing of how features are made or
+words looked up (see `words`), nor of metrics.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from einops import rearrange, repeat
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+from torch.nn.utils.rnn import pack_padded_sequence
+
+SECTIONS = ("movement_encoder", "text_encoder", "motion_encoder")
+STRIDE = 4
+"""Frames that become one movement."""
+
+CONTACTS = 4
+"""Features at the end of HumanML3D's 263 that the movement encoder does not see."""
+
+
+class MovementEncoder(nn.Module):
+    """Two convolutions over time: every four frames of `features` numbers become one movement of `width` numbers."""
+
+    def __init__(self, features: int, hidden: int = 512, width: int = 512) -> None:
+        super().__init__()
+        self.main = nn.Sequential(
+            nn.Conv1d(features, hidden, 4, 2, 1),
+            nn.Dropout(0.2),
+            nn.LeakyReLU(0.2),
+            nn.Conv1d(hidden, width, 4, 2, 1),
+            nn.Dropout(0.2),
+            nn.LeakyReLU(0.2),
+        )
+        self.out_net = nn.Linear(width, width)
+
+    def forward(self, motion: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch movements width"]:
+        movements = self.main(rearrange(motion, "batch frames features -> batch features frames"))
+        return self.out_net(rearrange(movements, "batch width movements -> batch movements width"))
+
+
+class SequenceReader(nn.Module):
+    """A recurrent network that reads a sequence from both ends; its two last states become one vector."""
+
+    def __init__(self, features: int, hidden: int, width: int = 512) -> None:
+        super().__init__()
+        self.input_emb = nn.Linear(features, hidden)
+        self.gru = nn.GRU(hidden, hidden, batch_first=True, bidirectional=True)
+        self.output_net = nn.Sequential(
+            nn.Linear(2 * hidden, hidden), nn.LayerNorm(hidden), nn.LeakyReLU(0.2), nn.Linear(hidden, width)
+        )
+        self.hidden = nn.Parameter(torch.randn(2, 1, hidden))
+
+    def forward(
+        self, sequence: Float[Tensor, "batch words features"], lengths: Int[Tensor, " batch"]
+    ) -> Float[Tensor, "batch width"]:
+        start = repeat(self.hidden, "ends 1 hidden -> ends batch hidden", batch=len(sequence)).contiguous()
+        packed = pack_padded_sequence(self.input_emb(sequence), lengths.cpu(), batch_first=True, enforce_sorted=False)
+        _, last = self.gru(packed, start)
+        return self.output_net(rearrange(last, "ends batch hidden -> batch (ends hidden)"))
+
+
+class TextReader(SequenceReader):
+    """A `SequenceReader` of word vectors, each with its part of speech (one-hot) added."""
+
+    def __init__(self, words: int = 300, parts_of_speech: int = 15, hidden: int = 512, width: int = 512) -> None:
+        super().__init__(words, hidden, width)
+        self.pos_emb = nn.Linear(parts_of_speech, words)
+
+    def forward(
+        self,
+        words: Float[Tensor, "batch words width"],
+        parts_of_speech: Float[Tensor, "batch words kinds"],
+        lengths: Int[Tensor, " batch"],
+    ) -> Float[Tensor, "batch _"]:
+        return super().forward(words + self.pos_emb(parts_of_speech), lengths)
+
+
+class GuoEvaluator(nn.Module):
+    """The three networks together; a caption and its motion are near each other in Euclidean distance.
+
+    `features` numbers a frame, normalised with the evaluator's own mean and deviation; the last `contacts` of them are
+    dropped (4 of HumanML3D's 263; none of BABEL's 135). Rows come out in the order in which they went in (published
+    wrapper: sorted by length).
+    """
+
+    def __init__(
+        self,
+        features: int = 263,
+        contacts: int = CONTACTS,
+        movements: tuple[int, int] = (512, 512),
+        motion_hidden: int = 1024,
+        words: int = 300,
+        text_hidden: int = 512,
+        width: int = 512,
+    ) -> None:
+        super().__init__()
+        self.seen = features - contacts
+        self.movement_encoder = MovementEncoder(self.seen, *movements)
+        self.text_encoder = TextReader(words, hidden=text_hidden, width=width)
+        self.motion_encoder = SequenceReader(movements[1], motion_hidden, width)
+
+    def motions(
+        self, motion: Float[Tensor, "batch frames features"], lengths: Int[Tensor, " batch"]
+    ) -> Float[Tensor, "batch width"]:
+        """Embeddings of normalised motions of these many frames, of which each needs at least four. What the padding
+        holds has a small influence: the convolutions see up to three frames past the end."""
+        if int(lengths.min()) < STRIDE:
+            raise ValueError(f"a motion of {int(lengths.min())} frames is too short: the evaluator needs {STRIDE}")
+        return self.motion_encoder(self.movement_encoder(motion[..., : self.seen]), lengths // STRIDE)
+
+    def texts(
+        self,
+        words: Float[Tensor, "batch words width"],
+        parts_of_speech: Float[Tensor, "batch words kinds"],
+        lengths: Int[Tensor, " batch"],
+    ) -> Float[Tensor, "batch _"]:
+        """Embeddings of captions of these many tokens, start and end included."""
+        return self.text_encoder(words, parts_of_speech, lengths)
+
+    @classmethod
+    def read(cls, file: Path, features: int = 263, contacts: int = CONTACTS) -> GuoEvaluator:
+        """The published evaluator, in evaluation mode, from its `finest.tar`; nothing in the file is run.
+
+        Raises `ValueError` naming what is missing or does not fit.
+        """
+        try:
+            found = torch.load(file, map_location="cpu", weights_only=True)
+        except Exception as error:  # torch raises what it likes for a damaged or a malicious file
+            raise ValueError(f"{file} cannot be read as weights: {error}") from error
+        missing = [section for section in SECTIONS if not isinstance(found, dict) or section not in found]
+        if missing:
+            raise ValueError(f"{file} holds no {', '.join(missing)}: it is not an evaluator's finest.tar")
+        evaluator = cls(features, contacts)
+        for section in SECTIONS:
+            try:
+                getattr(evaluator, section).load_state_dict(found[section])
+            except (RuntimeError, TypeError) as error:
+                raise ValueError(f"{file}: {section} does not fit: {error}") from error
+        return evaluator.eval().requires_grad_(False)

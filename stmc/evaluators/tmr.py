@@ -1,0 +1,127 @@
+"""TMR's networks: motions and texts as points of one space (Petrovich et al. 2023), built like ACTOR's (2021).
+
+Parameter names and shapes are those of the published checkpoints. Knows nothing of what features or words mean, nor of
+losses (see `objective`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from einops import repeat
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from stmc.tensors import sinusoids
+
+POSITIONS = 5000
+"""Rows of the sinusoidal table: an upper bound of tokens."""
+
+
+class Posterior(NamedTuple):
+    """Where an encoder places each row of its batch: the mean, and the logarithm of the variance around it (None for an
+    encoder that is not variational)."""
+
+    mean: Float[Tensor, "batch width"]
+    log_variance: Float[Tensor, "batch width"] | None
+
+    def draw(self, generator: torch.Generator | None = None) -> Float[Tensor, "batch width"]:
+        """A point of each distribution; the mean itself where there is no variance."""
+        if self.log_variance is None:
+            return self.mean
+        noise = torch.randn(self.mean.shape, generator=generator, device=self.mean.device, dtype=self.mean.dtype)
+        return self.mean + (0.5 * self.log_variance).exp() * noise
+
+
+class SequenceEncoder(nn.Module):
+    """A transformer over learned tokens and a sequence of `features` numbers; the tokens' output is the answer.
+
+    Two tokens, mean and log variance, where it is `variational`, else one. Layers normalise after each sub-layer.
+    """
+
+    def __init__(
+        self,
+        features: int,
+        width: int = 256,
+        feedforward: int = 1024,
+        layers: int = 6,
+        heads: int = 4,
+        dropout: float = 0.1,
+        variational: bool = True,
+    ) -> None:
+        super().__init__()
+        self.projection = nn.Linear(features, width)
+        self.tokens = nn.Parameter(torch.randn(2 if variational else 1, width))
+        layer = nn.TransformerEncoderLayer(width, heads, feedforward, dropout, "gelu", batch_first=True)
+        self.seqTransEncoder = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
+        self.dropout = nn.Dropout(dropout)
+        self.register_buffer("positions", sinusoids(POSITIONS, width), persistent=False)
+
+    def forward(
+        self, sequence: Float[Tensor, "batch frames features"], mask: Bool[Tensor, "batch frames"] | None = None
+    ) -> Posterior:
+        """The posterior of each sequence; `mask` is True where a frame exists, None where nothing is padded."""
+        tokens = repeat(self.tokens, "tokens width -> batch tokens width", batch=len(sequence))
+        tokens = torch.cat([tokens, self.projection(sequence)], dim=1)
+        tokens = self.dropout(tokens + _first(self.positions, tokens.shape[1]))
+        padded = None if mask is None else ~torch.cat([mask.new_ones(len(mask), len(self.tokens)), mask], dim=1)
+        answers = self.seqTransEncoder(tokens, src_key_padding_mask=padded)
+        return Posterior(answers[:, 0], answers[:, 1] if len(self.tokens) > 1 else None)
+
+
+class SequenceDecoder(nn.Module):
+    """A transformer from positions to a sequence of `features` numbers, with one latent as its memory."""
+
+    def __init__(
+        self,
+        features: int,
+        width: int = 256,
+        feedforward: int = 1024,
+        layers: int = 6,
+        heads: int = 4,
+        dropout: float = 0.1,
+    ) -> None:
+        super().__init__()
+        layer = nn.TransformerDecoderLayer(width, heads, feedforward, dropout, "gelu", batch_first=True)
+        self.seqTransDecoder = nn.TransformerDecoder(layer, layers)
+        self.final_layer = nn.Linear(width, features)
+        self.dropout = nn.Dropout(dropout)
+        self.register_buffer("positions", sinusoids(POSITIONS, width), persistent=False)
+
+    def forward(
+        self, latent: Float[Tensor, "batch width"], mask: Bool[Tensor, "batch frames"]
+    ) -> Float[Tensor, "batch frames features"]:
+        """The sequence of each latent, as long as `mask` says; zeros where it is False."""
+        queries = self.dropout(_first(self.positions, mask.shape[1]).expand(len(latent), -1, -1))
+        padded = None if mask.device.type == "cpu" and bool(mask.all()) else ~mask
+        decoded = self.seqTransDecoder(queries, latent[:, None], tgt_key_padding_mask=padded)
+        return self.final_layer(decoded) * mask[..., None]
+
+
+class Tmr(nn.Module):
+    """Motions of `features` numbers a frame and texts of `text_width` numbers a word, in one space of `width` numbers,
+    and motions out of that space again. A row's latent is its posterior's mean; cosines compare latents."""
+
+    def __init__(
+        self,
+        features: int,
+        text_width: int,
+        width: int = 256,
+        feedforward: int = 1024,
+        layers: int = 6,
+        heads: int = 4,
+        dropout: float = 0.1,
+        variational: bool = True,
+    ) -> None:
+        super().__init__()
+        sizes = (width, feedforward, layers, heads, dropout)
+        self.motion_encoder = SequenceEncoder(features, *sizes, variational)
+        self.text_encoder = SequenceEncoder(text_width, *sizes, variational)
+        self.motion_decoder = SequenceDecoder(features, *sizes)
+
+
+def _first(positions: Tensor, tokens: int) -> Float[Tensor, "_ width"]:
+    if tokens > len(positions):
+        raise ValueError(f"{tokens} tokens exceed the {len(positions)} known positions")
+    return positions[:tokens]
