@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 from stmc.body_model import Skeleton
 from stmc.export.bvh import save_bvh
 from stmc.export.npz import load_npz, save_npz
+from stmc.files import write_whole
 from stmc.motion import Motion
 
 _WRITERS = {".npz": save_npz, ".bvh": save_bvh}
@@ -19,8 +16,8 @@ _WRITERS = {".npz": save_npz, ".bvh": save_bvh}
 def write(motion: Motion, path: str | Path, skeleton: Skeleton | None = None) -> None:
     """Write a motion in the format of `path`'s suffix: `.npz` as AMASS has it, or `.bvh` for animation software.
 
-    `skeleton`: the body to write, by default the one the motion moves (its own bones; the bundled rest pelvis). The
-    folder must exist; a file already there is replaced once the new one is whole. Another suffix is a `ValueError`.
+    `skeleton`: the body to write, by default the one the motion moves (its own bones; the bundled rest pelvis). Folders
+    are made; a file already there is replaced once the new one is whole. Another suffix is a `ValueError`.
     """
     path = Path(path)
     save = _WRITERS.get(path.suffix.lower())
@@ -28,8 +25,12 @@ def write(motion: Motion, path: str | Path, skeleton: Skeleton | None = None) ->
         raise ValueError(f"{path}: cannot write {path.suffix!r} files; choose from {', '.join(_WRITERS)}")
     if skeleton is None:
         skeleton = Skeleton.measured(motion.rotations, motion.joints, Skeleton.default().offsets[0])
-    with replacing(path) as file:
-        save(motion, file, skeleton)
+
+    def fill(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            save(motion, file, skeleton)
+
+    write_whole(path, fill)
 
 
 def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
@@ -42,15 +43,3 @@ def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     if path.suffix.lower() != ".npz":
         raise ValueError(f"{path}: cannot read {path.suffix!r} files; choose .npz")
     return load_npz(path, Skeleton.default() if skeleton is None else skeleton)
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """A file to write whose content takes `path`'s place once the block ends well, and vanishes where it fails."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            yield file
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
