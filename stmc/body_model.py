@@ -7,19 +7,20 @@ does; `smpl_translation` is the one place that knows what SMPL adds to them.
 from __future__ import annotations
 
 import json
-import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import torch
+import trimesh
 from einops import rearrange
 from jaxtyping import Float, Int64
 from smplx.lbs import lbs
 from torch import Tensor
 
+from stmc.arrays import ArraysError, read_npz, read_pickle
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.geometry import axis_angle_to_matrix, forward_kinematics, global_rotations
 
@@ -76,6 +77,9 @@ _HANDS = {"smpl": (24, 22, 23), "smplh": (52, 22, 37), "smplx": (55, 25, 40)}
 
 _GENDERS = ("neutral", "female", "male")
 
+_SMPLX_SHAPES, _SMPLX_SHORT = 300, 10
+"""Shape directions of SMPL-X's files with 400 directions, and of those with 20. The others are the face's."""
+
 _AT_ONCE = 64
 """Frames skinned at once: 10,000 vertices of them take some 100 MB."""
 
@@ -108,6 +112,14 @@ class Body:
         chunks = zip(rotations.split(_AT_ONCE), translation.split(_AT_ONCE), strict=True)
         return torch.cat([self._skinned(*chunk) for chunk in chunks])
 
+    def meshes(
+        self, rotations: Float[Tensor, "frames 22 3 3"], translation: Float[Tensor, "frames 3"]
+    ) -> list[trimesh.Trimesh]:
+        """The mesh of every frame, z up, in metres: trimesh writes each as `.obj`, `.ply`, `.glb` and more."""
+        faces = self.faces.cpu().numpy()
+        posed = self.vertices(rotations, translation).double().cpu().numpy()
+        return [trimesh.Trimesh(vertices, faces, process=False) for vertices in posed]
+
     def _skinned(self, rotations: Tensor, translation: Tensor) -> Tensor:
         frames = len(translation)
         pose = torch.cat([rotations, self.relaxed[ROTATED:].to(rotations).expand(frames, -1, 3, 3)], dim=1)
@@ -128,11 +140,11 @@ class Body:
 def load_body(
     folder: str | Path, kind: str = "smpl", gender: str = "neutral", betas: Sequence[float] | None = None
 ) -> Body:
-    """The body in the user's own SMPL, SMPL-H or SMPL-X file.
+    """The body in the user's own SMPL, SMPL-H or SMPL-X file, `.npz` or `.pkl`.
 
-    `folder` is where the files lie as downloaded or as smplx expects them (`SMPL_NEUTRAL.npz`,
-    `smplh/neutral/model.npz`, ...), or one such file. `betas`: shape coefficients, zeros by default. Only plain arrays
-    are read: a `.pkl` must be converted to `.npz` first, since unpickling runs the file's code.
+    `folder` is where the files lie as downloaded (`basicmodel_neutral_lbs_10_207_0_v1.1.0.pkl`, `neutral/model.npz`,
+    ...) or as smplx expects them (`smplh/SMPLH_NEUTRAL.npz`, ...), or one such file. `betas`: shape coefficients, zeros
+    by default. Of a `.pkl`, only arrays are read; its code is not run, and chumpy is not needed.
 
     Raises `FileNotFoundError` naming the places looked at, `ValueError` for an unknown kind or gender, or a file that
     is not a body of this kind.
@@ -141,12 +153,12 @@ def load_body(
         raise ValueError(f"unknown kind of body {kind!r}; choose from {', '.join(_HANDS)}")
     if gender not in _GENDERS:
         raise ValueError(f"unknown gender {gender!r}; choose from {', '.join(_GENDERS)}")
-    path = _find(Path(folder), kind, gender)
+    path = find_body(folder, kind, gender)
     arrays = _read(path, kind)
     bones, left_hand, right_hand = _HANDS[kind]
     template = arrays["v_template"]
     if betas:
-        template = template + _shape(arrays["shapedirs"], betas, path)
+        template = template + _shape(arrays["shapedirs"], betas, kind, path)
     regressor = arrays["J_regressor"]
     rest = (regressor @ template)[[*range(ROTATED), left_hand, right_hand]]
     offsets = torch.stack([rest[joint] - (rest[parent] if parent >= 0 else 0) for joint, parent in enumerate(PARENTS)])
@@ -162,31 +174,41 @@ def load_body(
     )
 
 
-def _find(folder: Path, kind: str, gender: str) -> Path:
-    name = f"{kind.upper()}_{gender.upper()}.npz"
-    places = [folder / name, folder / kind / name, folder / gender / "model.npz", folder / kind / gender / "model.npz"]
-    for path in [folder, *places]:
-        if path.is_file():
-            return path
-    looked = ", ".join(str(path) for path in places)
-    raise FileNotFoundError(
-        f"no {kind} body for gender {gender!r}; looked for {looked}. Pickled models (.pkl) are not read"
+def find_body(folder: str | Path, kind: str = "smpl", gender: str = "neutral") -> Path:
+    """The file that `load_body` reads. Raises `FileNotFoundError` naming the places looked at."""
+    folder = Path(folder)
+    if folder.is_file():
+        return folder
+    names = [f"{kind}_{gender}.npz", f"{gender}/model.npz", f"{kind}_{gender}.pkl", f"{gender}/model.pkl"]
+    if kind == "smpl":
+        letter = gender if gender == "neutral" else gender[0]
+        names += [f"basicmodel_{letter}_lbs_10_207_0_v{version}.pkl" for version in ("1.1.0", "1.0.0")]
+    places = [*names, *(f"{kind}/{name}" for name in names)]
+    there = {path.relative_to(folder).as_posix().lower(): path for path in _below(folder, depth=3)}
+    for place in places:  # names differ in case from one release to the next
+        if place in there:
+            return there[place]
+    raise FileNotFoundError(f"no {kind} body for gender {gender!r} in {folder}; looked for {', '.join(places)}")
+
+
+def _below(folder: Path, depth: int) -> list[Path]:
+    """Files of at most `depth` names below `folder`."""
+    return sorted(
+        path for level in range(1, depth + 1) for path in folder.glob("/".join("*" * level)) if path.is_file()
     )
 
 
 def _read(path: Path, kind: str) -> dict[str, Tensor]:
-    """The arrays of a body, floats as float32; `ValueError` where one is missing, pickled or of the wrong shape."""
-    wanted = ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f"]
+    """The arrays of a body, floats as float32; `ValueError` where one is missing, damaged or of the wrong shape."""
+    wanted, hands = ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f"], []
+    if kind != "smpl":
+        hands = ["hands_meanl", "hands_meanr"]
+    read = read_pickle if path.suffix == ".pkl" else read_npz
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            hands = [name for name in ("hands_meanl", "hands_meanr") if name in archive]
-            arrays = {name: archive[name] for name in wanted + hands}
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is no {kind} body in .npz format: {error}") from error
-    bones = _HANDS[kind][0]
-    parents = arrays["kintree_table"][0]
-    if len(parents) != bones or list(parents[1:ROTATED]) != list(PARENTS[1:ROTATED]):
-        raise ValueError(f"{path} has {len(parents)} joints; a {kind} body has {bones}, the first {ROTATED} as SMPL's")
+        arrays = read(path, wanted, hands)
+    except ArraysError as error:
+        raise ValueError(f"{path} is no {kind} body: {error}") from error
+    _check(arrays, path, kind)
     integer = ("f", "kintree_table")
     return {
         name: torch.from_numpy(array.astype(np.int64 if name in integer else np.float32))
@@ -194,13 +216,49 @@ def _read(path: Path, kind: str) -> dict[str, Tensor]:
     }
 
 
-def _shape(directions: Tensor, betas: Sequence[float], path: Path) -> Tensor:
-    if len(betas) > directions.shape[-1]:
-        raise ValueError(f"{len(betas)} betas, but {path} has {directions.shape[-1]}")
+def _check(arrays: Mapping[str, np.ndarray], path: Path, kind: str) -> None:
+    """Raises `ValueError` unless the arrays fit one another and the kind of body."""
+    bones, tree = _HANDS[kind][0], arrays["kintree_table"]
+    if tree.ndim != 2 or tree.shape[1] != bones or list(tree[0, 1:ROTATED]) != list(PARENTS[1:ROTATED]):
+        joints = tree.shape[-1] if tree.ndim else 0
+        raise ValueError(f"{path} has {joints} joints; a {kind} body has {bones}, the first {ROTATED} as SMPL's")
+    if (tree[0, 1:] >= np.arange(1, bones)).any():
+        raise ValueError(f"{path}: kintree_table has a joint before its parent")
+    vertices = len(arrays["v_template"]) if arrays["v_template"].ndim else 0
+    shapes = {
+        "v_template": (vertices, 3),
+        "shapedirs": (vertices, 3, None),
+        "posedirs": (vertices, 3, 9 * (bones - 1)),
+        "J_regressor": (bones, vertices),
+        "weights": (vertices, bones),
+        "f": (None, 3),
+        "hands_meanl": (45,),
+        "hands_meanr": (45,),
+    }
+    for name, shape in shapes.items():
+        if name not in arrays:
+            continue
+        array = arrays[name]
+        if array.ndim != len(shape) or any(
+            want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
+        ):
+            raise ValueError(f"{path}: {name} has shape {array.shape}; a {kind} body's is {shape}")
+        if not np.isfinite(array.astype(np.float64)).all():
+            raise ValueError(f"{path}: {name} has values that are not finite")
+    if not ((arrays["f"] >= 0) & (arrays["f"] < vertices)).all():
+        raise ValueError(f"{path}: f names vertices that do not exist; there are {vertices}")
+
+
+def _shape(directions: Tensor, betas: Sequence[float], kind: str, path: Path) -> Tensor:
+    known = directions.shape[-1]
+    if kind == "smplx":  # the directions of the face's expressions follow those of the shape
+        known = _SMPLX_SHAPES if known > _SMPLX_SHAPES else min(known, _SMPLX_SHORT)
+    if len(betas) > known:
+        raise ValueError(f"{len(betas)} betas, but {path} has {known}")
     return directions[..., : len(betas)] @ torch.tensor(list(betas), dtype=directions.dtype)
 
 
-def _relaxed(arrays: dict[str, Tensor], bones: int) -> Tensor:
+def _relaxed(arrays: Mapping[str, Tensor], bones: int) -> Tensor:
     """Local rotations of a body at ease: fingers, the last 15 bones of each side, at their mean; the rest unturned."""
     turned = torch.zeros(bones, 3)
     if "hands_meanl" in arrays and "hands_meanr" in arrays:

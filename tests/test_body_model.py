@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import smplx
 import torch
+from pickled import python_2_pickle, run_code
+from scipy import sparse
 from smplx.utils import Struct
 from test_motion import walk
 from torch.testing import assert_close
@@ -156,12 +158,59 @@ def test_betas_change_the_skeleton_with_the_mesh(tmp_path):
     assert not torch.equal(plain.skeleton.rest, shaped.skeleton.rest)
 
 
-@pytest.mark.parametrize("place", ["SMPLH_NEUTRAL.npz", "smplh/SMPLH_NEUTRAL.npz", "neutral/model.npz"])
-def test_bodies_are_found_where_downloads_and_smplx_put_them(place, tmp_path):
-    (tmp_path / place).parent.mkdir(exist_ok=True)
-    write_body(tmp_path, "smplh").rename(tmp_path / place)
-    assert load_body(tmp_path, "smplh").template.shape == (80, 3)
-    assert load_body(tmp_path / place, "smplh").template.shape == (80, 3)
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [
+        ("smplh", "SMPLH_NEUTRAL.npz"),
+        ("smplh", "smplh/SMPLH_NEUTRAL.npz"),
+        ("smplh", "neutral/model.npz"),
+        ("smplh", "smplh/neutral/model.npz"),
+        ("smplh", "SMPLH_neutral.pkl"),
+        ("smplx", "smplx/SMPLX_NEUTRAL.npz"),
+        ("smpl", "SMPL_NEUTRAL.pkl"),
+        ("smpl", "smpl/basicmodel_neutral_lbs_10_207_0_v1.1.0.pkl"),
+        ("smpl", "basicModel_neutral_lbs_10_207_0_v1.0.0.pkl"),
+    ],
+)
+def test_bodies_are_found_where_downloads_and_smplx_put_them(kind, place, tmp_path):
+    write = write_pickle if place.endswith("pkl") else write_body
+    (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+    write(tmp_path, kind).rename(tmp_path / place)
+    assert load_body(tmp_path, kind).template.shape == (80, 3)
+    assert load_body(tmp_path / place, kind).template.shape == (80, 3)
+
+
+def write_pickle(folder, kind, gender="NEUTRAL", **changes):
+    """As SMPL's own files are: by Python 2, some arrays as chumpy's, the regressor sparse, and much else beside."""
+    arrays = body_arrays(kind) | changes
+    arrays["J_regressor"] = sparse.csc_matrix(arrays["J_regressor"])
+    for name in ("v_template", "weights", "posedirs"):
+        arrays[name] = ("Ch", arrays[name])
+    directions = arrays["shapedirs"]
+    arrays["shapedirs"] = ("Select", directions, np.arange(directions.size), directions.shape)
+    arrays |= {"bs_style": "lbs", "bs_type": "lrotmin", "J_regressor_prior": sparse.csc_matrix(np.eye(3))}
+    path = folder / f"{kind.upper()}_{gender}.pkl"
+    path.write_bytes(python_2_pickle(arrays, 2))
+    return path
+
+
+@pytest.mark.parametrize("kind", BONES)
+def test_a_pickled_body_is_the_body_of_the_same_arrays(kind, tmp_path):
+    pickled, plain = load_body(write_pickle(tmp_path, kind), kind), load_body(write_body(tmp_path, kind), kind)
+    assert_close(pickled.skeleton.offsets, plain.skeleton.offsets)
+    motion = walk(3, dtype=torch.float32)
+    vertices = [body.vertices(motion.rotations, motion.translation) for body in (pickled, plain)]
+    assert_close(*vertices)
+    [*_, mesh] = pickled.meshes(motion.rotations, motion.translation)
+    assert_close(torch.from_numpy(mesh.vertices), vertices[0][-1].double())
+    assert mesh.faces.tolist() == pickled.faces.tolist()
+
+
+def test_a_female_body_is_not_taken_for_a_neutral_one(tmp_path):
+    write_pickle(tmp_path, "smpl").rename(tmp_path / "basicModel_f_lbs_10_207_0_v1.0.0.pkl")
+    assert load_body(tmp_path, gender="female").template.shape == (80, 3)
+    with pytest.raises(FileNotFoundError):
+        load_body(tmp_path)
 
 
 def test_what_cannot_be_loaded_is_named_with_the_choices(tmp_path):
@@ -169,27 +218,58 @@ def test_what_cannot_be_loaded_is_named_with_the_choices(tmp_path):
         load_body(tmp_path, "star")
     with pytest.raises(ValueError, match="unknown gender 'any'; choose from neutral, female, male"):
         load_body(tmp_path, gender="any")
-    with pytest.raises(FileNotFoundError, match=r"looked for .*SMPL_FEMALE\.npz.*\.pkl"):
+    with pytest.raises(FileNotFoundError, match=r"looked for .*smpl_female\.npz.*basicmodel_f_.*\.pkl"):
         load_body(tmp_path, gender="female")
     with pytest.raises(ValueError, match=r"23 betas, but .* has 20"):
         load_body(write_body(tmp_path, "smpl"), betas=[0.0] * 23)
+
+
+def test_what_moves_the_face_of_smplx_is_not_taken_for_shape(tmp_path):
+    with pytest.raises(ValueError, match=r"11 betas, but .* has 10"):
+        load_body(write_body(tmp_path, "smplx"), "smplx", betas=[0.0] * 11)
+    many = np.random.default_rng(0).standard_normal((80, 3, 400))
+    path = write_body(tmp_path, "smplx", shapedirs=many)
+    body = load_body(path, "smplx", betas=[0.0] * 299 + [1.0])
+    expected = body_arrays("smplx")["v_template"] + many[..., 299]
+    assert_close(body.template, torch.from_numpy(expected).float())
+    with pytest.raises(ValueError, match=r"301 betas, but .* has 300"):
+        load_body(path, "smplx", betas=[0.0] * 301)
 
 
 def test_files_of_another_kind_are_refused(tmp_path):
     with pytest.raises(ValueError, match="has 52 joints; a smpl body has 24"):
         load_body(write_body(tmp_path, "smplh"), "smpl")
     (tmp_path / "text.npz").write_text("not a zip archive")
-    with pytest.raises(ValueError, match=r"text\.npz is no smpl body in \.npz format"):
+    with pytest.raises(ValueError, match=r"text\.npz is no smpl body"):
         load_body(tmp_path / "text.npz")
     np.savez(tmp_path / "half.npz", v_template=np.zeros((3, 3)))
-    with pytest.raises(ValueError, match=r"half\.npz is no smpl body"):
+    with pytest.raises(ValueError, match=r"half\.npz is no smpl body: .*no array shapedirs"):
         load_body(tmp_path / "half.npz")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"weights": np.zeros((80, 23))}, r"weights has shape \(80, 23\); a smpl body's is \(80, 24\)"),
+        ({"posedirs": np.zeros((80, 3, 69))}, r"posedirs has shape .* \(80, 3, 207\)"),
+        ({"v_template": np.full((80, 3), np.nan)}, "v_template has values that are not finite"),
+        ({"f": np.array([[0, 1, 80]])}, "f names vertices that do not exist; there are 80"),
+        ({"kintree_table": np.stack([[-1, *PARENTS[1:22], 23, 23], np.arange(24)])}, "a joint before its parent"),
+    ],
+)
+def test_arrays_that_do_not_fit_one_another_are_named(changes, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        load_body(write_body(tmp_path, "smpl", **changes))
 
 
 def test_a_pickle_inside_a_file_is_not_run(tmp_path):
     path = write_body(tmp_path, "smpl", J_regressor=np.array([Alarm()], dtype=object))
-    with pytest.raises(ValueError, match=r"is no smpl body in \.npz format: Object arrays cannot be loaded"):
+    with pytest.raises(ValueError, match=r"is no smpl body: .*pickled Python objects"):
         load_body(path)
+    (tmp_path / "SMPL_NEUTRAL.pkl").write_bytes(run_code("os.system", f"touch {tmp_path}/ran", 2))
+    with pytest.raises(ValueError, match=r"is no smpl body: .*refused to run posix\.system"):
+        load_body(tmp_path / "SMPL_NEUTRAL.pkl")
+    assert not (tmp_path / "ran").exists()
 
 
 class Alarm:
