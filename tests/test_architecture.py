@@ -20,7 +20,7 @@ TIERS = [
     {"body_model", "denoisers", "diffusion", "motion", "text", "timeline"},
     {"inverse_kinematics"},
     {"assignment", "export", "representation", "training"},
-    {"data", "metrics", "planning", "viewing"},
+    {"data", "metrics", "mtt", "planning", "viewing"},
     {"compose"},
     {"model"},
     {"run"},
