@@ -15,7 +15,7 @@ from stmc.data.dataset import ClipBatches, Corpus
 from stmc.model import Model
 from stmc.run import PARTS
 from stmc.text import Cached
-from stmc.training import Hook, Trainer
+from stmc.training import Denoising, Hook, Trainer
 
 
 @hydra.main(config_path="../configs", config_name="train", version_base="1.3")
@@ -44,13 +44,11 @@ def main(config: DictConfig) -> None:
         denoiser.load_state_dict(stmc.load(config.start).denoiser.state_dict())
     trainer = Trainer(
         denoiser,
-        instantiate(config.schedule),
+        Denoising(instantiate(config.schedule), fields=fields, derive=derive, **config.objective),
         ClipBatches(corpus, "train", sampling, settings.seed),
         Path(config.run).expanduser(),
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
-        fields=fields,
-        derive=derive,
         hooks=[
             Hook(every, lambda step, network, do=do: do(config, record(config, network, corpus), step))
             for every, do in ((settings.checkpoint_every, export), (config.draw_every, draw))
@@ -73,7 +71,7 @@ def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Mode
         skeleton=Skeleton.default(),
         fps=corpus.fps,
         longest=int(instantiate(config.data.sampling).longest * corpus.fps),
-        prediction=instantiate(config.training).prediction,
+        prediction=config.objective.prediction,
         config={part: described[part] for part in PARTS},
     )
 

@@ -17,7 +17,7 @@ from toys import LAYOUT, LetterCounts, cache
 from stmc.data.dataset import ClipBatches, Corpus, Sampling
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion.schedule import Schedule
-from stmc.training import Batch, Checkpoints, Ema, Hook, Settings, Trainer, draw_noise, squared_errors
+from stmc.training import Batch, Checkpoints, Denoising, Ema, Hook, Settings, Trainer, draw_noise, squared_errors
 from stmc.training.logs import Table
 from stmc.training.speed import ByteDropout, quick_attention, quicken_dropout
 
@@ -40,21 +40,17 @@ class Killed(BaseException):
     """As sudden as a kill, within one process."""
 
 
-def trainer(
-    folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, derive=None, fields=LAYOUT.slices, **settings
-) -> Trainer:
+def trainer(folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, objective=None, **settings) -> Trainer:
     torch.manual_seed(0)
     corpus = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
     sampling = Sampling(rows=8, pool=2, pieces=pieces)
     return Trainer(
         denoiser or MdmSmpl(LAYOUT.width, 8, width=16, feedforward=32, layers=1, heads=2, dropout=dropout),
-        Schedule.cosine(20),
+        objective or Denoising(Schedule.cosine(20), fields=LAYOUT.slices),
         ClipBatches(corpus, "train", sampling),
         folder,
         Settings(**({"steps": 16} | QUICK | settings)),
         validation=ClipBatches(corpus, "val", sampling)(0),
-        fields=fields,
-        derive=derive,
         hooks=hooks,
     )
 
@@ -114,17 +110,18 @@ def test_errors_of_derived_numbers_follow_where_both_frames_exist():
     assert errors.tolist() == [0 + 4 + 16 + 36 + 64, 1 + 9 + 25 + 49 + 81, 5**2 + 9**2 + 17**2]
 
 
-def test_only_a_prediction_of_the_clean_motion_has_derived_numbers(tmp_path):
+def test_only_a_prediction_of_the_clean_motion_has_derived_numbers():
     with pytest.raises(ValueError, match="x0, not of eps"):
-        trainer(tmp_path, derive=lambda x: x[:, 1:], prediction="eps")
+        Denoising(Schedule.cosine(10), derive=lambda x: x[:, 1:], prediction="eps")
 
 
 def test_derived_numbers_are_logged_and_weighed_by_their_name(tmp_path):
     fields = LAYOUT.slices | {"steps": slice(LAYOUT.width, None)}
     derived = {"derive": lambda x: x.diff(dim=1), "fields": fields}
-    run = trainer(tmp_path / "heavy", steps=2, weights={"steps": 100.0}, **derived)
+    heavy = Denoising(Schedule.cosine(20), weights={"steps": 100.0}, **derived)
+    run = trainer(tmp_path / "heavy", steps=2, objective=heavy)
     run.run()
-    light = trainer(tmp_path / "light", steps=2, **derived)
+    light = trainer(tmp_path / "light", steps=2, objective=Denoising(Schedule.cosine(20), **derived))
     light.run()
     assert float(rows(tmp_path / "heavy" / "train.csv")[0]["loss_steps"]) > 0
     assert any(
@@ -177,13 +174,14 @@ def test_pieces_of_a_batch_add_up_to_the_batch(tmp_path):
     torch.testing.assert_close(frames[1], frames[4])
 
 
-def test_a_fields_weight_scales_its_part_of_the_gradient(tmp_path):
-    run = trainer(tmp_path, Constant(LAYOUT.width), weights={"root_velocity": 5.0})
-    weighed = run._weigh(torch.ones(LAYOUT.width))
-    torch.testing.assert_close(weighed[:2] / weighed[2:4], torch.full((2,), 5.0))
-    assert weighed.mean() == pytest.approx(1.0)
+def test_a_fields_weight_scales_its_part_of_the_gradient():
+    objective = Denoising(Schedule.cosine(20), fields=LAYOUT.slices, weights={"root_velocity": 5.0})
+    terms = torch.ones(LAYOUT.width, requires_grad=True)
+    objective.weigh(terms).backward()
+    torch.testing.assert_close(terms.grad[:2] / terms.grad[2:4], torch.full((2,), 5.0))
+    assert terms.grad.sum() == pytest.approx(1.0)
     with pytest.raises(ValueError, match=r"weights of unknown fields.*speed.*root_velocity"):
-        trainer(tmp_path / "wrong", weights={"speed": 2.0})
+        Denoising(Schedule.cosine(20), fields=LAYOUT.slices, weights={"speed": 2.0})
 
 
 def test_the_rate_rises_to_its_peak_and_falls_to_its_end():

@@ -1,7 +1,7 @@
 """The training loop. Step k is a function of the weights and of (seed, k, process): a run that was killed goes on as if
 nothing had happened.
 
-Knows batches and denoisers; knows no data set, no body and no configuration files.
+Knows batches and objectives; knows no data set, no body and no configuration files.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -21,11 +21,10 @@ from accelerate import Accelerator
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch import Tensor, nn
 
-from stmc.diffusion.schedule import Prediction, Schedule
 from stmc.training.checkpoint import Checkpoints
 from stmc.training.ema import Ema
 from stmc.training.logs import Board, Table
-from stmc.training.loss import Batch, Derive, draw_noise, squared_errors
+from stmc.training.loss import Batch, Objective
 from stmc.training.speed import quick_attention, quicken_dropout
 
 logger = logging.getLogger(__name__)
@@ -46,8 +45,7 @@ class Hook:
 @dataclass(frozen=True)
 class Settings:
     """How to train. `rate` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
-    `final_rate` of it at `steps`. `clip` bounds the gradient's norm. `weights` makes fields count more or less than
-    the 1 of the plain mean, in the gradient but not in the logged losses. `*_every` count steps."""
+    `final_rate` of it at `steps`. `clip` bounds the gradient's norm. `*_every` count steps."""
 
     steps: int
     rate: float = 3e-4
@@ -55,9 +53,7 @@ class Settings:
     final_rate: float = 0.02
     weight_decay: float = 0.01
     clip: float = 1.0
-    weights: Mapping[str, float] = field(default_factory=dict)
     decay: float = 0.999
-    prediction: Prediction = "x0"
     precision: Literal["bf16", "fp32"] = "bf16"
     compile: bool = False
     seed: int = 0
@@ -85,51 +81,43 @@ class Settings:
 
 
 class Trainer:
-    """Trains `denoiser` in `folder`, from the newest checkpoint there if there is one.
+    """Trains `network` in `folder` towards `objective`, from the newest checkpoint there if there is one.
 
-    `fields` names columns of the features, and after them of what `derive` makes of these, for the logs and for
-    `Settings.weights`. `validation` pieces are met with the same noise every time.
+    `validation` pieces are met with the same noise every time.
     """
 
     def __init__(
         self,
-        denoiser: nn.Module,
-        schedule: Schedule,
+        network: nn.Module,
+        objective: Objective,
         batches: Batches,
         folder: Path,
         settings: Settings,
         validation: Sequence[Batch] = (),
-        fields: Mapping[str, slice] | None = None,
-        derive: Derive | None = None,
         hooks: Sequence[Hook] = (),
         accelerator: Accelerator | None = None,
     ) -> None:
-        self.schedule, self.batches, self.settings = schedule, batches, settings
-        self.folder, self.validation, self.fields, self.hooks = Path(folder), validation, fields or {}, hooks
-        self.derive = derive
-        if derive is not None and settings.prediction != "x0":
-            raise ValueError(f"further features are derived from a prediction of x0, not of {settings.prediction}")
+        self.objective, self.batches, self.settings = objective, batches, settings
+        self.folder, self.validation, self.hooks = Path(folder), validation, hooks
         self.accelerator = accelerator or Accelerator()
         self.device = self.accelerator.device
-        if unknown := set(settings.weights) - set(self.fields):
-            raise ValueError(f"weights of unknown fields {sorted(unknown)}; choose from {', '.join(self.fields)}")
         if self.device.type == "cpu":
-            quicken_dropout(denoiser)
-        denoiser.to(self.device).train()
-        self.ema = Ema(denoiser, settings.decay)
+            quicken_dropout(network)
+        network.to(self.device).train()
+        self.ema = Ema(network, settings.decay)
         if settings.compile:
-            denoiser.compile(dynamic=True)
+            network.compile(dynamic=True)
         optimizer = torch.optim.AdamW(
-            denoiser.parameters(), lr=settings.rate, weight_decay=settings.weight_decay, fused=True
+            network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay, fused=True
         )
-        self.denoiser, self.optimizer = self.accelerator.prepare(denoiser, optimizer)
+        self._prepared, self.optimizer = self.accelerator.prepare(network, optimizer)
         self.checkpoints = Checkpoints(self.folder / "checkpoints", settings.keep)
         self.step = self._resume()
 
     @property
     def network(self) -> nn.Module:
-        """The denoiser itself, without what Accelerate wraps around it."""
-        return self.accelerator.unwrap_model(self.denoiser)
+        """The network itself, without what Accelerate wraps around it."""
+        return self.accelerator.unwrap_model(self._prepared)
 
     def run(self) -> nn.Module:
         """Trains up to `settings.steps`; returns the moving average. Raises `FloatingPointError` for a loss that is not
@@ -151,7 +139,7 @@ class Trainer:
         return self.ema.model
 
     def _update(self) -> Tensor:
-        """One step of the optimiser. Returns summed errors per feature, their frames, and the gradient's norm."""
+        """One step of the optimiser. Returns the summed terms, their frames, and the gradient's norm."""
         settings, process = self.settings, self.accelerator.process_index
         pieces = self.batches(self.step, process)
         seed = _seed(settings.seed, self.step, process)
@@ -165,34 +153,24 @@ class Trainer:
             torch.manual_seed(seed)  # dropout draws from the global generator
             for piece in pieces:
                 last = piece is pieces[-1]
-                with nullcontext() if last else self.accelerator.no_sync(self.denoiser):
-                    errors = self._errors(self.denoiser, piece, generator)
-                    self.accelerator.backward(self._weigh(errors).sum() / (share * len(errors)))
-                total = total + errors.detach()
-        norm = self.accelerator.clip_grad_norm_(self.denoiser.parameters(), settings.clip)
+                with nullcontext() if last else self.accelerator.no_sync(self._prepared):
+                    terms = self._terms(self._prepared, piece, generator)
+                    self.accelerator.backward(self.objective.weigh(terms) / share)
+                total = total + terms.detach()
+        norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), settings.clip)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
         self.ema.update(self.network, self.step)
         total = self.accelerator.reduce(torch.cat([total, total.new_tensor([frames])]), "sum")
         return torch.cat([total, norm.detach().reshape(1)])
 
-    def _errors(self, denoiser: nn.Module, piece: Batch, generator: torch.Generator) -> Tensor:
-        t, noise = draw_noise(piece, self.schedule.steps, generator)
+    def _terms(self, network: nn.Module, piece: Batch, generator: torch.Generator) -> Tensor:
         half = self.settings.precision == "bf16"
         with torch.autocast(self.device.type, torch.bfloat16, enabled=half), quick_attention(self.device):
-            return squared_errors(denoiser, self.schedule, piece, t, noise, self.settings.prediction, self.derive)
+            return self.objective(network, piece, generator)
 
-    def _weigh(self, errors: Tensor) -> Tensor:
-        weight = torch.ones_like(errors)
-        for name, of_field in self.settings.weights.items():
-            weight[self.fields[name]] = of_field
-        return errors * (weight / weight.mean())
-
-    def _means(self, errors: Tensor, frames: int | float) -> dict[str, float]:
-        mean = (errors / frames).double().cpu()
-        return {"loss": mean.mean().item()} | {
-            f"loss_{name}": mean[columns].mean().item() for name, columns in self.fields.items()
-        }
+    def _means(self, terms: Tensor, frames: int | float) -> dict[str, float]:
+        return self.objective.losses((terms / frames).double().cpu())
 
     def _log(self, sums: Tensor, steps: int, seconds: float) -> None:
         *_, frames, norm = sums.tolist()
@@ -226,8 +204,8 @@ class Trainer:
     def validate(self) -> dict[str, float]:
         """Losses of the moving average on the validation pieces, with fixed steps and noise."""
         generator = torch.Generator(self.device).manual_seed(_seed(self.settings.seed, 0, 2**31))
-        errors = sum(self._errors(self.ema.model, piece, generator) for piece in self.validation)
-        return self._means(errors, sum(piece.frames for piece in self.validation))
+        terms = sum(self._terms(self.ema.model, piece, generator) for piece in self.validation)
+        return self._means(terms, sum(piece.frames for piece in self.validation))
 
     def _state(self) -> dict[str, object]:
         return {
@@ -251,7 +229,7 @@ class Trainer:
         return step
 
     def _open_logs(self, stack: ExitStack) -> None:
-        losses = ("loss", *(f"loss_{name}" for name in self.fields))
+        losses = self.objective.names
         pace = ("gradient", "rate", "frames_per_second", "steps_per_second")
         self.table = Table(self.folder / "train.csv", (*losses, *pace), self.step)
         self.validation_table = Table(self.folder / "validation.csv", losses, self.step)

@@ -1,16 +1,18 @@
-"""The training objective (STMC, Eq. 5): restore what noise has hidden, at a step drawn uniformly.
+"""What a network learns from: the protocol of objectives, and the denoiser's (STMC, Eq. 5), to restore what noise has
+hidden, at a step drawn uniformly.
 
 Knows schedules and any network with a denoiser's signature; knows no data set and no optimiser.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from stmc.denoisers.protocol import Denoiser
 from stmc.diffusion.schedule import Prediction, Schedule
@@ -31,6 +33,73 @@ class Batch:
     text: Float[Tensor, "batch words width"]
     text_mask: Bool[Tensor, "batch words"] | None
     frames: int
+
+
+@runtime_checkable
+class Objective(Protocol):
+    """What a network learns: numbers that should become small. A piece of a batch gives their sums over its frames."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the losses in the logs; the first is "loss"."""
+        ...
+
+    def __call__(self, network: nn.Module, piece: Batch, generator: torch.Generator) -> Float[Tensor, " terms"]:
+        """The terms of one piece, summed over frames; `generator` is on the piece's device."""
+        ...
+
+    def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
+        """The one number whose gradient is followed."""
+        ...
+
+    def losses(self, means: Float[Tensor, " terms"]) -> dict[str, float]:
+        """What the logs say under `names`, from the terms' means over frames."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Denoising:
+    """Eq. 5: the mean squared error of the prediction, per feature.
+
+    `fields` names columns of the features, and after them of what `derive` makes of these, for the logs and for
+    `weights`, which make fields count more or less than the 1 of the plain mean: in the gradient, not in the logs.
+    Raises `ValueError` for weights of unknown fields, and where something is to be derived from anything but x0.
+    """
+
+    schedule: Schedule
+    prediction: Prediction = "x0"
+    fields: Mapping[str, slice] = field(default_factory=dict)
+    weights: Mapping[str, float | int] = field(default_factory=dict)
+    derive: Derive | None = None
+
+    def __post_init__(self) -> None:
+        if self.derive is not None and self.prediction != "x0":
+            raise ValueError(f"further features are derived from a prediction of x0, not of {self.prediction}")
+        if unknown := set(self.weights) - set(self.fields):
+            raise ValueError(f"weights of unknown fields {sorted(unknown)}; choose from {', '.join(self.fields)}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The plain mean over all columns, then that of each field."""
+        return ("loss", *(f"loss_{name}" for name in self.fields))
+
+    def __call__(self, network: Denoiser, piece: Batch, generator: torch.Generator) -> Float[Tensor, " terms"]:
+        """Squared errors per column, at steps and with noise that `generator` draws."""
+        t, noise = draw_noise(piece, self.schedule.steps, generator)
+        return squared_errors(network, self.schedule, piece, t, noise, self.prediction, self.derive)
+
+    def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
+        """The weighted mean over columns."""
+        weight = torch.ones_like(terms)
+        for name, of_field in self.weights.items():
+            weight[self.fields[name]] = of_field
+        return (terms * (weight / weight.mean())).mean()
+
+    def losses(self, means: Float[Tensor, " terms"]) -> dict[str, float]:
+        """The plain means of all columns and of each field."""
+        return {"loss": means.mean().item()} | {
+            f"loss_{name}": means[columns].mean().item() for name, columns in self.fields.items()
+        }
 
 
 def squared_errors(
