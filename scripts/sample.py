@@ -25,7 +25,7 @@ from stmc.run import CONFIG, STATISTICS, WEIGHTS, bundled
 CHOICES = {
     "sampler": ("ddpm", "ddim", "dpm_solver"),
     "method": get_args(Method),
-    "spread": get_args(Spread),
+    "spread": (None, *get_args(Spread)),
     "precision": get_args(Precision),
 }
 FORMATS = ("npz", "bvh", "html")
@@ -64,7 +64,7 @@ def check(config: DictConfig) -> None:
     """Refuses what would fail only after minutes of sampling."""
     for key, choices in CHOICES.items():
         if config[key] not in choices:
-            raise SystemExit(f"{key}={config[key]}: choose from {', '.join(choices)}")
+            raise SystemExit(f"{key}={config[key]}: choose from {', '.join(filter(None, choices))}")
     if not config.formats or set(config.formats) - set(FORMATS):
         raise SystemExit(f"formats={list(config.formats)}: choose from {', '.join(FORMATS)}")
     for key in ("samples", "batch", "steps"):
@@ -156,7 +156,7 @@ def generate(model: stmc.Model, jobs: list[Job], config: DictConfig, progress: P
             guidance=config.guidance,
             overlap=config.overlap,
             steps=config.steps,
-            sampler=partial(sampler, spread=config.spread) if config.sampler == "ddpm" else sampler,
+            sampler=partial(sampler, spread=config.spread or model.spread) if config.sampler == "ddpm" else sampler,
             method=config.method,
             track=partial(progress.track, total=steps, task_id=task),
         )

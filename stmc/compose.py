@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
@@ -30,9 +31,22 @@ Columns = Mapping[BodyPart, Sequence[int]]
 """Which columns of the features each body part owns; together they own every column once."""
 
 
-def crop_lengths(plans: Sequence[Plan]) -> tuple[int, ...]:
-    """Frames of every crop of all plans, in the order of the batch."""
-    return tuple(crop.frames for plan in plans for crop in plan.crops)
+def crop_lengths(plans: Sequence[Plan], window: int | None = None) -> tuple[int, ...]:
+    """Frames that a denoiser sees of every crop of all plans, in the order of the batch: its own, or with a `window` as
+    many for each. Raises `ValueError` for a crop longer than the window."""
+    lengths = tuple(crop.frames for plan in plans for crop in plan.crops)
+    if window is None:
+        return lengths
+    if max(lengths, default=0) > window:
+        raise ValueError(
+            f"a crop has {max(lengths)} frames, but the denoiser sees {window}: plan with longest={window}"
+        )
+    return (window,) * len(lengths)
+
+
+def canvas_lengths(plans: Sequence[Plan], window: int | None = None) -> tuple[int, ...]:
+    """Frames that are sampled for every plan: its own, and with a `window` those that its last crops see behind it."""
+    return tuple(plan.frames + (window or 0) for plan in plans)
 
 
 def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
@@ -61,10 +75,10 @@ class _Row:
     frames: int
 
 
-def _rows(plans: Sequence[Plan], weight: float) -> list[_Row]:
+def _rows(plans: Sequence[Plan], weight: float, window: int | None = None) -> list[_Row]:
     """Everything that one step has to denoise: no second pass without a text, or where guidance ignores one of two."""
     rows = []
-    for crop, (frames, text) in enumerate(zip(crop_lengths(plans), _crop_texts(plans), strict=True)):
+    for crop, (frames, text) in enumerate(zip(crop_lengths(plans, window), _crop_texts(plans), strict=True)):
         if frames < 1:
             raise ValueError(f"crop {crop} ({text!r}) has {frames} frames; there must be at least one")
         texts = {NULL: None} if weight == 0 else {text: None} if weight == 1 else {text: None, NULL: None}
@@ -129,6 +143,7 @@ def guided_crops(
     padding: float = 0.1,
     budget: int = 32768,
     mixed: bool = False,
+    window: int | None = None,
 ) -> Predict:
     """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance.
 
@@ -139,17 +154,18 @@ def guided_crops(
 
     `mixed`: texts of different numbers of words share calls, padded. Only for denoisers that padded words do not
     disturb, such as `MdmSmpl` with its `words` set: the published network moves the frames behind the longest text.
+    `window`: every crop has as many frames, whatever its own length (see `Network.window`), and all are predicted.
 
     Raises `ValueError` for a text without an embedding and for a crop without frames.
     """
     missing = [text for text in distinct_texts(plans) if text not in embeddings]
     if missing:
         raise ValueError(f"no embedding for {missing}; every text of the plans needs one, and the empty text too")
-    rows = _rows(plans, weight)
+    rows = _rows(plans, weight, window)
     alike = [rows] if mixed else _by_words(rows, embeddings)
     batches = [_Batch.of(call, embeddings) for group in alike for call in _calls(group, padding, budget)]
     guided = torch.tensor([text != NULL for text in _crop_texts(plans)])
-    return _GuidedCrops(denoiser, schedule, crop_lengths(plans), batches, guided, weight, prediction)
+    return _GuidedCrops(denoiser, schedule, crop_lengths(plans, window), batches, guided, weight, prediction)
 
 
 @dataclass(frozen=True)
@@ -234,16 +250,18 @@ class _Moved:
 # Stitching crops into timelines -------------------------------------------------------------------------------------
 
 
-def collage(predict: Predict, plans: Sequence[Plan], columns: Columns) -> Predict:
+def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, window: int | None = None) -> Predict:
     """A predictor of timelines [batch, frames, features] from a predictor of their crops (STMC, section 3.3).
 
     Cuts the timelines into the plans' crops, predicts those, and adds them up with the weights of the tiles: body parts
     side by side, and in time with the unconditional transitions subtracted (DiffCollage). The batch holds one timeline
     for each plan, padded to the longest; beyond a timeline's end the result is zero. `columns` must own every feature
-    exactly once (`ValueError`).
+    exactly once (`ValueError`). With a `window` each crop goes on for as many frames: the timelines have
+    `canvas_lengths(plans, window)` frames, and what the denoiser predicts behind a crop's end is dropped.
     """
-    cut, stitch = _Cut(plans), _Stitch(plans, columns)
-    return lambda x, t: stitch(predict(cut(x), t))
+    cut, stitch = _Cut(plans, window), _Stitch(plans, columns)
+    longest, behind = max(crop_lengths(plans)), window or 0
+    return lambda x, t: F.pad(stitch(predict(cut(x), t)[:, :longest]), (0, 0, 0, behind))
 
 
 def sinc(
@@ -251,9 +269,10 @@ def sinc(
 ) -> Float[Tensor, "batch frames features"]:
     """Finished crops, sampled independently, combined once into timelines (SINC, Athanasiou et al. 2023).
 
-    The `plans` are those without overlap, so that every body part of every frame comes from one crop.
+    The `plans` are those without overlap, so that every body part of every frame comes from one crop. What the crops
+    have beyond the longest one's end is dropped.
     """
-    return _Stitch(plans, columns)(crops)
+    return _Stitch(plans, columns)(crops[:, : max(crop_lengths(plans))])
 
 
 def lerp(
@@ -287,12 +306,12 @@ def _seams(plan: Plan, part: BodyPart) -> list[int]:
 
 
 class _Cut:
-    """Timelines [batch, frames, features] → all crops, zeros beyond the end of each."""
+    """Timelines [batch, frames, features] → all crops, zeros beyond the end of each, or as long as the window."""
 
-    def __init__(self, plans: Sequence[Plan]) -> None:
-        self._shape = (len(plans), max(plan.frames for plan in plans))
+    def __init__(self, plans: Sequence[Plan], window: int | None) -> None:
+        self._shape = (len(plans), max(canvas_lengths(plans, window)))
         first = [i * self._shape[1] + crop.start for i, plan in enumerate(plans) for crop in plan.crops]
-        valid = mask(torch.tensor(crop_lengths(plans)))
+        valid = mask(torch.tensor(crop_lengths(plans, window)))
         rows = (torch.tensor(first)[:, None] + torch.arange(valid.shape[1])).where(valid, 0)
         self._indexes = _Moved(lambda x: (rows.to(x.device), ~valid[..., None].to(x.device)))
 

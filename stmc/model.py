@@ -9,15 +9,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, get_args
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from stmc.body_model import Skeleton
-from stmc.compose import collage, crop_lengths, crop_seeds, distinct_texts, guided_crops, lerp, sinc
-from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, ddpm
+from stmc.compose import canvas_lengths, collage, crop_lengths, crop_seeds, distinct_texts, guided_crops, lerp, sinc
+from stmc.denoisers import Network
+from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, Spread, ddpm
 from stmc.motion import Motion
 from stmc.planning import Plan, plan
 from stmc.representation import Representation
@@ -42,9 +44,10 @@ class Model:
     """Everything that makes motion from text. `fps` is the frame rate of the features, `longest` the most frames that
     the denoiser knows from training; `config` says how to build the parts again (see `run.save`). `precision` is the
     denoiser's at sampling: "bf16" is faster where the processor has it, but a motion then depends on its batch, a bit.
+    `guidance` and the `spread` of `ddpm` are those the model is sampled with unless told otherwise.
     """
 
-    denoiser: nn.Module
+    denoiser: Network
     schedule: Schedule
     text_encoder: TextEncoder
     representation: Representation
@@ -56,6 +59,8 @@ class Model:
     prediction: Prediction = "x0"
     config: Mapping[str, Any] = field(default_factory=dict)
     precision: Precision = "fp32"
+    guidance: float | int = 2.5
+    spread: Spread = "variance"
 
     @property
     def device(self) -> torch.device:
@@ -78,33 +83,42 @@ class Model:
         words = self.text_statistics.normalise(words.float().cpu())
         return {text: row[:length] for text, row, length in zip(distinct, words, lengths.tolist(), strict=True)}
 
-    def guided(self, plans: Sequence[Plan], weight: float | int = 2.5) -> Predict:
-        """A predictor of the plans' crops with classifier-free guidance: see `compose.guided_crops`."""
-        embeddings = self.embed(distinct_texts(plans))
-        mixed = getattr(self.denoiser, "words", None) is not None
-        return guided_crops(self._denoise, self.schedule, plans, embeddings, weight, self.prediction, mixed=mixed)
+    def guided(self, plans: Sequence[Plan], weight: float | int | None = None) -> Predict:
+        """A predictor of the plans' crops with classifier-free guidance (None: the model's own): see
+        `compose.guided_crops`."""
+        weight = self.guidance if weight is None else weight
+        network = self.denoiser
+        with self._autocast():
+            embeddings = self.embed(distinct_texts(plans)).items()
+            read = {text: network.read(words[None].to(self.device))[0].float() for text, words in embeddings}
+        settings = {"mixed": network.mixed, "window": network.window}
+        return guided_crops(self._denoise, self.schedule, plans, read, weight, self.prediction, **settings)
 
     def _denoise(self, x: Tensor, *others: Tensor | None) -> Tensor:
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
-            return self.denoiser(x, *others)
+        with self._autocast():
+            return self.denoiser.denoise(x, *others)
+
+    def _autocast(self) -> torch.autocast:
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16")
 
     @torch.inference_mode()
     def generate(
         self,
         timelines: Timeline | Sequence[Timeline],
         seed: int | Sequence[int] = 0,
-        guidance: float | int = 2.5,
+        guidance: float | int | None = None,
         overlap: float | int = 0.5,
         steps: int | None = None,
-        sampler: Sampler = ddpm,
+        sampler: Sampler | None = None,
         method: Method = "stmc",
         track: Track = iter,
     ) -> list[Motion]:
         """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
 
         `seed`: one for each timeline, or the first of consecutive ones; a motion depends on its own alone, not on the
-        batch. `guidance` weighs the text (1: as trained, 0: no text); `overlap` in seconds; `steps` of denoising (None:
-        as many as in training). `method`: "stmc" stitches at every step (section 3.3); "sinc" once, after sampling each
+        batch. `guidance` weighs the text (1: as trained, 0: no text; None: the model's own); `overlap` in seconds;
+        `steps` of denoising (None: as many as in training); `sampler` (None: `ddpm` with the model's own spread).
+        `method`: "stmc" stitches at every step (section 3.3); "sinc" once, after sampling each
         crop on its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts
         by "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
         Raises `ValueError` for an unknown method, negative seeds, and seeds that are not one for each timeline.
@@ -123,15 +137,17 @@ class Model:
         timelines = [_baseline(timeline, method, self) for timeline in timelines]
         independent = method in ("sinc", "sinc_lerp")
         plans = self.plans(timelines, 0.0 if independent else overlap)
-        columns, crops = self.representation.columns, self.guided(plans, guidance)
+        columns, window = self.representation.columns, self.denoiser.window
+        crops, sampler = self.guided(plans, guidance), sampler or partial(ddpm, spread=self.spread)
         if independent:
-            features = self._sample(crops, crop_lengths(plans), crop_seeds(plans, seeds), sampler, steps, track)
+            lengths, seeds = crop_lengths(plans, window), crop_seeds(plans, seeds)
+            features = self._sample(crops, lengths, seeds, sampler, steps, track)
             features = sinc(features, plans, columns)
             if method == "sinc_lerp":
                 features = lerp(features, plans, columns, int(overlap * self.fps))
         else:
-            predict = collage(crops, plans, columns)
-            features = self._sample(predict, [each.frames for each in plans], seeds, sampler, steps, track)
+            predict = collage(crops, plans, columns, window)
+            features = self._sample(predict, canvas_lengths(plans, window), seeds, sampler, steps, track)
         return self.decode(features, [each.frames for each in plans])
 
     def _sample(

@@ -23,7 +23,7 @@ from yaml import YAMLError
 
 from stmc.body import JOINTS
 from stmc.body_model import Skeleton
-from stmc.diffusion import Prediction
+from stmc.diffusion import Prediction, Spread
 from stmc.files import write_whole
 from stmc.model import Model, Precision
 from stmc.statistics import Statistics
@@ -73,6 +73,8 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
         fps=config["fps"],
         longest=config["longest"],
         prediction=config["prediction"],
+        guidance=config["guidance"],
+        spread=config["spread"],
         config=config,
         precision=precision,
     )
@@ -112,6 +114,7 @@ def save(model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch
     }
     config = {part: model.config[part] for part in PARTS}
     config |= {"fps": model.fps, "longest": model.longest, "prediction": model.prediction}
+    config |= {"guidance": model.guidance, "spread": model.spread}
     overflown = [name for name, value in weights.items() if not value.isfinite().all()]
     if overflown:
         raise RunError(f"weights that {dtype} cannot hold, or that are not finite: {', '.join(overflown)}")
@@ -131,6 +134,7 @@ def _config(path: Path) -> dict[str, Any]:
     absent = [key for key in (*PARTS, "fps", "longest", "prediction") if key not in config]
     if absent:
         raise RunError(f"{path}: {', '.join(absent)} missing")
+    config = {"guidance": Model.guidance, "spread": Model.spread} | config
     fps, longest, prediction = config["fps"], config["longest"], config["prediction"]
     if not isinstance(fps, (int, float)) or not 0 < fps < float("inf"):
         raise RunError(f"{path}: fps must be a positive number, not {fps!r}")
@@ -138,6 +142,11 @@ def _config(path: Path) -> dict[str, Any]:
         raise RunError(f"{path}: longest must be a positive number of frames, not {longest!r}")
     if prediction not in get_args(Prediction):
         raise RunError(f"{path}: prediction must be one of {', '.join(get_args(Prediction))}, not {prediction!r}")
+    guidance, spread = config["guidance"], config["spread"]
+    if not isinstance(guidance, (int, float)) or not abs(guidance) < float("inf"):
+        raise RunError(f"{path}: guidance must be a number, not {guidance!r}")
+    if spread not in get_args(Spread):
+        raise RunError(f"{path}: spread must be one of {', '.join(get_args(Spread))}, not {spread!r}")
     return config
 
 

@@ -13,6 +13,7 @@ from tiny import Hashes, tiny
 
 import stmc
 from stmc.body import JOINTS, BodyPart
+from stmc.denoisers import Network
 from stmc.diffusion import Noise, ddim, ddpm, dpm_solver
 from stmc.model import Model
 from stmc.motion import Motion
@@ -131,14 +132,17 @@ def test_a_prompt_longer_than_the_model_knows_is_sampled_in_pieces(model):
     crops = []
     long = Timeline.parse("walk # 0 # 12 # legs")
 
-    class Watched(torch.nn.Module):
+    class Watched(Network):
         def __init__(self, network):
             super().__init__()
             self.network = network
 
-        def forward(self, x, *rest):
+        def read(self, *text):
+            return self.network.read(*text)
+
+        def denoise(self, x, *rest):
             crops.append(x.shape[1])
-            return self.network(x, *rest)
+            return self.network.denoise(x, *rest)
 
     watched = dataclasses.replace(model, denoiser=Watched(model.denoiser))
     [motion] = watched.generate(long, steps=2)

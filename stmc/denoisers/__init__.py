@@ -1,6 +1,9 @@
-"""Networks that predict clean motion from noisy motion, a step and a text."""
+"""Networks that predict motion, or its noise, from noisy motion, a step and a text."""
 
+from stmc.denoisers.mdm import MdmDecoder, MdmEncoder
 from stmc.denoisers.mdm_smpl import MdmSmpl
+from stmc.denoisers.motion_diffuse import MotionDiffuse
+from stmc.denoisers.network import Network
 from stmc.denoisers.protocol import Denoiser
 
-__all__ = ["Denoiser", "MdmSmpl"]
+__all__ = ["Denoiser", "MdmDecoder", "MdmEncoder", "MdmSmpl", "MotionDiffuse", "Network"]

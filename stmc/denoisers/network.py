@@ -1,0 +1,52 @@
+"""A denoiser with weights, as a `Model` holds it: what of it depends on the text alone is done once, not at every step.
+
+Knows no layers; see `protocol` for what a denoiser is.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+
+class Network(nn.Module, ABC):
+    """A `Denoiser` in two parts: `read` a text once, then `denoise` with what was read, at every step."""
+
+    window: int | None = None
+    """How many frames it always sees, from a crop's first one on: also those behind the crop's end, where the timeline
+    goes on, or noise. None: a crop's own frames, with a mask where crops of a batch are padded."""
+
+    @property
+    def mixed(self) -> bool:
+        """Whether texts of different numbers of words may share a call: whether padded words leave an answer alone."""
+        return True
+
+    @abstractmethod
+    def read(
+        self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
+    ) -> Float[Tensor, "batch words read"]:
+        """What there is to know of texts at every step: as many words, of the network's own width."""
+
+    @abstractmethod
+    def denoise(
+        self,
+        x: Float[Tensor, "batch frames features"],
+        t: Int[Tensor, " batch"],
+        text: Float[Tensor, "batch words read"],
+        text_mask: Bool[Tensor, "batch words"] | None = None,
+        mask: Bool[Tensor, "batch frames"] | None = None,
+    ) -> Float[Tensor, "batch frames features"]:
+        """The prediction, as `Denoiser` says, for a `text` that was read."""
+
+    def forward(
+        self,
+        x: Float[Tensor, "batch frames features"],
+        t: Int[Tensor, " batch"],
+        text: Float[Tensor, "batch words width"],
+        text_mask: Bool[Tensor, "batch words"] | None = None,
+        mask: Bool[Tensor, "batch frames"] | None = None,
+    ) -> Float[Tensor, "batch frames features"]:
+        """See `Denoiser`."""
+        return self.denoise(x, t, self.read(text, text_mask), text_mask, mask)
