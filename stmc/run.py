@@ -1,4 +1,4 @@
-"""Run directories: a model as files, and back. The only library module that sees Hydra.
+"""Run directories: a model or an evaluator as files, and back. The only library module that sees Hydra.
 
 A run directory holds `config.yaml` (how to build the parts), `weights.safetensors`, `statistics.safetensors` and a
 card, `README.md`. Nothing in it is unpickled, and only this library's own classes are built from it.
@@ -24,6 +24,7 @@ from yaml import YAMLError
 from stmc.body import JOINTS
 from stmc.body_model import Skeleton
 from stmc.diffusion import Prediction, Spread
+from stmc.evaluators import Evaluator
 from stmc.files import write_whole
 from stmc.model import Model, Precision
 from stmc.statistics import Statistics
@@ -37,6 +38,12 @@ PARTS = {
     "representation": "stmc.representation",
 }
 """The parts of a model that a config describes, and the only place that the classes of each may come from."""
+EVALUATOR_PARTS = {
+    "network": "stmc.evaluators",
+    "text_encoder": "stmc.text",
+    "representation": "stmc.representation",
+}
+"""The same of an evaluator."""
 
 
 class RunError(ValueError):
@@ -55,20 +62,14 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
     weights that do not fit, and for a config that asks for anything but this library's classes.
     """
     folder = bundled() if folder is None else Path(folder).expanduser()
-    missing = [name for name in (CONFIG, WEIGHTS, STATISTICS) if not (folder / name).is_file()]
-    if missing:
-        raise RunError(f"{folder} is not a run directory: {', '.join(missing)} missing")
-    config = _config(folder / CONFIG)
-    try:
-        parts = build(config)
-    except RunError as error:
-        raise RunError(f"{folder / CONFIG}: {error}") from error
-    _fill(parts["denoiser"], folder / WEIGHTS)
-    numbers = _numbers(folder / STATISTICS, parts["representation"].width, parts["text_encoder"].width)
+    config, parts = _opened(folder, PARTS, ("fps", "longest", "prediction"))
+    config = {"guidance": Model.guidance, "spread": Model.spread} | config
+    _check_model(config, folder / CONFIG)
+    _fill(parts["denoiser"], folder / WEIGHTS, "denoiser")
+    numbers = _numbers(folder / STATISTICS, _shapes(parts) | {"skeleton": (len(JOINTS), 3)})
     model = Model(
         **parts,
-        motion_statistics=Statistics(numbers["motion_mean"], numbers["motion_std"]),
-        text_statistics=Statistics(numbers["text_mean"], numbers["text_std"]),
+        **_statistics(numbers),
         skeleton=Skeleton(numbers["skeleton"]),
         fps=config["fps"],
         longest=config["longest"],
@@ -81,16 +82,26 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
     return model.to(device)
 
 
-def build(config: Mapping[str, Any]) -> dict[str, Any]:
+def load_evaluator(folder: str | Path, device: torch.device | str = "cpu") -> Evaluator:
+    """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to. Raises as `load` does."""
+    folder = Path(folder).expanduser()
+    config, parts = _opened(folder, EVALUATOR_PARTS, ("fps",))
+    _fill(parts["network"], folder / WEIGHTS, "network")
+    numbers = _numbers(folder / STATISTICS, _shapes(parts))
+    return Evaluator(**parts, **_statistics(numbers), fps=config["fps"], config=config).to(device)
+
+
+def build(config: Mapping[str, Any], homes: Mapping[str, str] = PARTS) -> dict[str, Any]:
     """The parts of a model from their descriptions (`_target_` and arguments), the denoiser with fresh weights.
 
-    Raises `RunError` for a target that is not a class of this library: a run directory may come from anybody.
+    `homes` names the parts, and the package that each may come from. Raises `RunError` for a target that is not a class
+    of this library: a run directory may come from anybody.
     """
-    for part, home in PARTS.items():
+    for part, home in homes.items():
         if not isinstance(config[part], Mapping) or "_target_" not in config[part]:
             raise RunError(f"{part} must say what to build as `_target_`, not {config[part]!r}")
         _check_targets(config[part], part, home)
-    return {part: _made(config[part], part) for part in PARTS}
+    return {part: _made(config[part], part) for part in homes}
 
 
 def save(model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch.float32) -> Path:
@@ -100,21 +111,54 @@ def save(model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch
     and writes nothing, where `model.config` does not say how to build the parts, and for weights that are not finite or
     that `dtype` cannot hold.
     """
-    folder = Path(folder).expanduser()
-    unknown = [part for part in PARTS if part not in model.config]
+    settings = {name: getattr(model, name) for name in ("fps", "longest", "prediction", "guidance", "spread")}
+    numbers = _numbered(model) | {"skeleton": model.skeleton.offsets}
+    return _written(Path(folder), _described(model.config, PARTS) | settings, model.denoiser, numbers, card, dtype)
+
+
+def save_evaluator(evaluator: Evaluator, folder: str | Path, card: str, dtype: torch.dtype = torch.float32) -> Path:
+    """Writes the evaluator as a run directory; returns the folder. Otherwise as `save`."""
+    config = _described(evaluator.config, EVALUATOR_PARTS) | {"fps": evaluator.fps}
+    return _written(Path(folder), config, evaluator.network, _numbered(evaluator), card, dtype)
+
+
+def _described(config: Mapping[str, Any], homes: Mapping[str, str]) -> dict[str, Any]:
+    unknown = [part for part in homes if part not in config]
     if unknown:
         raise RunError(f"model.config does not say how to build {', '.join(unknown)}")
-    weights = {name: value.detach().cpu().to(dtype).contiguous() for name, value in model.denoiser.state_dict().items()}
-    numbers = {
-        "motion_mean": model.motion_statistics.mean,
-        "motion_std": model.motion_statistics.std,
-        "text_mean": model.text_statistics.mean,
-        "text_std": model.text_statistics.std,
-        "skeleton": model.skeleton.offsets,
+    return {part: config[part] for part in homes}
+
+
+def _numbered(record: Model | Evaluator) -> dict[str, torch.Tensor]:
+    return {
+        f"{side}_{moment}": getattr(getattr(record, f"{side}_statistics"), moment)
+        for side in ("motion", "text")
+        for moment in ("mean", "std")
     }
-    config = {part: model.config[part] for part in PARTS}
-    config |= {"fps": model.fps, "longest": model.longest, "prediction": model.prediction}
-    config |= {"guidance": model.guidance, "spread": model.spread}
+
+
+def _statistics(numbers: Mapping[str, torch.Tensor]) -> dict[str, Statistics]:
+    return {
+        f"{side}_statistics": Statistics(numbers[f"{side}_mean"], numbers[f"{side}_std"]) for side in ("motion", "text")
+    }
+
+
+def _shapes(parts: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Of the statistics that fit the parts."""
+    widths = {"motion": parts["representation"].width, "text": parts["text_encoder"].width}
+    return {f"{side}_{moment}": (width,) for side, width in widths.items() for moment in ("mean", "std")}
+
+
+def _written(
+    folder: Path,
+    config: dict[str, Any],
+    network: torch.nn.Module,
+    numbers: Mapping[str, torch.Tensor],
+    card: str,
+    dtype: torch.dtype,
+) -> Path:
+    folder = folder.expanduser()
+    weights = {name: value.detach().cpu().to(dtype).contiguous() for name, value in network.state_dict().items()}
     overflown = [name for name, value in weights.items() if not value.isfinite().all()]
     if overflown:
         raise RunError(f"weights that {dtype} cannot hold, or that are not finite: {', '.join(overflown)}")
@@ -126,18 +170,34 @@ def save(model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch
     return folder
 
 
-def _config(path: Path) -> dict[str, Any]:
+def _opened(folder: Path, homes: Mapping[str, str], settings: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The config of a run directory, with these `settings` in it, and its parts, not yet with their weights."""
+    missing = [name for name in (CONFIG, WEIGHTS, STATISTICS) if not (folder / name).is_file()]
+    if missing:
+        raise RunError(f"{folder} is not a run directory: {', '.join(missing)} missing")
+    config = _config(folder / CONFIG, (*homes, *settings))
+    try:
+        return config, build(config, homes)
+    except RunError as error:
+        raise RunError(f"{folder / CONFIG}: {error}") from error
+
+
+def _config(path: Path, needed: tuple[str, ...]) -> dict[str, Any]:
     try:
         config = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
     except (OmegaConfBaseException, YAMLError, OSError, UnicodeDecodeError) as error:
         raise RunError(f"{path} cannot be read: {error}") from error
-    absent = [key for key in (*PARTS, "fps", "longest", "prediction") if key not in config]
+    absent = [key for key in needed if key not in config]
     if absent:
         raise RunError(f"{path}: {', '.join(absent)} missing")
-    config = {"guidance": Model.guidance, "spread": Model.spread} | config
-    fps, longest, prediction = config["fps"], config["longest"], config["prediction"]
+    fps = config["fps"]
     if not isinstance(fps, (int, float)) or not 0 < fps < float("inf"):
         raise RunError(f"{path}: fps must be a positive number, not {fps!r}")
+    return config
+
+
+def _check_model(config: Mapping[str, Any], path: Path) -> None:
+    longest, prediction = config["longest"], config["prediction"]
     if not isinstance(longest, int) or longest < 1:
         raise RunError(f"{path}: longest must be a positive number of frames, not {longest!r}")
     if prediction not in get_args(Prediction):
@@ -147,7 +207,6 @@ def _config(path: Path) -> dict[str, Any]:
         raise RunError(f"{path}: guidance must be a number, not {guidance!r}")
     if spread not in get_args(Spread):
         raise RunError(f"{path}: spread must be one of {', '.join(get_args(Spread))}, not {spread!r}")
-    return config
 
 
 def _check_targets(node: Any, place: str, home: str) -> None:
@@ -189,11 +248,10 @@ def _tensors(path: Path) -> dict[str, torch.Tensor]:
         raise RunError(f"{path} cannot be read: {error}") from error
 
 
-def _numbers(path: Path, features: int, words: int) -> dict[str, torch.Tensor]:
-    """Statistics and skeleton, with the shapes that the other parts need."""
+def _numbers(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
+    """Statistics and whatever else is needed, with the shapes that the other parts need."""
     numbers = {name: value.clone() for name, value in _tensors(path).items()}  # not mapped: the file may be replaced
-    shapes = {"motion_mean": (features,), "motion_std": (features,), "text_mean": (words,), "text_std": (words,)}
-    for name, shape in (shapes | {"skeleton": (len(JOINTS), 3)}).items():
+    for name, shape in shapes.items():
         if name not in numbers:
             raise RunError(f"{path}: {name} missing")
         if numbers[name].shape != shape or not numbers[name].isfinite().all():
@@ -203,13 +261,13 @@ def _numbers(path: Path, features: int, words: int) -> dict[str, torch.Tensor]:
     return numbers
 
 
-def _fill(denoiser: torch.nn.Module, path: Path) -> None:
+def _fill(network: torch.nn.Module, path: Path, part: str) -> None:
     weights = {name: value.float() for name, value in _tensors(path).items()}
     broken = [name for name, value in weights.items() if not value.isfinite().all()]
     if broken:
         raise RunError(f"{path} holds weights that are not finite: {', '.join(broken)}")
     try:
-        denoiser.load_state_dict(weights)
+        network.load_state_dict(weights)
     except RuntimeError as error:
-        raise RunError(f"{path} does not fit the denoiser of {CONFIG}: {error}") from error
-    denoiser.eval().requires_grad_(False)
+        raise RunError(f"{path} does not fit the {part} of {CONFIG}: {error}") from error
+    network.eval().requires_grad_(False)

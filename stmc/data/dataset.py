@@ -276,12 +276,15 @@ class ClipBatches:
         return weight / weight.sum()
 
     def __call__(self, step: int, process: int = 0) -> list[Batch]:
+        return [self.corpus.batch(piece) for piece in self.draws(step, process)]
+
+    def draws(self, step: int, process: int = 0) -> list[Draws]:
+        """What the pieces of a step's batch are made of."""
         sampling = self.sampling
         number, place = divmod(step, sampling.pool)
         if self._pool is None or self._pool[0] != (number, process):
             self._pool = (number, process), self._draw_pool(number, process)
-        pieces = self._pool[1][place * sampling.pieces : (place + 1) * sampling.pieces]
-        return [self.corpus.batch(piece) for piece in pieces]
+        return self._pool[1][place * sampling.pieces : (place + 1) * sampling.pieces]
 
     def _draw_pool(self, number: int, process: int) -> list[Draws]:
         sampling = self.sampling

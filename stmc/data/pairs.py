@@ -5,10 +5,58 @@ Knows draws of a corpus and the sentences of its clips; knows no network and no 
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
+
+from stmc.data.dataset import ClipBatches, Draws
+from stmc.text import TextEncoder
+from stmc.training import Pairs
+
+
+class PairBatches:
+    """`batches(step, process)`: those of a `ClipBatches`, every row with a text, and what else each text is true of.
+
+    A text is true of all clips that have it among their sentences; of a composition's motion, what is true of either
+    clip. With an encoder of whole `sentences`, texts that it finds `similar` by more than `threshold` are taken to be
+    true of each other's motions, too: the filter of TMR, for data where one clip's sentences are not another's.
+
+    Raises `ValueError` for sampling that leaves rows without a text.
+    """
+
+    def __init__(
+        self, batches: ClipBatches, sentences: TextEncoder | None = None, threshold: float | int = 0.8
+    ) -> None:
+        sampling, corpus = batches.sampling, batches.corpus
+        if sampling.crops or sampling.silent:
+            raise ValueError(f"pairs need texts: crops ({sampling.crops}) and silent ({sampling.silent}) must be 0")
+        self.batches, self.threshold = batches, threshold
+        keys = {key: column for column, key in enumerate(corpus.choices)}
+        self._true = np.zeros((len(corpus.sentences), len(keys) + 1), dtype=bool)  # the last column: of no sentence
+        for key, (places, _) in corpus.choices.items():
+            self._true[places, keys[key]] = True
+        self._key = np.array([keys.get(clip.texts, len(keys)) for clip in corpus.clips])
+        self._embedded = None if sentences is None else sentences.encode(corpus.sentences)[0][:, 0].float()
+
+    def __call__(self, step: int, process: int = 0) -> list[Pairs]:
+        corpus = self.batches.corpus
+        pieces = []
+        for draws in self.batches.draws(step, process):
+            batch = corpus.batch(draws)
+            alike = self.alike(draws).to(batch.motion.device)
+            pieces.append(Pairs(batch.motion, batch.mask, batch.text, batch.text_mask, batch.frames, alike))
+        return pieces
+
+    def alike(self, draws: Draws) -> Bool[Tensor, "batch batch"]:
+        """Which row's text is true of which row's motion: see `Pairs`."""
+        of_body = self._true[draws.sentence][:, self._key[draws.body.clip]]
+        of_guest = self._true[draws.sentence][:, self._key[draws.guest.clip]] & (draws.guest.frames > 0)
+        alike = torch.from_numpy(of_body | of_guest)
+        if self._embedded is None:
+            return alike
+        return alike | similar(self._embedded[torch.from_numpy(draws.sentence)], self.threshold)
 
 
 def similar(sentences: Float[Tensor, "batch width"], threshold: float | int = 0.8) -> Bool[Tensor, "batch batch"]:

@@ -6,8 +6,6 @@ and `nn.TransformerDecoderLayer`. Knows nothing of motion or texts.
 
 from __future__ import annotations
 
-import math
-
 import torch
 import torch.nn.functional as F
 from einops import rearrange
@@ -132,10 +130,3 @@ def heads_of(mask: Bool[Tensor, "batch words"] | None) -> Attended:
     if mask is None or (mask.device.type == "cpu" and bool(mask.all())):
         return None
     return rearrange(mask, "batch words -> batch 1 1 words")
-
-
-def sinusoids(rows: int, width: int) -> Float[Tensor, "_ width"]:
-    """Positional table: sines in the even columns, cosines in the odd ones, wavelengths 2 pi to 20,000 pi."""
-    frequency = torch.exp(torch.arange(0, width, 2).float() * (-math.log(10000.0) / width))
-    angle = torch.arange(rows).float()[:, None] * frequency
-    return rearrange([angle.sin(), angle.cos()], "two rows half -> rows (half two)")

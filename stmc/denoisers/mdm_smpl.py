@@ -11,8 +11,9 @@ from einops import repeat
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from stmc.denoisers.layers import POSITIONS, PreNormLayer, Stack, heads_of, sinusoids
+from stmc.denoisers.layers import POSITIONS, PreNormLayer, Stack, heads_of
 from stmc.denoisers.network import Network
+from stmc.tensors import sinusoids
 
 
 class MdmSmpl(Network):

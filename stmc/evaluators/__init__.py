@@ -1,7 +1,8 @@
 """Judges of motion: networks that place motions and texts in one space, for retrieval and for realism."""
 
+from stmc.evaluators.evaluator import Evaluator
 from stmc.evaluators.guo import GuoEvaluator
 from stmc.evaluators.objective import TmrObjective
 from stmc.evaluators.tmr import Posterior, Tmr
 
-__all__ = ["GuoEvaluator", "Posterior", "Tmr", "TmrObjective"]
+__all__ = ["Evaluator", "GuoEvaluator", "Posterior", "Tmr", "TmrObjective"]

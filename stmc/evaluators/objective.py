@@ -41,18 +41,12 @@ class TmrObjective:
 
     def __call__(self, network: Tmr, pairs: Pairs, generator: torch.Generator) -> Float[Tensor, " terms"]:
         """Each term's mean, times the number of frames."""
-        motion = _whole(network.motion_encoder(pairs.motion, pairs.mask))
-        text = _whole(network.text_encoder(pairs.text, pairs.text_mask))
-        points = [posterior.draw(generator) for posterior in (motion, text)]
-        exists = pairs.mask
-        if exists is None:
-            exists = torch.ones_like(pairs.motion[..., 0], dtype=torch.bool)
-        rebuilt = [network.motion_decoder(point, exists).float() for point in points]
+        met = network(pairs.text, pairs.text_mask, pairs.motion, pairs.mask, generator)
         terms = [
-            sum(F.smooth_l1_loss(motions, pairs.motion) for motions in rebuilt),
-            kl_terms(text, motion).sum(),
-            F.smooth_l1_loss(points[1], points[0]),
-            contrast(text.mean, motion.mean, pairs.alike, self.temperature),
+            sum(F.smooth_l1_loss(motion, pairs.motion) for motion in met.rebuilt),
+            kl_terms(met.text, met.motion).sum(),
+            F.smooth_l1_loss(*met.points),
+            contrast(met.text.mean, met.motion.mean, pairs.alike, self.temperature),
         ]
         return torch.stack(terms) * pairs.frames
 
@@ -65,12 +59,7 @@ class TmrObjective:
         return dict(zip(self.names, [float(self.weigh(means)), *means.tolist()], strict=True))
 
 
-def _whole(posterior: Posterior) -> Posterior:
-    """In full precision: variances are exponentials."""
-    return Posterior(*(None if value is None else value.float() for value in posterior))
-
-
-def kl_terms(text: Posterior, motion: Posterior) -> Float[Tensor, "4"]:
+def kl_terms(text: Posterior, motion: Posterior) -> Float[Tensor, " 4"]:
     """Divergence of text from motion, motion from text, and of both from the standard normal; zeros where the encoders
     are not variational."""
     if text.log_variance is None or motion.log_variance is None:
@@ -104,4 +93,3 @@ def contrast(
         others = ~torch.eye(len(texts), dtype=torch.bool, device=texts.device)
         logits = logits.masked_fill(alike & others, -torch.inf)
     return (F.cross_entropy(logits, own) + F.cross_entropy(logits.T, own)) / 2
-

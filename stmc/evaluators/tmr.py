@@ -26,6 +26,10 @@ class Posterior(NamedTuple):
     mean: Float[Tensor, "batch width"]
     log_variance: Float[Tensor, "batch width"] | None
 
+    def whole(self) -> Posterior:
+        """In full precision: variances are exponentials."""
+        return Posterior(*(None if value is None else value.float() for value in self))
+
     def draw(self, generator: torch.Generator | None = None) -> Float[Tensor, "batch width"]:
         """A point of each distribution; the mean itself where there is no variance."""
         if self.log_variance is None:
@@ -99,6 +103,15 @@ class SequenceDecoder(nn.Module):
         return self.final_layer(decoded) * mask[..., None]
 
 
+class Meeting(NamedTuple):
+    """What a pair's two sides become: their posteriors, a point of each, and the motion that each point decodes to."""
+
+    text: Posterior
+    motion: Posterior
+    points: tuple[Float[Tensor, "batch width"], Float[Tensor, "batch width"]]
+    rebuilt: tuple[Float[Tensor, "batch frames features"], Float[Tensor, "batch frames features"]]
+
+
 class Tmr(nn.Module):
     """Motions of `features` numbers a frame and texts of `text_width` numbers a word, in one space of `width` numbers,
     and motions out of that space again. A row's latent is its posterior's mean; cosines compare latents."""
@@ -119,6 +132,21 @@ class Tmr(nn.Module):
         self.motion_encoder = SequenceEncoder(features, *sizes, variational)
         self.text_encoder = SequenceEncoder(text_width, *sizes, variational)
         self.motion_decoder = SequenceDecoder(features, *sizes)
+
+    def forward(
+        self,
+        text: Float[Tensor, "batch words width"],
+        text_mask: Bool[Tensor, "batch words"] | None,
+        motion: Float[Tensor, "batch frames features"],
+        mask: Bool[Tensor, "batch frames"] | None,
+        generator: torch.Generator | None = None,
+    ) -> Meeting:
+        """Everything that training looks at, text first; points are drawn from the posteriors."""
+        posteriors = self.text_encoder(text, text_mask).whole(), self.motion_encoder(motion, mask).whole()
+        points = tuple(posterior.draw(generator) for posterior in posteriors)
+        exists = torch.ones_like(motion[..., 0], dtype=torch.bool) if mask is None else mask
+        rebuilt = tuple(self.motion_decoder(point, exists).float() for point in points)
+        return Meeting(*posteriors, points, rebuilt)
 
 
 def _first(positions: Tensor, tokens: int) -> Float[Tensor, "_ width"]:

@@ -1,0 +1,80 @@
+"""A trained TMR as one record, and the way from texts and motions to latents through it.
+
+Knows how raw features and texts become what the networks see; knows no metric (see `metrics`) and no files (see `run`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.evaluators.tmr import SequenceEncoder, Tmr
+from stmc.motion import Motion
+from stmc.representation import Representation
+from stmc.statistics import Statistics
+from stmc.tensors import mask, pad
+from stmc.text import TextEncoder
+
+BATCH = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluator:
+    """Everything that judges motions by texts, and each other. `fps` is the frame rate of the features; `config` says
+    how to build the parts again (see `run.save_evaluator`)."""
+
+    network: Tmr
+    text_encoder: TextEncoder
+    representation: Representation
+    motion_statistics: Statistics
+    text_statistics: Statistics
+    fps: float | int
+    config: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the networks are."""
+        return next(self.network.parameters()).device
+
+    def to(self, device: torch.device | str) -> Evaluator:
+        """The evaluator on another device. The networks are moved, not copied."""
+        return dataclasses.replace(self, network=self.network.to(device))
+
+    def features(self, motion: Motion) -> Float[Tensor, "_ features"]:
+        """What `motions` wants to know of a motion of any frame rate: raw features at `fps`."""
+        motion = motion if motion.fps == self.fps else motion.resampled(self.fps)
+        return self.representation.encode(motion).float()
+
+    def motions(self, features: Sequence[Float[Tensor, "_ features"]]) -> Float[Tensor, "batch width"]:
+        """The latents of raw feature sequences of any lengths, on the CPU; a latent does not depend on the others.
+
+        Raises `ValueError` for none at all, and for an empty one.
+        """
+        return self._latents(self.network.motion_encoder, [self.motion_statistics.normalise(row) for row in features])
+
+    def texts(self, texts: Sequence[str]) -> Float[Tensor, "batch width"]:
+        """The latents of texts, on the CPU."""
+        words, lengths = self.text_encoder.encode(texts)
+        normal = self.text_statistics.normalise(words.float().cpu())
+        rows = [row[:length] for row, length in zip(normal, lengths.tolist(), strict=True)]
+        return self._latents(self.network.text_encoder, rows)
+
+    @torch.inference_mode()
+    def _latents(self, encoder: SequenceEncoder, rows: Sequence[Tensor]) -> Float[Tensor, "batch width"]:
+        lengths = [len(row) for row in rows]
+        if not rows or min(lengths) < 1:
+            raise ValueError(f"nothing to encode: {len(rows)} sequences, the shortest of {min(lengths, default=0)}")
+        encoder.eval()
+        order = sorted(range(len(rows)), key=lambda index: lengths[index])
+        latents: dict[int, Tensor] = {}
+        for start in range(0, len(order), BATCH):
+            chosen = order[start : start + BATCH]
+            batch, counts = pad([rows[index].to(self.device) for index in chosen])
+            latents |= dict(zip(chosen, encoder(batch, mask(counts)).mean.float().cpu(), strict=True))
+        return torch.stack([latents[index] for index in range(len(rows))])
