@@ -6,7 +6,6 @@ from pathlib import Path
 
 import hydra
 import numpy as np
-import torch
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import Progress
@@ -21,8 +20,7 @@ from stmc.viewing import pictures
 
 @hydra.main(config_path="../configs", config_name="abilities", version_base="1.3")
 def main(config: DictConfig) -> None:
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
-    model, folder = stmc.load(config.model, device=device, precision=config.precision), Path(config.output)
+    model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
     folder.mkdir(parents=True, exist_ok=True)
     results = {}
     with Progress() as progress:

@@ -5,7 +5,6 @@ from pathlib import Path
 from statistics import median
 
 import hydra
-import torch
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
@@ -17,8 +16,7 @@ from stmc.compose import padding_fraction
 
 @hydra.main(config_path="../configs", config_name="benchmark", version_base="1.3")
 def main(config: DictConfig) -> None:
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
-    model = stmc.load(config.model, device=device)
+    model = stmc.load(config.model, device=config.device)
     timelines = stmc.Timeline.read_all(Path(config.timelines).expanduser())
     chosen = timelines[: config.batch]
     rows = []
@@ -31,7 +29,7 @@ def main(config: DictConfig) -> None:
         rows.append((alone / batch, batch / sinc))
     difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
     plans = model.plans(timelines)
-    table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {device}")
+    table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {model.device}")
     table.add_row("time per timeline, alone / in the batch", f"{median(row[0] for row in rows):.2f}")
     table.add_row("time of STMC / SINC", f"{median(row[1] for row in rows):.2f}")
     table.add_row("largest difference of a joint, batch against alone", f"{difference:.1e} m")

@@ -47,8 +47,7 @@ def main(config: DictConfig) -> None:
         if not jobs:
             console.print(f"every motion is in {config.output} already")
             return
-        device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
-        model = stmc.load(config.model, device=device, precision=config.precision)
+        model = stmc.load(config.model, device=config.device, precision=config.precision)
         model.plans([timeline for _, timeline, _ in jobs], config.overlap)  # what cannot be planned fails now
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error

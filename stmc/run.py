@@ -58,13 +58,17 @@ def bundled() -> Path:
 def load(folder: str | Path | None = None, device: torch.device | str = "cpu", precision: Precision = "fp32") -> Model:
     """The model of a run directory, wherever it was moved to; without `folder`, the bundled one.
 
-    `precision` is the denoiser's at sampling (see `Model`). Raises `RunError` for a missing or damaged file, for
-    weights that do not fit, and for a config that asks for anything but this library's classes.
+    `device`: "auto" is the GPU if there is one. `precision` is the denoiser's at sampling (see `Model`). Raises
+    `RunError` for a missing or damaged file, for weights that do not fit, for parts that do not fit each other, and for
+    a config that asks for anything but this library's classes.
     """
     folder = bundled() if folder is None else Path(folder).expanduser()
     config, parts = _opened(folder, PARTS, ("fps", "longest", "prediction"))
     config = {"guidance": Model.guidance, "spread": Model.spread} | config
     _check_model(config, folder / CONFIG)
+    features, width = config["denoiser"].get("features"), parts["representation"].width
+    if features != width:
+        raise RunError(f"{folder / CONFIG}: the denoiser has {features} features, the representation {width}")
     _fill(parts["denoiser"], folder / WEIGHTS, "denoiser")
     numbers = _numbers(folder / STATISTICS, _shapes(parts) | {"skeleton": (len(JOINTS), 3)})
     model = Model(
@@ -79,7 +83,7 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
         config=config,
         precision=precision,
     )
-    return model.to(device)
+    return model.to(_found(device))
 
 
 def load_evaluator(folder: str | Path, device: torch.device | str = "cpu") -> Evaluator:
@@ -88,7 +92,13 @@ def load_evaluator(folder: str | Path, device: torch.device | str = "cpu") -> Ev
     config, parts = _opened(folder, EVALUATOR_PARTS, ("fps",))
     _fill(parts["network"], folder / WEIGHTS, "network")
     numbers = _numbers(folder / STATISTICS, _shapes(parts))
-    return Evaluator(**parts, **_statistics(numbers), fps=config["fps"], config=config).to(device)
+    return Evaluator(**parts, **_statistics(numbers), fps=config["fps"], config=config).to(_found(device))
+
+
+def _found(device: torch.device | str) -> torch.device | str:
+    if device != "auto":
+        return device
+    return "cuda" if torch.cuda.is_available() else "cpu"
 
 
 def build(config: Mapping[str, Any], homes: Mapping[str, str] = PARTS) -> dict[str, Any]:

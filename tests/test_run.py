@@ -89,6 +89,14 @@ def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, 
     assert {tensor.dtype for tensor in load_file(half / STATISTICS).values()} == {torch.float32}
 
 
+def test_auto_is_the_gpu_where_there_is_one(run, monkeypatch):
+    assert stmc.load(run, device="auto").device.type == ("cuda" if torch.cuda.is_available() else "cpu")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(Model, "to", lambda self, device: device)
+    assert stmc.load(run, device="auto") == "cuda"
+    assert stmc.load(run) == "cpu"
+
+
 def test_a_loaded_model_is_ready_to_sample_and_has_no_gradients(run):
     back = stmc.load(run)
     assert not back.denoiser.training
@@ -186,6 +194,7 @@ def test_a_config_that_is_none_is_named(run, text):
         ({"denoiser": PARTS["denoiser"] | {"depth": 3}}, "denoiser cannot be built: .*depth"),
         ({"denoiser": PARTS["denoiser"] | {"heads": 5}}, r"denoiser cannot be built: .*multiple of heads \(5\)"),
         ({"schedule": PARTS["schedule"] | {"steps": 0}}, "schedule cannot be built"),
+        ({"denoiser": PARTS["denoiser"] | {"features": 263}}, "denoiser has 263 features, the representation 205"),
         ({"denoiser": PARTS["denoiser"] | {"width": 32}}, f"{WEIGHTS} does not fit the denoiser of {CONFIG}:.*size"),
         ({"denoiser": PARTS["denoiser"] | {"layers": 2}}, f"{WEIGHTS} does not fit .*{CONFIG}.*layers.1"),
         ({"text_encoder": {"_target_": "stmc.text.Clip"}}, rf"{STATISTICS}: text_mean must be \(512,\) .*not \(384,\)"),
