@@ -90,7 +90,7 @@ def diversity(motions: list[Motion]) -> float:
     Joints are relative to the pelvis of the same frame and turned to heading zero; motions are compared up to the end
     of the shorter. How different samples of one timeline are.
     """
-    local = [_local(motion) for motion in motions]
+    local = [local_joints(motion) for motion in motions]
     distances = [
         (first[: len(second)] - second[: len(first)]).norm(dim=-1).mean()
         for position, first in enumerate(local)
@@ -101,7 +101,8 @@ def diversity(motions: list[Motion]) -> float:
     return float(torch.stack(distances).mean())
 
 
-def _local(motion: Motion) -> Float[Tensor, "frames joints 3"]:
+def local_joints(motion: Motion) -> Float[Tensor, "frames joints 3"]:
+    """Positions relative to the pelvis, turned to heading zero in every frame: the pose alone, z up."""
     forward, up = motion.facing, torch.tensor([0.0, 0.0, 1.0], dtype=motion.joints.dtype)
     frame = torch.stack([forward, torch.linalg.cross(up.expand_as(forward), forward), up.expand_as(forward)], dim=-1)
     return (motion.joints - motion.joints[:, :1]) @ frame
