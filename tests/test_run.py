@@ -91,10 +91,12 @@ def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, 
 
 def test_auto_is_the_gpu_where_there_is_one(run, monkeypatch):
     assert stmc.load(run, device="auto").device.type == ("cuda" if torch.cuda.is_available() else "cpu")
+    asked = []
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(Model, "to", lambda self, device: device)
-    assert stmc.load(run, device="auto") == "cuda"
-    assert stmc.load(run) == "cpu"
+    monkeypatch.setattr(Model, "to", lambda self, device: asked.append(device) or self)
+    for device in ("auto", "cpu"):
+        stmc.load(run, device=device)
+    assert asked == ["cuda", "cpu"]
 
 
 def test_a_loaded_model_is_ready_to_sample_and_has_no_gradients(run):
