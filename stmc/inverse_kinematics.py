@@ -21,7 +21,7 @@ from stmc.body_model import Skeleton
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, shortest_arc
 from stmc.motion import Motion
 
-_FOOT, _STRAIGHT = 0.1, 0.02
+_FOOT, _STRAIGHT = 0.03, 0.005
 """What a foot's direction, and having no twist, count against a limb that is bent by a right angle, which counts 1."""
 _STIFFNESS = 1.0
 """What the same twist as in the frame before counts."""
@@ -34,7 +34,7 @@ def motion_of_joints(
 
     Joints stay where they are, and missing hands go on from the forearms; with a `skeleton` they are posed, so that
     bones have its lengths: the pelvis' path is scaled about the floor (the lowest joint), by how high the two bodies'
-    pelvises stand. Raises `ValueError` for another number of joints, no frames, and where a bone has no length.
+    pelvises stand. Raises `ValueError` for another number of joints, and for no frames.
     """
     body = Skeleton.default() if skeleton is None else skeleton
     rotations = joints_to_rotations(joints, body)
@@ -43,7 +43,8 @@ def motion_of_joints(
         return Motion(rotations, joints[:, 0], joints, fps)
     own = Skeleton.measured(rotations, joints, skeleton.offsets[0])
     floor = torch.stack([joints.new_zeros(()), joints.new_zeros(()), joints[..., 2].min()])
-    return Motion.posed(rotations, floor + (joints[:, 0] - floor) * (_leg(skeleton) / _leg(own)), fps, skeleton)
+    scale = _leg(skeleton) / (_leg(own) or _leg(skeleton))
+    return Motion.posed(rotations, floor + (joints[:, 0] - floor) * scale, fps, skeleton)
 
 
 def joints_to_rotations(joints: Float[Tensor, "frames joints 3"], skeleton: Skeleton) -> Float[Tensor, "frames 22 3 3"]:
@@ -53,9 +54,9 @@ def joints_to_rotations(joints: Float[Tensor, "frames joints 3"], skeleton: Skel
     carry: these two turn so that all three fit best. Twists, which positions do not show, follow from what else the
     body shows: the spine's from pelvis and chest, upper arms' and thighs' from where elbows and knees point, thighs'
     also from the feet; while a limb is straight, from the frames before and after. The other bones turn the shortest
-    way; wrists only where there are hands.
+    way; wrists only where there are hands. A bone without length turns with the one before.
 
-    Raises `ValueError` for another number of joints, no frames, and where a bone has no length.
+    Raises `ValueError` for another number of joints, and for no frames.
     """
     if joints.shape[1] not in (ROTATED, len(JOINTS)) or not len(joints):
         raise ValueError(f"joints must be frames of {ROTATED} or {len(JOINTS)} positions, not {tuple(joints.shape)}")
@@ -173,11 +174,7 @@ def _rotated(world: Tensor, vector: Tensor) -> Tensor:
 def _directions(joints: Float[Tensor, "frames joints 3"]) -> dict[str, Float[Tensor, "frames 3"]]:
     names = JOINTS[: joints.shape[1]]
     bones = joints[:, 1:] - joints[:, list(PARENTS[1 : len(names)])]
-    lengths = bones.norm(dim=-1, keepdim=True)
-    if (empty := lengths[..., 0] == 0).any():
-        frame, bone = (int(index) for index in empty.nonzero()[0])
-        raise ValueError(f"frame {frame}: {names[bone + 1]} lies on {names[PARENTS[bone + 1]]}; bones need a length")
-    return dict(zip(names[1:], (bones / lengths).unbind(dim=1), strict=True))
+    return dict(zip(names[1:], normalize(bones, dim=-1).unbind(dim=1), strict=True))
 
 
 def _with_hands(joints: Tensor, rotations: Tensor, skeleton: Skeleton) -> Float[Tensor, "frames 24 3"]:

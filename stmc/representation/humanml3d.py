@@ -44,7 +44,7 @@ class HumanML3DRepresentation:
     The motion is retargeted to one skeleton, put on the floor and turned so that it starts facing ahead. Then, per
     frame, in metres and *per frame* (not per second), y up, in the smoothed heading frame:
 
-    - `yaw_velocity`: *half* the turn of the heading to the next frame, in radians;
+    - `yaw_velocity`: *half* the turn of the heading to the next frame, in radians, to the right positive;
     - `root_velocity`: step of the pelvis to the next frame along x and z, in the next frame's heading frame;
     - `root_height`: of the pelvis above the lowest joint of the whole motion;
     - `positions`: of joints 1 to 21, relative to the point of the floor under the pelvis;
@@ -82,7 +82,8 @@ class HumanML3DRepresentation:
         """The motion that starts above the origin with `heading` radians; as many frames as rows.
 
         Joints are the features' own positions, and rotations follow from them (`motion_of_joints`); with a `skeleton`
-        they are posed again, so that bones keep their length. Raises `ValueError` for another width than 263.
+        they are posed again, so that bones keep its lengths. The heading is that of hips and shoulders together, the
+        pelvis alone may look a little aside. Raises `ValueError` for another width than 263, and for no rows.
         """
         turned = _turned(features_to_joints(features), torch.as_tensor(float(heading)).to(features)[None])
         return motion_of_joints(z_up(turned), fps, skeleton)
