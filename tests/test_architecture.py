@@ -24,6 +24,7 @@ TIERS = [
     {"compose"},
     {"model"},
     {"run"},
+    {"published"},
 ]
 """A module or package imports those of lower tiers only, or of its own package."""
 

@@ -1,0 +1,146 @@
+"""What the published formats share: tensors in PyTorch's files, settings beside them, and weights that have to fit.
+
+Knows no network and no format in particular. Nothing is run that a file holds.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from stmc.arrays import ArraysError, read_npy
+from stmc.model import Model
+from stmc.run import RunError, build
+from stmc.statistics import Statistics
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that cannot be meant or does not fit; the message names the file, what is wrong, what is right."""
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """A published model and what its card should say: a title, and sentences on its source and on what was chosen."""
+
+    model: Model
+    title: str
+    facts: tuple[str, ...]
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """The content of a file that `torch.save` wrote, on the CPU. Raises `CheckpointError` where it is damaged, no dict,
+    or holds more than tensors and plain values, which could run code."""
+    if not path.is_file():
+        raise CheckpointError(f"{path} does not exist")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        reason = str(error).split("\n")[0]
+        raise CheckpointError(
+            f"{path} is damaged, or holds more than tensors, which could run code on this machine, and is not loaded: "
+            f"{reason}"
+        ) from error
+    except (RuntimeError, OSError, EOFError, ValueError, KeyError, AttributeError, zipfile.BadZipFile) as error:
+        raise CheckpointError(f"{path} cannot be read as a checkpoint of PyTorch: {error}") from error
+    if not isinstance(content, dict):
+        raise CheckpointError(f"{path} holds a {type(content).__name__}, not a dict of weights")
+    return content
+
+
+def state_dict(content: Any, place: str) -> dict[str, Tensor]:
+    """The tensors of a dict by name, without gradients. Raises `CheckpointError` for anything else."""
+    if not isinstance(content, Mapping) or not content:
+        raise CheckpointError(f"{place} must be a dict of tensors, not {type(content).__name__} {_short(content)}")
+    strange = [str(name) for name, value in content.items() if not isinstance(name, str) or not torch.is_tensor(value)]
+    if strange:
+        raise CheckpointError(f"{place} must hold tensors only, but {', '.join(strange[:5])} are none")
+    return {name: value.detach() for name, value in content.items()}
+
+
+def fill(network: nn.Module, weights: Mapping[str, Tensor], place: str) -> None:
+    """Loads `weights` into the network, as float32. Raises `CheckpointError` that lists every weight that is missing,
+    is not known, has another shape, or is not finite."""
+    expected = network.state_dict()
+    wrong = {
+        "missing": [name for name in expected if name not in weights],
+        "not known": [name for name in weights if name not in expected],
+        "of another shape": [
+            f"{name} {list(weights[name].shape)} instead of {list(value.shape)}"
+            for name, value in expected.items()
+            if name in weights and weights[name].shape != value.shape
+        ],
+        "not finite": [name for name, value in weights.items() if name in expected and not value.isfinite().all()],
+    }
+    if any(wrong.values()):
+        listed = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in wrong.items() if names)
+        raise CheckpointError(f"{place} does not fit {type(network).__name__}. {listed}")
+    network.load_state_dict({name: value.float() for name, value in weights.items()})
+    network.eval().requires_grad_(False)
+
+
+def built(config: Mapping[str, Any], place: str) -> dict[str, Any]:
+    """The parts of a model, as `run.build` makes them. Raises `CheckpointError` where they cannot be made."""
+    try:
+        return build(config)
+    except RunError as error:
+        raise CheckpointError(f"{place}: {error}") from error
+
+
+def size_of(weights: Mapping[str, Tensor], name: str, dimension: int, place: str) -> int:
+    """One dimension of a weight. Raises `CheckpointError` where there is no such weight."""
+    if name not in weights or weights[name].ndim <= dimension:
+        raise CheckpointError(f"{place} has no weight {name}: it is a checkpoint of another model")
+    return weights[name].shape[dimension]
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The settings of a `.json` file. Raises `CheckpointError` where they are none."""
+    try:
+        settings = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"{path} cannot be read: {error}") from error
+    if not isinstance(settings, dict):
+        raise CheckpointError(f"{path} must hold settings by name, not {_short(settings)}")
+    return settings
+
+
+def read_statistics(mean: Path, std: Path, width: int) -> Statistics:
+    """Mean and standard deviation of `width` features in two `.npy` files. Raises `CheckpointError` for any others."""
+    values = []
+    for path in (mean, std):
+        if not path.is_file():
+            raise CheckpointError(f"{path} does not exist: the weights are of no use without their mean and std")
+        try:
+            array = read_npy(path)
+        except ArraysError as error:
+            raise CheckpointError(str(error)) from error
+        if array.shape != (width,) or array.dtype.kind != "f":
+            raise CheckpointError(f"{path} must hold {width} numbers, not {array.dtype} {list(array.shape)}")
+        values.append(torch.from_numpy(array).float())
+    try:
+        return Statistics(*values)
+    except ValueError as error:
+        raise CheckpointError(f"{mean} and {std}: statistics must be finite, with std above 0") from error
+
+
+def identity(width: int) -> Statistics:
+    """Statistics that change nothing: of texts that a network reads as they come."""
+    return Statistics(torch.zeros(width), torch.ones(width))
+
+
+def without(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """The weights whose names do not start with `prefix`."""
+    return {name: value for name, value in weights.items() if not name.startswith(prefix)}
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
