@@ -157,14 +157,14 @@ def _across(world: Tensor, rest: Tensor, bone: Tensor, vector: Tensor) -> Float[
 
 def _steady(hints: Sequence[Float[Tensor, "frames 2"]]) -> Float[Tensor, "frames 2"]:
     """The vectors z with the least sum over hints h of |h| |z - h / |h||² and of `_STIFFNESS` |z - z before|²."""
-    together = torch.stack(list(hints)).double().cpu()
-    frames = together.shape[1]
-    bands = np.zeros((2, frames))
-    bands[0, 1:] = -_STIFFNESS
-    bands[1] = together.norm(dim=-1).sum(dim=0).numpy() + 2 * _STIFFNESS
-    bands[1, [0, -1]] -= _STIFFNESS if frames > 1 else 2 * _STIFFNESS
-    solution = solveh_banded(bands, together.sum(dim=0).numpy()) if frames > 1 else together.sum(dim=0).numpy()
-    return torch.from_numpy(solution).to(hints[0])
+    together = torch.stack(list(hints)).double().cpu().numpy()
+    weight, target = np.linalg.norm(together, axis=-1).sum(axis=0), together.sum(axis=0)
+    if len(target) > 1:
+        bands = np.full((2, len(target)), -_STIFFNESS)
+        bands[1] = weight + 2 * _STIFFNESS
+        bands[1, [0, -1]] -= _STIFFNESS
+        target = solveh_banded(bands, target)
+    return torch.from_numpy(target).to(hints[0])
 
 
 def _rotated(world: Tensor, vector: Tensor) -> Tensor:

@@ -109,7 +109,7 @@ def test_another_body_keeps_the_directions_and_stands_on_the_same_floor():
 
 
 def test_a_motion_is_written_as_npz_and_bvh_with_the_bones_it_moves(tmp_path):
-    motion = motion_of_joints(walking().joints[:, :22], 20.0)
+    motion = stmc.motion_of_joints(walking().joints[:, :22], 20.0)
     stmc.write(motion, tmp_path / "motion.npz")
     stmc.write(motion, tmp_path / "motion.bvh")
     back = stmc.read(tmp_path / "motion.npz")
