@@ -51,12 +51,23 @@ class PairBatches:
 
     def alike(self, draws: Draws) -> Bool[Tensor, "batch batch"]:
         """Which row's text is true of which row's motion: see `Pairs`."""
-        of_body = self._true[draws.sentence][:, self._key[draws.body.clip]]
-        of_guest = self._true[draws.sentence][:, self._key[draws.guest.clip]] & (draws.guest.frames > 0)
-        alike = torch.from_numpy(of_body | of_guest)
+        composed = torch.from_numpy(draws.guest.frames > 0)
+        alike = self.true_of(draws.sentence, draws.body.clip) | (
+            self.true_of(draws.sentence, draws.guest.clip) & composed
+        )
         if self._embedded is None:
             return alike
         return alike | similar(self._embedded[torch.from_numpy(draws.sentence)], self.threshold)
+
+    def true_of(self, sentences: np.ndarray, clips: np.ndarray) -> Bool[Tensor, "texts motions"]:
+        """Which of the corpus' sentences, by their places, are among those of which of its clips."""
+        return torch.from_numpy(self._true[sentences][:, self._key[clips]])
+
+    def drawn(self, split: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """All clips of a split that have texts, and the place of one sentence of each: whom to retrieve from whom."""
+        corpus, random = self.batches.corpus, np.random.default_rng(seed)
+        clips = np.flatnonzero([clip.split == split for clip in corpus.clips] & corpus.described)
+        return clips, np.array([corpus.sentence(clip, random.random()) for clip in clips.tolist()], dtype=int)
 
 
 def similar(sentences: Float[Tensor, "batch width"], threshold: float | int = 0.8) -> Bool[Tensor, "batch batch"]:

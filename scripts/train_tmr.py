@@ -1,0 +1,125 @@
+"""Trains TMR, the evaluator: `python scripts/train_tmr.py run=FOLDER data.folder=CACHE`."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import hydra
+import torch
+from accelerate import Accelerator
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from stmc.data.cache import Cache
+from stmc.data.dataset import ClipBatches, Corpus
+from stmc.data.pairs import PairBatches
+from stmc.evaluators import Evaluator
+from stmc.files import write_whole
+from stmc.metrics.retrieval import Retrieval, both_ways, cosines, in_batches
+from stmc.run import EVALUATOR_PARTS, save_evaluator
+from stmc.text import Cached
+from stmc.training import Hook, Trainer
+from stmc.training.logs import Table
+
+
+@hydra.main(config_path="../configs", config_name="train_tmr", version_base="1.3")
+def main(config: DictConfig) -> None:
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    accelerator, settings = Accelerator(cpu=config.device == "cpu"), instantiate(config.training)
+    representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    corpus = instantiate(config.data.corpus, _partial_=True)(
+        cache=Cache.read(Path(config.data.folder).expanduser()),
+        encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        layout=representation.layout,
+        device=accelerator.device,
+    )
+    sentences = Cached(instantiate(config.sentences), config.text_cache) if config.sentences else None
+    training, held_out = (
+        PairBatches(ClipBatches(corpus, split, sampling, settings.seed), sentences, config.similar)
+        for split in ("train", "val")
+    )
+    torch.manual_seed(settings.seed)
+    with open_dict(config):
+        config.network.update(features=corpus.features_width, text_width=corpus.text_width)
+    folder = Path(config.run).expanduser()
+    trainer = Trainer(
+        instantiate(config.network),
+        instantiate(config.objective),
+        training,
+        folder,
+        settings,
+        validation=[piece for step in range(config.validation) for piece in held_out(step)],
+        hooks=[
+            Hook(settings.validate_every, lambda step, network: watch(step, record(config, network, corpus))),
+            Hook(settings.checkpoint_every, lambda step, network: export(step, record(config, network, corpus))),
+        ],
+        accelerator=accelerator,
+    )
+    columns = tuple(f"{way}_R{count}" for way in ("t2m", "m2t") for count in (1, 3, 10))
+    table = Table(folder / "retrieval.csv", columns, trainer.step)
+
+    def watch(step: int, evaluator: Evaluator) -> None:
+        """How well the validation split's clips are found, as training goes on."""
+        found = measured(evaluator, held_out, "val")["true"]
+        table.write(step, {f"{way}_R{count}": found[way]["recall"][count] for way in found for count in (1, 3, 10)})
+
+    def export(step: int, evaluator: Evaluator) -> None:
+        """The moving average so far as a run directory, with what the test split says of it."""
+        results = {"step": step, "test": measured(evaluator, held_out, "test")}
+        text = json.dumps(results, indent=1) + "\n"
+        write_whole(folder / "results.json", lambda path: path.write_text(text, encoding="utf-8"))
+        made = (
+            f"# Trained with scripts/train_tmr.py, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
+        )
+        save_evaluator(evaluator, folder, f"{made}\n\nOn the test split:\n\n```json\n{text}```\n")
+
+    trainer.run()
+
+
+def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Evaluator:
+    """The evaluator as it would be loaded from the run's folder."""
+    described = OmegaConf.to_container(config, resolve=True)
+    return Evaluator(
+        network=network,
+        text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        representation=instantiate(config.representation),
+        motion_statistics=corpus.motion.to("cpu"),
+        text_statistics=corpus.text.to("cpu"),
+        fps=corpus.fps,
+        config={part: described[part] for part in EVALUATOR_PARTS},
+    )
+
+
+def measured(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:
+    """Retrieval among the clips of a split, each with one of its sentences, by three protocols: "all" (its own pair
+    alone is right), "true" (every pair whose text is true of the motion), "guo" (as "all" in batches of 32); and the
+    contents that are taken for others most often."""
+    corpus = pairs.batches.corpus
+    clips, sentences = pairs.drawn(split)
+    chosen = [corpus.clips[clip] for clip in clips]
+    longest = int(pairs.batches.sampling.longest * corpus.fps)
+    motions = evaluator.motions([corpus.features[clip.start : clip.end][:longest].cpu() for clip in chosen])
+    texts = evaluator.texts([corpus.sentences[sentence] for sentence in sentences])
+    table, right = cosines(texts, motions), pairs.true_of(sentences, clips)
+    ways = {"all": both_ways(table), "true": both_ways(table, right)}
+    if len(chosen) >= 32:
+        ways["guo"] = in_batches(table, [clip.name for clip in chosen])
+    return {name: dict(zip(("t2m", "m2t"), map(described, found), strict=True)) for name, found in ways.items()} | {
+        "confused": confused([clip.content for clip in chosen], table)
+    }
+
+
+def described(found: Retrieval) -> dict:
+    return {"recall": found.recall, "median_rank": found.median_rank, "candidates": found.candidates}
+
+
+def confused(contents: list[str], table: torch.Tensor) -> list[tuple[str, str, int]]:
+    """Of the motions whose best text is about another content: what they show, what is read, how often."""
+    read = [contents[best] for best in table.argmax(dim=0).tolist()]
+    mistakes = Counter((shown, taken) for shown, taken in zip(contents, read, strict=True) if shown != taken)
+    return [(*pair, count) for pair, count in mistakes.most_common(12)]
+
+
+if __name__ == "__main__":
+    main()
