@@ -25,6 +25,7 @@ from torch import Tensor
 from stmc.body import BodyPart
 from stmc.compose import (
     NULL,
+    canvas_lengths,
     collage,
     crop_lengths,
     crop_seeds,
@@ -379,3 +380,42 @@ def test_stopping_early_costs_no_further_steps():
     for _ in islice(ddpm(predict, Schedule.cosine(100), draw(), draw), 3):
         calls.append(len(denoiser.calls))
     assert len(set(np.diff(calls))) == 1 and len(denoiser.calls) == calls[-1]
+
+
+# Denoisers that see more than a crop --------------------------------------------------------------
+
+
+def test_with_a_window_every_crop_goes_on_for_as_many_frames_of_its_timeline():
+    plans, window = plans_of(WALK_WAVE, STAND_NOD), 60
+    lengths = canvas_lengths(plans, window)
+    assert lengths == (74 + 60, 55 + 60)
+    x = torch.randn(2, max(lengths), 10, generator=torch.Generator().manual_seed(0))
+    crops, seen = [], Constant()
+    rows = guided_crops(seen, Schedule.cosine(100), plans, embeddings(plans), window=window)
+    x0 = collage(lambda cut, t: crops.append(cut) or rows(cut, t), plans, COLUMNS, window)(x, 3)
+    starts = [(i, crop.start) for i, plan in enumerate(plans) for crop in plan.crops]
+    for crop, (i, start) in zip(crops[0], starts, strict=True):
+        assert torch.equal(crop, x[i, start : start + window])
+    assert {frames for _, frames in seen.calls} == {window}
+    plain = collage(guided_crops(Constant(), Schedule.cosine(100), plans, embeddings(plans)), plans, COLUMNS)
+    assert torch.equal(x0[:, :74], plain(x[:, :74], 3))
+    assert not x0[:, 74:].any() and not x0[1, 55:].any()
+
+
+def test_with_a_window_there_are_no_masks_and_all_frames_are_predicted():
+    plans, window = plans_of(WALK_WAVE, overlap=0), 60
+
+    def denoiser(x: Tensor, t: Tensor, text: Tensor, text_mask, mask) -> Tensor:
+        assert mask is None and x.shape[1] == window
+        return x + 1
+
+    crops = guided_crops(denoiser, Schedule.cosine(100), plans, embeddings(plans), 1.0, window=window)
+    x = torch.randn(3, window, 10)
+    assert torch.equal(crops(x, 3), x + 1)
+    assert torch.equal(sinc(x, plans, COLUMNS), sinc(x[:, : max(crop_lengths(plans))], plans, COLUMNS))
+
+
+def test_a_crop_longer_than_the_window_is_an_error_that_says_what_to_do():
+    plans = plans_of(WALK_WAVE)
+    with pytest.raises(ValueError, match=r"a crop has 48 frames, but the denoiser sees 30: plan with longest=30"):
+        guided_crops(Constant(), Schedule.cosine(100), plans, embeddings(plans), window=30)

@@ -207,6 +207,34 @@ def test_what_cannot_be_meant_is_refused(model, arguments, message):
         model.generate(THREE, **({"steps": 2} | arguments))
 
 
+def test_guidance_spread_and_sampler_are_the_models_own_unless_told(model):
+    own = dataclasses.replace(model, guidance=1.5, spread="std")
+    [expected] = model.generate(NOD, steps=3, guidance=1.5, sampler=partial(ddpm, spread="std"))
+    assert apart(own.generate(NOD, steps=3)[0], expected) == 0
+    assert apart(model.generate(NOD, steps=3)[0], expected) > 1e-3
+    [usual] = model.generate(NOD, steps=3, guidance=2.5, sampler=partial(ddpm, spread="variance"))
+    assert apart(model.generate(NOD, steps=3)[0], usual) == 0
+
+
+def test_a_text_is_read_once_and_not_at_every_step(model):
+    read = []
+
+    class Reader(Network):
+        def __init__(self, network):
+            super().__init__()
+            self.network = network
+
+        def read(self, text, text_mask=None):
+            read.append(text.shape)
+            return self.network.read(text, text_mask)
+
+        def denoise(self, *given):
+            return self.network.denoise(*given)
+
+    dataclasses.replace(model, denoiser=Reader(model.denoiser)).generate([NOD, GAP, NOD], steps=3)
+    assert len(read) == 3  # "nod", "turn left" and no text
+
+
 def test_no_timelines_are_no_motions(model):
     assert model.generate([]) == []
 

@@ -78,6 +78,14 @@ def test_a_loaded_model_saves_the_same_files_again(run, tmp_path):
         assert (again / name).read_bytes() == (run / name).read_bytes(), name
 
 
+def test_guidance_and_spread_come_with_the_model_and_older_runs_have_the_usual_ones(model, run, tmp_path):
+    own = stmc.save(dataclasses.replace(model, guidance=1.0, spread="std"), tmp_path / "own", "")
+    back = stmc.load(own)
+    assert (back.guidance, back.spread) == (1.0, "std")
+    edit(run, guidance=None, spread=None)
+    assert (stmc.load(run).guidance, stmc.load(run).spread) == (2.5, "variance")
+
+
 def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, run, tmp_path):
     half = stmc.save(model, tmp_path / "half", "", dtype=torch.float16)
     stored = load_file(half / WEIGHTS)
@@ -191,6 +199,8 @@ def test_a_config_that_is_none_is_named(run, text):
         ({"longest": 7.5}, r"longest must be a positive number of frames, not 7\.5"),
         ({"longest": 0}, "longest must be a positive number of frames, not 0"),
         ({"prediction": "noise"}, "prediction must be one of x0, eps, v, score, not 'noise'"),
+        ({"guidance": "much"}, "guidance must be a number, not 'much'"),
+        ({"spread": "wide"}, "spread must be one of std, variance, not 'wide'"),
         ({"denoiser": 3}, "denoiser must say what to build as `_target_`, not 3"),
         ({"denoiser": {"width": 16}}, "denoiser must say what to build"),
         ({"denoiser": PARTS["denoiser"] | {"depth": 3}}, "denoiser cannot be built: .*depth"),
