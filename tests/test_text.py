@@ -4,11 +4,13 @@ import importlib.util
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import hydra.utils
 import pytest
 import torch
 import transformers
+from conftest import golden, golden_sets
 from omegaconf import OmegaConf
 from safetensors.torch import load_file, save_file
 from tokenizers import Tokenizer, models, pre_tokenizers, processors
@@ -450,3 +452,38 @@ def test_many_writers_of_one_folder_leave_complete_files_only(tmp_path):
         results = list(pool.map(lambda _: Cached(Letters(), tmp_path).encode(texts)[0], range(16)))
     assert all(torch.equal(words, expected) for words in results)
     assert len([path for path in tmp_path.rglob("*") if path.is_file()]) == len(texts)
+
+
+class Recorder(torch.nn.Module):
+    """In place of CLIP: remembers the ids it is given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.config, self.device = SimpleNamespace(max_position_embeddings=77), torch.device("cpu")
+        self.given: list[list[int]] = []
+
+    def forward(self, input_ids: Tensor) -> SimpleNamespace:
+        self.given += input_ids.tolist()
+        return SimpleNamespace(text_embeds=input_ids[:, :1].float(), last_hidden_state=input_ids[..., None].float())
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("mdm"))
+def test_ids_are_cut_and_filled_up_as_by_the_published_code(folder):
+    """CLIP's vocabulary cannot be had here: the words of a text are its published ids, as a tokenizer finds them."""
+    start, end = 49406, 49407
+
+    def tokenizer(texts: list[str], truncation: bool, max_length: int) -> dict[str, list[list[int]]]:
+        return {"input_ids": [[start, *map(int, text.split()[: max_length - 2]), end] for text in texts]}
+
+    for entry in golden(folder, "clip_tokens.json"):
+        ids = entry["md_tokens77"]
+        text = " ".join(map(str, ids[1 : entry["md_eot"]]))
+        sentence, positions = Clip(tokens=22), ClipTokens()
+        sentence.__dict__["_loaded"], positions.__dict__["_loaded"] = (tokenizer, Recorder()), (tokenizer, Recorder())
+        sentence.encode([text])
+        [given] = sentence._loaded[1].given
+        assert given + [0] * (77 - len(given)) == entry["mdm_tokens77"] and len(given) == entry["mdm_eot"] + 1
+        words, _ = positions.encode([text])
+        assert positions._loaded[1].given == [ids]
+        assert words[0, 0] == end and sorted(words[0, :, 0].tolist()) == sorted(ids)
