@@ -9,7 +9,6 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
-from stmc.body_model import Skeleton
 from stmc.data.cache import Cache
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.model import Model
@@ -60,15 +59,16 @@ def main(config: DictConfig) -> None:
 
 def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Model:
     """The model as it would be loaded from the run's folder."""
+    representation = instantiate(config.representation)
     described = OmegaConf.to_container(config, resolve=True)
     return Model(
         denoiser=network,
         schedule=instantiate(config.schedule),
         text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
-        representation=instantiate(config.representation),
+        representation=representation,
         motion_statistics=corpus.motion.to("cpu"),
         text_statistics=corpus.text.to("cpu"),
-        skeleton=Skeleton.default(),
+        skeleton=corpus.skeleton or representation.skeleton,
         fps=corpus.fps,
         longest=int(instantiate(config.data.sampling).longest * corpus.fps),
         prediction=config.objective.prediction,

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from toys import FPS, LAYOUT, LetterCounts, cache
 
 from stmc.body import BodyPart
+from stmc.body_model import Skeleton
 from stmc.data.cache import Cache, Clip
 from stmc.data.dataset import NULL, SEAM, ClipBatches, Corpus, Draws, Sampling
 from stmc.representation import Field, Layout, SmplRepresentation
+from stmc.statistics import Statistics
 
 
 @pytest.fixture(scope="module")
@@ -261,6 +263,16 @@ def test_nothing_to_train_on_is_an_error(corpus):
 def test_sampling_that_cannot_be_meant_is_an_error(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Sampling(**wrong)
+
+
+def test_what_comes_with_the_data_is_used(corpus):
+    given = Statistics(torch.ones(LAYOUT.width), torch.full((LAYOUT.width,), 2.0))
+    own = dataclasses.replace(cache(), statistics=given, skeleton=Skeleton.default())
+    other = Corpus(own, LetterCounts(), LAYOUT, least=1)
+    assert torch.equal(other.motion.std, given.std)
+    assert other.skeleton is own.skeleton
+    assert corpus.skeleton is None
+    assert not torch.equal(corpus.motion.std, given.std)
 
 
 def composing(composed: float) -> ClipBatches:

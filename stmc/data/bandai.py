@@ -135,10 +135,11 @@ def _folder(path: Path) -> Iterator[tuple[str, str]]:
 
 def inputs(source: Path) -> list[Path]:
     """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
-    code = ("body", "body_model", "geometry", "motion", "data/bandai", "data/bvh", "data/cache", "data/sentences")
+    code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
+    code += ("data/bandai", "data/bvh", "data/cache", "data/sentences")
     here = Path(__file__).parents[1]
     files = [here / f"{name}.py" for name in code]
-    return [Path(source), *files, *sorted((here / "representation").glob("*.py")), here / "assets/skeleton.json"]
+    return [Path(source), *files, here / "assets/skeleton.json"]
 
 
 def rest_rotations(names: Iterable[str]) -> Float[Tensor, "joints 3 3"]:

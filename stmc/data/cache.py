@@ -1,7 +1,8 @@
 """A prepared data set on disk: the features of all clips in one tensor, and a table of what each clip shows.
 
 The one format between preparing data and training on it, whatever the data set; knows neither. A folder holds
-`clips.safetensors` ("features": every clip's frames one after the other, raw) and `clips.json` (the table).
+`clips.safetensors` ("features": every clip's frames one after the other, raw; and the numbers that come with the data)
+and `clips.json` (the table).
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from stmc.body_model import Skeleton
 from stmc.files import write_whole
+from stmc.statistics import Statistics
 
 FEATURES, TABLE = "clips.safetensors", "clips.json"
 
@@ -50,7 +53,11 @@ class Clip:
 
 @dataclass(frozen=True)
 class Cache:
-    """A prepared data set. `texts` maps a clip's key to its sentences, each with its probability."""
+    """A prepared data set. `texts` maps a clip's key to its sentences, each with its probability.
+
+    `statistics` are those that belong to the data set, where it has its own; `skeleton` is the body whose motions the
+    features are, if it is not the default one.
+    """
 
     fps: float | int
     representation: str
@@ -59,6 +66,8 @@ class Cache:
     texts: dict[str, tuple[tuple[str, float], ...]]
     skipped: tuple[tuple[str, str], ...] = ()
     fingerprint: str = ""
+    statistics: Statistics | None = None
+    skeleton: Skeleton | None = None
 
     def __post_init__(self) -> None:
         for clip in self.clips:
@@ -76,10 +85,16 @@ class Cache:
         """Writes both files, the table last: it marks a complete cache. A kill leaves all of it or none."""
         folder = Path(folder)
         (folder / TABLE).unlink(missing_ok=True)  # it would lend its fingerprint to the new features
-        write_whole(folder / FEATURES, lambda path: save_file({"features": self.features.contiguous()}, path))
-        table = {
-            field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "features"
-        } | {"clips": [dataclasses.asdict(clip) for clip in self.clips]}
+        numbers = {"features": self.features}
+        if self.statistics:
+            numbers |= {"mean": self.statistics.mean, "std": self.statistics.std}
+        if self.skeleton:
+            numbers["skeleton"] = self.skeleton.offsets
+        numbers = {name: values.contiguous() for name, values in numbers.items()}
+        write_whole(folder / FEATURES, lambda path: save_file(numbers, path))
+        names = ("fps", "representation", "clips", "texts", "skipped", "fingerprint")
+        table = {name: getattr(self, name) for name in names}
+        table["clips"] = [dataclasses.asdict(clip) for clip in self.clips]
         text = json.dumps(table, indent=1) + "\n"
         write_whole(folder / TABLE, lambda path: path.write_text(text, encoding="utf-8"))
 
@@ -91,14 +106,17 @@ class Cache:
         if table is None or not (folder / FEATURES).exists():
             raise CacheError(f"{folder} holds no prepared data; make it with scripts/prepare.py")
         try:
+            numbers = load_file(folder / FEATURES)
             return cls(
                 fps=table["fps"],
                 representation=table["representation"],
-                features=load_file(folder / FEATURES)["features"],
+                features=numbers["features"],
                 clips=tuple(Clip(**clip | {"parts": tuple(clip["parts"])}) for clip in table["clips"]),
                 texts={key: tuple((text, share) for text, share in rows) for key, rows in table["texts"].items()},
                 skipped=tuple((name, why) for name, why in table["skipped"]),
                 fingerprint=table["fingerprint"],
+                statistics=Statistics(numbers["mean"], numbers["std"]) if "mean" in numbers else None,
+                skeleton=Skeleton(numbers["skeleton"]) if "skeleton" in numbers else None,
             )
         except SafetensorError as error:
             raise CacheError(f"{folder / FEATURES} is damaged: {error}; run scripts/prepare.py again") from error
@@ -136,6 +154,32 @@ def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "_ features"]]]) -> tuple[
         clips.append(dataclasses.replace(clip, start=start, end=start + len(features)))
         start += len(features)
     return tuple(clips), torch.cat([features for _, features in rows])
+
+
+def merged(caches: Sequence[Cache]) -> Cache:
+    """All caches as one, their clips in the order given, without a fingerprint. They must be of one kind.
+
+    Raises `CacheError` for caches of different kinds, and where two give the same key to different texts.
+    """
+    first = caches[0]
+    features = torch.empty(sum(len(cache.features) for cache in caches), first.features.shape[1])
+    clips: list[Clip] = []
+    texts: dict[str, tuple[tuple[str, float], ...]] = {}
+    start = 0
+    for cache in caches:
+        kinds = [(each.fps, each.representation, each.features.shape[1]) for each in (first, cache)]
+        if kinds[0] != kinds[1]:
+            raise CacheError(f"caches of two kinds: {kinds[0]} and {kinds[1]}")
+        if twice := [key for key in cache.texts if texts.get(key, cache.texts[key]) != cache.texts[key]]:
+            raise CacheError(f"the texts of {', '.join(twice)} differ from one cache to the other")
+        features[start : start + len(cache.features)] = cache.features
+        clips += [dataclasses.replace(clip, start=start + clip.start, end=start + clip.end) for clip in cache.clips]
+        texts |= cache.texts
+        start += len(cache.features)
+    skipped = tuple(row for cache in caches for row in cache.skipped)
+    return dataclasses.replace(
+        first, features=features, clips=tuple(clips), texts=texts, skipped=skipped, fingerprint=""
+    )
 
 
 def _table(folder: Path) -> dict | None:

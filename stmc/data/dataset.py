@@ -36,10 +36,10 @@ WHOLE_WALKS = 1 / 3
 class Corpus:
     """A cache and its texts, normalised and ready to draw from, on one device.
 
-    `motion` and `text` are the statistics over the training clips and their sentences' words. Features that vary by
-    less than `floor` are divided by it. Contents with fewer than `least` training clips have no texts: one clip of
-    several actions teaches no word. Raises `ValueError` where the layout is not the cache's or nothing is left to
-    train on.
+    `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
+    sentences' words; `skeleton` is the cache's, if it has its own. Features that vary by less than `floor` are divided
+    by it. Contents with fewer than `least` training clips have no texts: one clip of several actions teaches no word.
+    Raises `ValueError` where the layout is not the cache's or nothing is left to train on.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Corpus:
     ) -> None:
         if cache.features.shape[1] != layout.width:
             raise ValueError(f"the cache has {cache.features.shape[1]} features, the layout {layout.width}")
-        self.fps, self.layout, self.clips = cache.fps, layout, cache.clips
+        self.fps, self.layout, self.clips, self.skeleton = cache.fps, layout, cache.clips, cache.skeleton
         counts: dict[str, int] = {}
         for clip in cache.clips:
             counts[clip.content] = counts.get(clip.content, 0) + (clip.split == "train")
@@ -71,7 +71,7 @@ class Corpus:
         self.legs, self._owned = parts.index(BodyPart.LEGS), owned.to(device)
         self.features = cache.features.to(device)
         frames = torch.cat([torch.arange(clip.start, clip.end) for clip in training])
-        self.motion = Statistics.of(cache.features[frames], floor).to(device)
+        self.motion = (cache.statistics or Statistics.of(cache.features[frames], floor)).to(device)
         self._embed(cache, encoder, floor, device)
         # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body_model import Skeleton
 from stmc.data.dataset import Corpus
 from stmc.representation.smpl import SmplRepresentation
 
@@ -20,7 +19,8 @@ class FootSteps:
     name = "feet"
 
     def __init__(self, corpus: Corpus) -> None:
-        self.representation, self.motion, self.skeleton = SmplRepresentation(), corpus.motion, Skeleton.default()
+        self.representation, self.motion = SmplRepresentation(), corpus.motion
+        self.skeleton = corpus.skeleton or self.representation.skeleton
         training = [clip for clip in corpus.clips if clip.split == "train"]
         steps = torch.cat([self._steps(corpus.features[clip.start : clip.end]) for clip in training])
         self.deviation = steps.square().mean(dim=0).sqrt()

@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from stmc.body_model import Skeleton
 from stmc.denoisers import MdmDecoder, MdmEncoder
 from stmc.model import Model
 from stmc.published.checkpoint import (
@@ -82,7 +81,7 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
         **parts,
         motion_statistics=read_statistics(folder / "Mean.npy", folder / "Std.npy", FEATURES),
         text_statistics=identity(parts["text_encoder"].width),
-        skeleton=Skeleton.default(),
+        skeleton=parts["representation"].skeleton,
         fps=FPS,
         longest=FRAMES,
         guidance=2.5 if settings["cond_mask_prob"] else 1.0,

@@ -8,7 +8,6 @@ from typing import Any
 
 from torch import Tensor
 
-from stmc.body_model import Skeleton
 from stmc.model import Model
 from stmc.published.checkpoint import (
     CheckpointError,
@@ -65,7 +64,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         **parts,
         motion_statistics=motion,
         text_statistics=text,
-        skeleton=Skeleton.default(),
+        skeleton=parts["representation"].skeleton,
         fps=fps,
         longest=int(LONGEST * fps),
         prediction=_prediction(settings, folder / "config.json"),

@@ -8,7 +8,6 @@ from typing import Any
 
 from torch import Tensor
 
-from stmc.body_model import Skeleton
 from stmc.model import Model
 from stmc.published.checkpoint import (
     CheckpointError,
@@ -59,7 +58,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         **parts,
         motion_statistics=read_statistics(folder / "meta" / "mean.npy", folder / "meta" / "std.npy", FEATURES),
         text_statistics=identity(parts["text_encoder"].width),
-        skeleton=Skeleton.default(),
+        skeleton=parts["representation"].skeleton,
         fps=FPS,
         longest=config["denoiser"]["frames"],
         prediction="eps",

@@ -65,6 +65,11 @@ class HumanML3DRepresentation:
         """The columns that each body part owns."""
         return self.layout.columns
 
+    @property
+    def skeleton(self) -> Skeleton:
+        """That of all HumanML3D motions."""
+        return uniform_skeleton()
+
     def encode(self, motion: Motion) -> Float[Tensor, "frames features"]:
         """Features of all frames but the last, in the motion's dtype. Rotations and hands are not looked at.
 

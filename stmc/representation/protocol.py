@@ -35,6 +35,11 @@ class Representation(Protocol):
         """The columns that each body part owns: the layout's."""
         ...
 
+    @property
+    def skeleton(self) -> Skeleton:
+        """The body whose motions the features are, unless the data or the user has another."""
+        ...
+
     def encode(self, motion: Motion) -> Float[Tensor, "_ features"]:
         """Features of the motion in its dtype; as many rows as frames, or fewer where the format needs a next frame."""
         ...

@@ -47,6 +47,11 @@ class SmplRepresentation:
         """The columns that each body part owns."""
         return self.layout.columns
 
+    @property
+    def skeleton(self) -> Skeleton:
+        """The default one."""
+        return Skeleton.default()
+
     def encode(self, motion: Motion) -> Float[Tensor, "frames features"]:
         """Features of `motion`, in its dtype.
 
