@@ -1,9 +1,10 @@
 """Networks that predict motion, or its noise, from noisy motion, a step and a text."""
 
+from stmc.denoisers.flow_mdm import FlowMdm
 from stmc.denoisers.mdm import MdmDecoder, MdmEncoder
 from stmc.denoisers.mdm_smpl import MdmSmpl
 from stmc.denoisers.motion_diffuse import MotionDiffuse
 from stmc.denoisers.network import Network
 from stmc.denoisers.protocol import Denoiser
 
-__all__ = ["Denoiser", "MdmDecoder", "MdmEncoder", "MdmSmpl", "MotionDiffuse", "Network"]
+__all__ = ["Denoiser", "FlowMdm", "MdmDecoder", "MdmEncoder", "MdmSmpl", "MotionDiffuse", "Network"]

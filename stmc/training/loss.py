@@ -34,6 +34,12 @@ class Batch:
     text_mask: Bool[Tensor, "batch words"] | None
     frames: int
 
+    def denoised(
+        self, denoiser: Denoiser, noisy: Float[Tensor, "batch frames features"], t: Int[Tensor, " batch"]
+    ) -> Float[Tensor, "batch frames features"]:
+        """What the denoiser predicts for the batch's noisy motion, told all that the batch knows."""
+        return denoiser(noisy, t, self.text, self.text_mask, self.mask)
+
 
 @runtime_checkable
 class Objective(Protocol):
@@ -117,7 +123,7 @@ def squared_errors(
     """
     noisy = schedule.q_sample(batch.motion, t, noise)
     target = schedule.from_x0(batch.motion, noisy, t, prediction)
-    output = denoiser(noisy, t, batch.text, batch.text_mask, batch.mask)
+    output = batch.denoised(denoiser, noisy, t)
     sums = [_summed(output.float(), target, batch.mask)]
     if derive is not None:
         both = None if batch.mask is None else batch.mask[:, 1:] & batch.mask[:, :-1]

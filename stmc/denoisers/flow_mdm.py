@@ -1,0 +1,151 @@
+"""FlowMDM: a sequence of any length, with a text for every frame, denoised as one (Barquero et al. 2024).
+
+Two encodings of time are blended: in the noisier steps a frame knows its place in its own segment and sees that segment
+alone; in the others it knows the distance to its neighbours and sees across. Parameter names and shapes are those of
+the published checkpoints, but for tables that follow from a formula. Knows nothing of what the features mean, nor of
+schedules and timelines.
+"""
+
+from __future__ import annotations
+
+import torch
+from einops import rearrange
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from stmc.denoisers.flow_mdm_layers import Layers, Sight, Turns, absolute_positions
+from stmc.denoisers.layers import POSITIONS
+from stmc.denoisers.network import Network
+from stmc.tensors import sinusoids
+
+RELATIVE = 0.5
+"""The share of the rows in training that are shown with relative positions."""
+
+
+class FlowMdm(Network):
+    """A `Denoiser` of crops with one text each, or of sequences of many segments with a text each: see `denoise`.
+
+    `features` numbers per frame, `text_width` numbers in the one word of a text; `width` of a frame inside,
+    `feedforward` width inside a layer. A frame sees at most `horizon` frames to either side. The steps from
+    `absolute_from` on (0 is the least noisy) are taken with absolute positions, those below with relative ones; 0: all
+    absolute. It may be set anew between samples: more absolute steps keep more to the texts, fewer make smoother
+    transitions (Fig. 5). In training each row is relative or absolute by chance, whatever its step. `dropout` acts on
+    the frames where they come in, `skipped` is the probability to skip a layer's half.
+    """
+
+    def __init__(
+        self,
+        features: int,
+        text_width: int,
+        absolute_from: int,
+        width: int = 512,
+        feedforward: int = 1024,
+        layers: int = 8,
+        heads: int = 4,
+        horizon: int = 150,
+        dropout: float = 0.1,
+        skipped: float = 0.1,
+    ) -> None:
+        super().__init__()
+        if width % 2:
+            raise ValueError(f"width {width} must be even")
+        if horizon < 1 or absolute_from < 0:
+            raise ValueError(f"horizon {horizon} must be at least 1 frame, absolute_from {absolute_from} at least 0")
+        self.horizon, self.absolute_from = horizon, absolute_from
+        self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features, width)})
+        time_embed = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+        self.embed_timestep = nn.ModuleDict({"time_embed": time_embed})
+        self.embed_text = nn.Linear(text_width, width)
+        self.seqTransEncoder = _Encoder(width, feedforward, layers, heads, dropout, skipped)
+        self.output_process = nn.ModuleDict({"poseFinal": nn.Linear(width, features)})
+        self.register_buffer("positions", sinusoids(POSITIONS, width), persistent=False)
+
+    def read(
+        self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
+    ) -> Float[Tensor, "batch words read"]:
+        """The texts, each of them one word, as the network's own."""
+        return self.embed_text(text)
+
+    def denoise(
+        self,
+        x: Float[Tensor, "batch frames features"],
+        t: Int[Tensor, " batch"],
+        text: Float[Tensor, "batch words read"],
+        text_mask: Bool[Tensor, "batch words"] | None = None,
+        mask: Bool[Tensor, "batch frames"] | None = None,
+        segment: Int[Tensor, "batch frames"] | None = None,
+    ) -> Float[Tensor, "batch frames features"]:
+        """See `Denoiser`. With `segment`, which says of every frame to which segment it belongs, `text` has a word for
+        each of a row's segments; without it, a row is one segment. A segment may be interrupted by others."""
+        if self.training:
+            absolute = torch.rand(len(x), device=x.device) >= RELATIVE
+        else:
+            absolute = t >= self.absolute_from
+        return self.encoded(x, t, text, absolute, mask, segment)
+
+    def forward(
+        self,
+        x: Float[Tensor, "batch frames features"],
+        t: Int[Tensor, " batch"],
+        text: Float[Tensor, "batch words width"],
+        text_mask: Bool[Tensor, "batch words"] | None = None,
+        mask: Bool[Tensor, "batch frames"] | None = None,
+        segment: Int[Tensor, "batch frames"] | None = None,
+    ) -> Float[Tensor, "batch frames features"]:
+        """See `denoise`, for a text that was not read yet."""
+        return self.denoise(x, t, self.read(text), text_mask, mask, segment)
+
+    def encoded(
+        self,
+        x: Float[Tensor, "batch frames features"],
+        t: Int[Tensor, " batch"],
+        text: Float[Tensor, "batch words read"],
+        absolute: Bool[Tensor, " batch"],
+        mask: Bool[Tensor, "batch frames"] | None = None,
+        segment: Int[Tensor, "batch frames"] | None = None,
+    ) -> Float[Tensor, "batch frames features"]:
+        """The prediction where `absolute` says which rows are taken with absolute positions, and not their steps."""
+        if segment is None and text.shape[1] != 1:
+            raise ValueError(f"{text.shape[1]} words a text: FlowMdm reads one, or one for each segment")
+        step = self.embed_timestep["time_embed"](self.positions[t])[:, None]
+        told = text if segment is None else text.take_along_dim(segment[..., None], dim=1)
+        condition = (step + told).expand(-1, x.shape[1], -1)
+        sight = Sight(x.shape[1], self.horizon, mask, segment, absolute)
+        frames = self.input_process["poseEmbedding"](x)
+        return self.output_process["poseFinal"](self.seqTransEncoder(frames, condition, sight))
+
+
+class _Encoder(nn.Module):
+    def __init__(self, width: int, feedforward: int, layers: int, heads: int, dropout: float, skipped: float) -> None:
+        super().__init__()
+        self.project_in = nn.Linear(width, width)
+        self.pos_emb = nn.ModuleDict({"absolute": _Scale(width**-0.5)})
+        self.dropout = nn.Dropout(dropout)
+        self.attn_layers = Layers(width, feedforward, layers, heads, skipped)
+        self.project_out = nn.Linear(width, width)
+
+    def forward(self, frames: Tensor, condition: Tensor, sight: Sight) -> Tensor:
+        frames = self.project_in(frames)
+        place = self.pos_emb["absolute"](absolute_positions(_positions(frames, sight.segment), frames.shape[-1]))
+        absolute = rearrange(sight.confined, "batch -> batch 1 1")
+        frames = self.dropout(frames + torch.where(absolute, place, 0.0))
+        turns = Turns.of(frames.shape[1], ~sight.confined)
+        return self.project_out(self.attn_layers(frames, condition, turns, sight.attention()))
+
+
+class _Scale(nn.Module):
+    def __init__(self, initial: float) -> None:
+        super().__init__()
+        self.scale = nn.Parameter(torch.full((1,), initial))
+
+    def forward(self, values: Tensor) -> Tensor:
+        return values * self.scale
+
+
+def _positions(frames: Tensor, segment: Tensor | None) -> Int[Tensor, "batch frames"]:
+    """Of every frame, counted from the first one of its segment."""
+    frame = torch.arange(frames.shape[1], device=frames.device).expand(frames.shape[:2])
+    if segment is None:
+        return frame
+    first = torch.full_like(frame, frames.shape[1]).scatter_reduce(1, segment, frame, "amin")
+    return frame - first.take_along_dim(segment, dim=1)

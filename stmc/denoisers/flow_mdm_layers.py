@@ -1,0 +1,199 @@
+"""What FlowMDM is built from: attention within a horizon, at a cost linear in the frames, whose queries alone know the
+condition (Barquero et al. 2024, sections 3.2 and 3.3).
+
+Parameter names are those of the published checkpoints. Knows frames and which of them may see each other; knows no
+texts, no steps and no features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from einops import rearrange
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+HEAD = 64
+"""Channels of a head, whatever the network's width."""
+TURNED = 32
+"""How many of them, the first ones, rotary positions turn."""
+BASE = 10000.0
+"""Of the wavelengths of both encodings."""
+
+Heads = Float[Tensor, "batch heads frames channels"]
+Attend = Callable[[Heads, Heads, Heads], Heads]
+"""(queries, keys, values) → the values that each frame's query finds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Which of `frames` see which, for a batch of sequences: those at most `horizon` away, in both directions, unless
+    they are padding; in rows that are `confined`, those of the same segment only. A frame always sees itself, so that
+    padding has something to look at."""
+
+    frames: int
+    horizon: int
+    mask: Bool[Tensor, "batch frames"] | None
+    segment: Int[Tensor, "batch frames"] | None
+    confined: Bool[Tensor, " batch"]
+
+    def attention(self) -> Attend:
+        """All frames at once where that is no more work than blocks with their two neighbours; else in blocks, so that
+        time and memory grow with the frames and not with their square."""
+        device, horizon = self.confined.device, self.horizon
+        if self.frames > 3 * horizon:
+            first = torch.arange(0, self.frames, horizon, device=device)[:, None, None]
+            own, around = torch.arange(horizon, device=device), torch.arange(-horizon, 2 * horizon, device=device)
+            return _in_blocks(self._seen(first + own[:, None], first + around), horizon)
+        frame = torch.arange(self.frames, device=device)
+        return _at_once(self._seen(frame[:, None], frame[None]))
+
+    def _seen(
+        self, query: Int[Tensor, "*blocks own 1"], key: Int[Tensor, "*blocks 1 around"]
+    ) -> Bool[Tensor, "_ *blocks own around"]:
+        """For frames that may also lie outside of the sequence, where nothing is seen; one row for all or for each."""
+        near = ((query - key).abs() <= self.horizon) & (key >= 0) & (key < self.frames)
+        seen, each = near[None], [-1, *[1] * near.ndim]
+        if self.mask is not None:
+            seen = seen & self._at(self.mask, key)
+        if self.segment is not None:
+            same = self._at(self.segment, query) == self._at(self.segment, key)
+            seen = seen & (same | ~self.confined.reshape(each))
+        return seen | (query == key)
+
+    def _at(self, values: Tensor, frame: Tensor) -> Tensor:
+        return values[:, frame.clamp(0, self.frames - 1)]
+
+
+def _at_once(seen: Bool[Tensor, "_ frames frames"]) -> Attend:
+    seen = rearrange(seen, "batch own around -> batch 1 own around")
+    return lambda query, key, value: F.scaled_dot_product_attention(query, key, value, attn_mask=seen)
+
+
+def _in_blocks(seen: Bool[Tensor, "_ blocks own around"], size: int) -> Attend:
+    """Queries in blocks of `size` frames, each with the keys and values of its own block and of the two beside it."""
+    blocks = seen.shape[1]
+
+    def around(values: Heads) -> Tensor:
+        behind = blocks * size - values.shape[2]
+        windows = F.pad(values, (0, 0, size, size + behind)).unfold(2, 3 * size, size)
+        return rearrange(windows, "batch heads blocks channels around -> (batch blocks) heads around channels")
+
+    def attend(query: Heads, key: Heads, value: Heads) -> Heads:
+        batch, _, frames, _ = query.shape
+        own = F.pad(query, (0, 0, 0, blocks * size - frames))
+        own = rearrange(own, "batch heads (blocks own) channels -> (batch blocks) heads own channels", blocks=blocks)
+        mask = rearrange(seen.expand(batch, -1, -1, -1), "batch blocks own around -> (batch blocks) 1 own around")
+        mixed = F.scaled_dot_product_attention(own, around(key), around(value), attn_mask=mask)
+        return rearrange(mixed, "(batch blocks) heads own channels -> batch heads (blocks own) channels", batch=batch)[
+            :, :, :frames
+        ]
+
+    return attend
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """Rotary positions (Su et al. 2021): cosines and sines of every frame's angles, one for each pair of channels."""
+
+    cosines: Float[Tensor, "batch 1 frames half"]
+    sines: Float[Tensor, "batch 1 frames half"]
+
+    @classmethod
+    def of(cls, frames: int, relative: Bool[Tensor, " batch"]) -> Turns:
+        """Of consecutive frames, for the rows that are `relative`; the others are not turned.
+
+        Angles are float64 until their sines are known: after ten minutes they are large.
+        """
+        frame = torch.arange(frames, dtype=torch.float64, device=relative.device)
+        angle = frame[:, None] * _frequencies(TURNED // 2).to(frame)
+        angle = rearrange(relative, "batch -> batch 1 1 1") * angle
+        return cls(angle.cos().float(), angle.sin().float())
+
+    def __call__(self, values: Heads) -> Heads:
+        """Channel i of the first half of the turned ones is turned with channel i of the second."""
+        cosines, sines = self.cosines.to(values), self.sines.to(values)
+        first, second, rest = values.split([TURNED // 2, TURNED // 2, HEAD - TURNED], dim=-1)
+        return torch.cat([first * cosines - second * sines, second * cosines + first * sines, rest], dim=-1)
+
+
+def absolute_positions(position: Int[Tensor, "batch frames"], width: int) -> Float[Tensor, "batch frames width"]:
+    """Sines of the positions, then their cosines, with wavelengths 2 pi to 20,000 pi."""
+    angle = position[..., None] * _frequencies(width // 2).to(position.device, torch.float32)
+    return torch.cat([angle.sin(), angle.cos()], dim=-1)
+
+
+def _frequencies(count: int) -> Tensor:
+    return BASE ** (-torch.arange(count, dtype=torch.float64) / count)
+
+
+class PoseCentricAttention(nn.Module):
+    """Attention of frames to each other in which the condition makes a frame's query, and nothing else (Eq. 3).
+
+    `width` of the frames and of the condition; each of `heads` has `HEAD` channels.
+    """
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.custom_query_fn = nn.Linear(2 * width, width)
+        self.to_q = nn.Linear(width, heads * HEAD, bias=False)
+        self.to_k = nn.Linear(width, heads * HEAD, bias=False)
+        self.to_v = nn.Linear(width, heads * HEAD, bias=False)
+        self.to_out = nn.Linear(heads * HEAD, width, bias=False)
+
+    def forward(
+        self,
+        poses: Float[Tensor, "batch frames width"],
+        condition: Float[Tensor, "batch frames width"],
+        turns: Turns,
+        attend: Attend,
+    ) -> Float[Tensor, "batch frames width"]:
+        told = self.custom_query_fn(torch.cat([poses, condition], dim=-1))
+        query, key, value = (self._split(each) for each in (self.to_q(told), self.to_k(poses), self.to_v(poses)))
+        mixed = attend(turns(query), turns(key), value)
+        return self.to_out(rearrange(mixed, "batch heads frames channels -> batch frames (heads channels)"))
+
+    def _split(self, values: Tensor) -> Heads:
+        return rearrange(values, "batch frames (heads channels) -> batch heads frames channels", heads=self.heads)
+
+
+class Feedforward(nn.Module):
+    """Two linear layers with an exact GELU between them, under the published names."""
+
+    def __init__(self, width: int, inner: int) -> None:
+        super().__init__()
+        first = nn.Sequential(nn.Linear(width, inner), nn.GELU())
+        self.ff = nn.Sequential(first, nn.Identity(), nn.Identity(), nn.Linear(inner, width))
+
+    def forward(self, frames: Float[Tensor, "batch frames width"]) -> Float[Tensor, "batch frames width"]:
+        return self.ff(frames)
+
+
+class Layers(nn.Module):
+    """Attention and feed-forward in turn, each behind a norm and beside a residual stream; a norm at the end.
+
+    In training each of them is left out with probability `skipped`, for the whole batch (Huang et al. 2016).
+    """
+
+    def __init__(self, width: int, inner: int, count: int, heads: int, skipped: float) -> None:
+        super().__init__()
+        inside = [
+            block for _ in range(count) for block in (PoseCentricAttention(width, heads), Feedforward(width, inner))
+        ]
+        self.layers = nn.ModuleList(nn.ModuleList([nn.ModuleList([nn.LayerNorm(width)]), block]) for block in inside)
+        self.final_norm = nn.LayerNorm(width)
+        self.skipped = skipped
+
+    def forward(self, frames: Float[Tensor, "batch frames width"], *seen: object) -> Tensor:
+        for (norm,), block in self.layers:
+            normed = norm(frames)
+            out = block(normed, *seen) if isinstance(block, PoseCentricAttention) else block(normed)
+            if self.training and self.skipped:
+                # Multiplied by 0, not left out of the graph: distributed training wants a gradient for every weight.
+                out = out * (torch.rand((), device=out.device) >= self.skipped)
+            frames = frames + out
+        return self.final_norm(frames)

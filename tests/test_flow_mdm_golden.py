@@ -1,0 +1,166 @@
+"""FlowMDM's network: parity with the published code, in both modes, with and without texts, and in training's layout."""
+
+import numpy as np
+import pytest
+import torch
+from conftest import GOLDEN, golden, golden_sets
+from flow import close, entries, flow_mdm, parameters, segments
+from published import drawn, frames, watched
+from torch import Tensor
+
+from stmc.denoisers import FlowMdm
+from stmc.denoisers.flow_mdm import _positions
+from stmc.denoisers.flow_mdm_layers import TURNED, _frequencies
+from stmc.diffusion import Schedule, guide
+from stmc.tensors import mask
+from stmc.training.loss import squared_errors
+from stmc.training.sequences import Sequences
+
+pytestmark = pytest.mark.golden
+SETS = pytest.mark.parametrize("folder", golden_sets("flow"))
+NAMES = pytest.mark.parametrize("name", ["humanml", "babel"])
+STEPS = 1000
+HORIZON = {"humanml": 150, "babel": 100}
+ABSOLUTE_FROM = {"humanml": STEPS - 60 + 1, "babel": STEPS - 125 + 1}
+"""The README, section 1: S absolute steps as published are S - 1."""
+SHORT_HORIZON = {"humanml": 6, "babel": 5}
+
+
+class Case:
+    """One golden file of a small or full network: its inputs, and the network with its weights."""
+
+    def __init__(self, folder, size: str, name: str, horizon: int) -> None:
+        self.data = golden(folder, f"flowmdm_{size}_{name}.npz")
+        self.lengths = self.data["lengths"].tolist()
+        self.segment = segments(self.lengths)
+        if size == "small":
+            self.x, text = frames(self.data["x"]), torch.from_numpy(self.data["text_embeddings"])
+        else:
+            self.x = frames(drawn(self.data["x_seed"], tuple(self.data["x_shape"])))
+            text = drawn(self.data["text_seed"], tuple(self.data["text_shape"]))
+        self.text = text.transpose(0, 1)
+        self.network = self.with_horizon(f"{size}_{name}", horizon, ABSOLUTE_FROM[name])
+
+    def with_horizon(self, name: str, horizon: int, absolute_from: int) -> FlowMdm:
+        return flow_mdm(name, int(self.data["weight_seed"]), absolute_from, horizon)
+
+    def asked(self, t: int, text: Tensor, network: FlowMdm | None = None) -> Tensor:
+        return (network or self.network)(self.x, torch.tensor([t]), text, None, None, self.segment)
+
+
+@pytest.mark.skipif(not GOLDEN.exists(), reason="no golden numbers")
+@pytest.mark.parametrize(("name", "features"), [("full_humanml", 263), ("full_babel", 135)])
+def test_names_and_shapes_are_those_of_the_published_checkpoints(name, features):
+    network = FlowMdm(features, 512, 0)
+    assert {key: tuple(value.shape) for key, value in network.state_dict().items()} == parameters(name)
+    tables = {key: tuple(entry["shape"]) for key, entry in entries(name).items() if key not in parameters(name)}
+    rows, width = network.positions.shape
+    assert tables == {
+        "sequence_pos_encoder.pe": (rows, 1, width),
+        "embed_timestep.sequence_pos_encoder.pe": (rows, 1, width),
+        "seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq": tuple(_frequencies(TURNED // 2).shape),
+    }
+
+
+@SETS
+@NAMES
+def test_the_small_network_answers_as_published_in_both_modes(folder, name):
+    case = Case(folder, "small", name, SHORT_HORIZON[name])
+    modes = {t: t >= case.network.absolute_from for t in case.data["timesteps"].tolist()}
+    assert list(modes.values()) == [True, True, False, False, False]
+    for t in modes:
+        text, null = case.asked(t, case.text), case.asked(t, 0 * case.text)
+        close(text, frames(case.data[f"cond_t{t}"]))
+        close(null, frames(case.data[f"uncond_t{t}"]))
+        close(guide(text, null, float(case.data["guidance"])), frames(case.data[f"cfg_t{t}"]))
+
+
+@SETS
+@NAMES
+def test_what_stands_between_the_layers_is_as_published(folder, name):
+    case = Case(folder, "small", name, SHORT_HORIZON[name])
+    assert np.array_equal(_positions(case.x, case.segment).numpy(), case.data["pos_pe_abs"])
+    same = case.segment[0][:, None] == case.segment[0]
+    assert np.array_equal(same.numpy(), case.data["pe_bias_is_zero"])
+    encoder = case.network.seqTransEncoder
+    modules = {"tokens_in": encoder.attn_layers, "project_in_out": encoder.project_in}
+    modules |= {f"layer_{i}": layer[0][0] for i, layer in enumerate(encoder.attn_layers.layers)}
+    modules |= {"final_norm": encoder.attn_layers.final_norm}
+    for mode, t in zip(["ape", "rpe"], case.data["timesteps"].tolist()[1:3], strict=True):
+        with watched(modules) as seen:
+            case.asked(t, case.text)
+        close(seen["project_in_out"][1], torch.from_numpy(case.data[f"{mode}_project_in_out"]))
+        close(seen["layer_0"][0], torch.from_numpy(case.data[f"{mode}_tokens_in"]))
+        for i in (0, 1, 2):
+            close(seen[f"layer_{i + 1}"][0], torch.from_numpy(case.data[f"{mode}_after_sublayer_{i}"]))
+        close(seen["final_norm"][0], torch.from_numpy(case.data[f"{mode}_after_sublayer_3"]))
+        close(seen["final_norm"][1], torch.from_numpy(case.data[f"{mode}_final_norm"]))
+
+
+@SETS
+@NAMES
+def test_a_long_horizon_and_either_mode_at_any_step_are_as_published(folder, name):
+    case = Case(folder, "small", name, SHORT_HORIZON[name])
+    small = f"small_{name}"
+    _, absolute, relative = case.data["timesteps"].tolist()[:3]
+    far = case.with_horizon(small, 150, ABSOLUTE_FROM[name])
+    for t in (absolute, relative):
+        close(case.asked(t, case.text, far), frames(case.data[f"cond_h150_t{t}"]))
+    close(case.asked(relative, case.text), frames(case.data[f"cond_chunked_t{relative}"]))
+    always, never = (case.with_horizon(small, SHORT_HORIZON[name], step) for step in (0, STEPS))
+    close(case.asked(0, case.text, always), frames(case.data["cond_allape_t0"]))
+    close(case.asked(STEPS - 1, case.text, never), frames(case.data["cond_allrpe_t999"]))
+
+
+@SETS
+@NAMES
+def test_the_network_of_the_published_size_answers_as_published(folder, name):
+    case = Case(folder, "full", name, HORIZON[name])
+    assert sum(parameter.numel() for parameter in case.network.parameters()) == pytest.approx(18.39e6, rel=0.02)
+    for t in case.data["timesteps"].tolist():
+        close(case.asked(t, case.text), frames(case.data[f"cond_t{t}"]))
+        close(case.asked(t, 0 * case.text), frames(case.data[f"uncond_t{t}"]))
+
+
+class Fixed:
+    """A denoiser of a golden batch: each row in the mode that was drawn for it."""
+
+    def __init__(self, network: FlowMdm, relative) -> None:
+        self.network, self.absolute = network, ~torch.from_numpy(relative)
+
+    def __call__(self, x, t, text, text_mask, mask, segment=None) -> Tensor:
+        return self.network.encoded(x, t, self.network.read(text), self.absolute, mask, segment)
+
+
+@SETS
+@NAMES
+def test_the_layout_of_training_and_its_loss_are_as_published(folder, name):
+    data = golden(folder, f"flowmdm_train_{name}.npz")
+    network = flow_mdm(f"small_{name}", int(data["weight_seed"]), STEPS, SHORT_HORIZON[name])
+    motion, noise, text = frames(data["x"]), frames(data["noise"]), torch.from_numpy(data["text_embeddings"])
+    present = torch.from_numpy(data["mask"]).squeeze(1).squeeze(1)
+    if name == "babel":
+        text = text.transpose(0, 1)
+        lengths = [[length for length in row if length] for row in data["all_lengths"].tolist()]
+        segment = segments(*lengths)
+        assert np.array_equal(_positions(motion, segment)[present].numpy(), data["pos_pe_abs"][data["mask"][:, 0, 0]])
+    else:
+        text, segment = text[:, None], None
+        assert torch.equal(present, mask(torch.from_numpy(data["lengths"])))
+    batch = Sequences(motion, present, text, None, int(present.sum()), segment)
+    t, denoiser, schedule = (
+        torch.from_numpy(data["timesteps"]),
+        Fixed(network, data["is_relative"]),
+        Schedule.cosine(STEPS),
+    )
+    x_t = schedule.q_sample(motion, t, noise)
+    close(x_t[present], frames(data["x_t"])[present])
+    out = batch.denoised(denoiser, x_t, t)
+    close(out[present], frames(data["out_on_x_t"])[present])
+    if "out_direct" in data:
+        close(batch.denoised(denoiser, motion, t)[present], frames(data["out_direct"])[present])
+    losses = [(out - motion)[row][present[row]].square().mean() for row in range(len(motion))]
+    close(torch.stack(losses), torch.from_numpy(data["loss"]))
+    errors = squared_errors(denoiser, schedule, batch, t, noise)
+    per_row = torch.from_numpy(data["loss"]).double() * present.sum(dim=1)
+    assert float(errors.double().mean()) == pytest.approx(float(per_row.sum()), rel=1e-4)
