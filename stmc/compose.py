@@ -7,7 +7,7 @@ number of prompts. Knows no text encoders, no samplers and no meaning of the fea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,7 +22,7 @@ from stmc.body import BodyPart
 from stmc.denoisers import Denoiser
 from stmc.diffusion import Predict, Prediction, Schedule, Seed, guide
 from stmc.planning import Plan, Tile
-from stmc.tensors import mask, pad
+from stmc.tensors import Moved, mask, pad
 
 NULL = ""
 """The text that stands for no text: its embedding is what the network saw when the text was dropped in training."""
@@ -215,7 +215,7 @@ class _GuidedCrops:
     ) -> None:
         self._denoiser, self._schedule, self._prediction = denoiser, schedule, prediction
         self._lengths, self._weight = lengths, weight
-        self._batches = _Moved(lambda x: ([batch.to(x) for batch in batches], guided.to(x.device)))
+        self._batches = Moved(lambda x: ([batch.to(x) for batch in batches], guided.to(x.device)))
 
     def __call__(self, x: Float[Tensor, "crops frames features"], t: int) -> Float[Tensor, "crops frames features"]:
         expected = (len(self._lengths), max(self._lengths))
@@ -231,20 +231,6 @@ class _GuidedCrops:
             both[batch.with_text, batch.crops, : batch.frames] = x0
         null, text = both
         return torch.where(guided[:, None, None], guide(text, null, self._weight), null)
-
-
-class _Moved:
-    """Tensors that follow x: made for its device and dtype when first needed, then kept."""
-
-    def __init__(self, make: Callable) -> None:
-        self._make = make
-        self._made: dict = {}
-
-    def at(self, x: Tensor):
-        key = (x.device, x.dtype)
-        if key not in self._made:
-            self._made[key] = self._make(x)
-        return self._made[key]
 
 
 # Stitching crops into timelines -------------------------------------------------------------------------------------
@@ -288,8 +274,8 @@ def lerp(
     left, right = overlap // 2, overlap - overlap // 2
     for i, plan in enumerate(plans):
         for part, owned in columns.items():
-            seams = _seams(plan, part)
-            for seam in seams if overlap > 0 else ():
+            changes = seams(plan, part)
+            for seam in changes if overlap > 0 else ():
                 window = slice(max(0, seam - left), min(plan.frames, seam + right))
                 old = features[i, window][:, owned]
                 fade = torch.linspace(1, 0, len(old)).to(features)[:, None]
@@ -297,7 +283,7 @@ def lerp(
     return smooth
 
 
-def _seams(plan: Plan, part: BodyPart) -> list[int]:
+def seams(plan: Plan, part: BodyPart) -> list[int]:
     """The frames at which `part` changes from one crop to another, in a plan without overlap."""
     tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
     if any(a.end > b.start for a, b in pairwise(tiles)):
@@ -313,7 +299,7 @@ class _Cut:
         first = [i * self._shape[1] + crop.start for i, plan in enumerate(plans) for crop in plan.crops]
         valid = mask(torch.tensor(crop_lengths(plans, window)))
         rows = (torch.tensor(first)[:, None] + torch.arange(valid.shape[1])).where(valid, 0)
-        self._indexes = _Moved(lambda x: (rows.to(x.device), ~valid[..., None].to(x.device)))
+        self._indexes = Moved(lambda x: (rows.to(x.device), ~valid[..., None].to(x.device)))
 
     def __call__(self, x: Tensor) -> Tensor:
         assert x.shape[:2] == self._shape, f"timelines of shape {tuple(x.shape[:2])}, but the plans have {self._shape}"
@@ -332,7 +318,7 @@ class _Stitch:
         self._timelines = (len(plans), max(plan.frames for plan in plans))
         self._crops = (len(crop_lengths(plans)), max(crop_lengths(plans)))
         parts = [(list(columns[part]), *self._sources(plans, part)) for part in columns]
-        self._parts = _Moved(
+        self._parts = Moved(
             lambda x: [
                 (torch.tensor(own, device=x.device), source.to(x.device), weight.to(x)[..., None])
                 for own, source, weight in parts

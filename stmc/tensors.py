@@ -1,4 +1,4 @@
-"""Padding, masks and positions: sequences of different lengths as one batch.
+"""Padding, masks and positions: sequences of different lengths as one batch, wherever it is.
 
 Knows nothing of what the frames mean.
 """
@@ -6,12 +6,15 @@ Knows nothing of what the frames mean.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
 
 import torch
 from einops import rearrange
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
+
+Made = TypeVar("Made")
 
 
 def pad(
@@ -39,3 +42,18 @@ def sinusoids(rows: int, width: int) -> Float[Tensor, "rows width"]:
     frequency = torch.exp(torch.arange(0, width, 2).float() * (-math.log(10000.0) / width))
     angle = torch.arange(rows).float()[:, None] * frequency
     return rearrange([angle.sin(), angle.cos()], "two rows half -> rows (half two)")
+
+
+class Moved(Generic[Made]):
+    """Something made of tensors that follows x: `make(x)`, called once for each device and dtype that x comes in."""
+
+    def __init__(self, make: Callable[[Tensor], Made]) -> None:
+        self._make = make
+        self._made: dict[tuple[torch.device, torch.dtype], Made] = {}
+
+    def at(self, x: Tensor) -> Made:
+        """What was made for tensors like `x`."""
+        key = (x.device, x.dtype)
+        if key not in self._made:
+            self._made[key] = self._make(x)
+        return self._made[key]
