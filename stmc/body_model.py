@@ -153,7 +153,7 @@ def load_body(
         raise ValueError(f"unknown kind of body {kind!r}; choose from {', '.join(_HANDS)}")
     if gender not in _GENDERS:
         raise ValueError(f"unknown gender {gender!r}; choose from {', '.join(_GENDERS)}")
-    path = find_body(folder, kind, gender)
+    path = _find(Path(folder), kind, gender)
     arrays = _read(path, kind)
     bones, left_hand, right_hand = _HANDS[kind]
     template = arrays["v_template"]
@@ -174,9 +174,7 @@ def load_body(
     )
 
 
-def find_body(folder: str | Path, kind: str = "smpl", gender: str = "neutral") -> Path:
-    """The file that `load_body` reads. Raises `FileNotFoundError` naming the places looked at."""
-    folder = Path(folder)
+def _find(folder: Path, kind: str, gender: str) -> Path:
     if folder.is_file():
         return folder
     names = [f"{kind}_{gender}.npz", f"{gender}/model.npz", f"{kind}_{gender}.pkl", f"{gender}/model.pkl"]

@@ -29,6 +29,8 @@ FROM_THE_DATA = {
     "text_width": 8,
     "cache": cache(),
     "encoder": LetterCounts(),
+    "source": ".",
+    "annotations": ".",
     "layout": LAYOUT,
     "corpus": CORPUS,
 }

@@ -1,0 +1,114 @@
+"""What preparing a data set is, whichever it is: checked first, then converted piece by piece, in parallel.
+
+A piece's result is a cache of its own, whole or absent on the disk, so that a run that was killed goes on where it was.
+Knows caches; knows no format and no body.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import torch
+
+from stmc.data.cache import Cache, fingerprint, fresh, merged
+
+Watch = Callable[[Iterable, int], Iterable]
+"""Shows progress: (what there is to do, how much) → the same, watched."""
+
+
+class LayoutError(ValueError):
+    """A folder that is not laid out as its data set's; the message says what was expected and what was found."""
+
+
+class Preparation(Protocol):
+    """A data set on its way to a cache."""
+
+    def check(self) -> None:
+        """Looks at the folders, before anything is converted. Raises `LayoutError` for a wrong one."""
+        ...
+
+    def fingerprint(self) -> str:
+        """A name for everything that the cache depends on."""
+        ...
+
+    def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
+        """The whole cache, without its fingerprint. `scratch` keeps the pieces of a run that was killed.
+
+        Raises `ValueError` where not one clip can be used.
+        """
+        ...
+
+
+def code(*places: str) -> str:
+    """A name for the state of these modules and packages of the library, on which a cache depends as on its inputs."""
+    library = Path(__file__).parents[1]
+    found = [
+        path for place in places for path in sorted([*library.glob(f"{place}.py"), *library.glob(f"{place}/*.py")])
+    ]
+    return fingerprint(found, places)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Something to convert on its own. `fingerprint` names its inputs; `convert` can be pickled, and raises
+    `ValueError` for a piece that cannot be used."""
+
+    name: str
+    fingerprint: str
+    convert: Callable[[], Cache]
+
+
+def converted(
+    pieces: Sequence[Piece], scratch: Path, workers: int, watch: Watch, skipped: Sequence[tuple[str, str]] = ()
+) -> Cache:
+    """All pieces as one cache, in their order; pieces that are in `scratch` already are not converted again.
+
+    The cache names what was `skipped` before, and every piece that was now, with the reason.
+    Raises `ValueError` where no clip is left.
+    """
+    caches, skipped = [], list(skipped)
+    for name, result in watch(_each(pieces, scratch, workers), len(pieces)):
+        if isinstance(result, Path):
+            caches.append(Cache.read(result))
+        else:
+            skipped.append((name, result))
+    skipped += [row for cache in caches for row in cache.skipped]
+    if not any(cache.clips for cache in caches):
+        first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
+        raise ValueError(f"not one clip could be used, {len(skipped)} were skipped{first}")
+    return replace(merged(caches), skipped=tuple(skipped))
+
+
+def _each(pieces: Sequence[Piece], scratch: Path, workers: int) -> Iterator[tuple[str, Path | str]]:
+    """Every piece's name, and the folder of its cache or the reason why it could not be used."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        waiting: deque[tuple[str, Path, Future | None]] = deque()
+        for piece in pieces:
+            folder = scratch / piece.fingerprint[:32]
+            done = fresh(folder, piece.fingerprint)
+            waiting.append((piece.name, folder, None if done else pool.submit(write_piece, piece, folder)))
+            if len(waiting) > 16 * workers:
+                yield _result(*waiting.popleft())
+        while waiting:
+            yield _result(*waiting.popleft())
+
+
+def write_piece(piece: Piece, folder: Path) -> None:
+    """Converts a piece and writes its cache to `folder`. Raises the `ValueError` of a piece that cannot be used."""
+    replace(piece.convert(), fingerprint=piece.fingerprint).write(folder)
+
+
+def _result(name: str, folder: Path, future: Future | None) -> tuple[str, Path | str]:
+    try:
+        if future is not None:
+            future.result()
+    except ValueError as error:
+        return name, str(error)
+    return name, folder

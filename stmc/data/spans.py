@@ -1,0 +1,75 @@
+"""Spans of frames and what people said about each → clips and their texts, for data sets of one-off recordings.
+
+Knows caches; knows no data set and no seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.data.cache import Cache, Clip
+
+
+@dataclass(frozen=True)
+class Described:
+    """Spans `[begin, end)` of some features, each with its sentences. The name, the split and whether it is a mirror
+    image hold for all of them."""
+
+    name: str
+    split: str
+    mirrored: bool
+    spans: dict[tuple[int, int], list[str]]
+
+
+class Album:
+    """What a piece's cache is made of, entry by entry: features, clips and texts."""
+
+    def __init__(self, width: int) -> None:
+        self.skipped: list[tuple[str, str]] = []
+        self._features, self._clips = [torch.zeros(0, width)], list[Clip]()
+        self._texts: dict[str, tuple[tuple[str, float], ...]] = {}
+        self._start = 0
+
+    def add(self, features: Float[Tensor, "frames features"], described: Described) -> None:
+        """Keeps the frames from the first to the last that a span needs, and a clip for every span.
+
+        No body part is known of a clip, and its content is its own: it is like no other.
+        """
+        spans = described.spans
+        if not spans:
+            return
+        first, last = min(begin for begin, _ in spans), max(end for _, end in spans)
+        for number, ((begin, end), said) in enumerate(spans.items()):
+            name = f"{described.name}/{number}" if len(spans) > 1 else described.name
+            self._clips.append(
+                Clip(
+                    name=name,
+                    content=described.name,
+                    style="",
+                    texts=name,
+                    parts=(),
+                    cyclic=False,
+                    mirrored=described.mirrored,
+                    split=described.split,
+                    start=self._start + begin - first,
+                    end=self._start + end - first,
+                )
+            )
+            self._texts[name] = _shares(said)
+        self._features.append(features[first:last])
+        self._start += last - first
+
+    def cache(self, fps: float | int, representation: str) -> Cache:
+        """Everything that was added."""
+        features = torch.cat(self._features)
+        return Cache(fps, representation, features, tuple(self._clips), self._texts, tuple(self.skipped))
+
+
+def _shares(texts: Sequence[str]) -> tuple[tuple[str, float], ...]:
+    """Each text once, with its share of all."""
+    return tuple((text, texts.count(text) / len(texts)) for text in dict.fromkeys(texts))
