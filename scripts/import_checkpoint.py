@@ -1,11 +1,11 @@
 """Makes run directories of published checkpoints: `python scripts/import_checkpoint.py source=PATH output=runs/mdm`."""
 
 import hydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from stmc.published import convert
-from stmc.run import CARD
+from stmc.run import CARD, CONFIG
 
 
 @hydra.main(config_path="../configs", config_name="import_checkpoint", version_base="1.3")
@@ -15,7 +15,8 @@ def main(config: DictConfig) -> None:
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error
     Console().print((folder / CARD).read_text(encoding="utf-8"), markup=False)
-    Console().print(f"in {folder}: try python scripts/sample.py model={folder}", markup=False)
+    hint = f": try python scripts/sample.py model={folder}" if "denoiser" in OmegaConf.load(folder / CONFIG) else ""
+    Console().print(f"in {folder}{hint}", markup=False)
 
 
 if __name__ == "__main__":

@@ -163,7 +163,7 @@ def test_a_damaged_run_directory_of_an_evaluator_is_an_error(tmp_path, damage, m
 
 
 def test_the_guo_evaluator_gives_embeddings_in_the_order_of_its_inputs_and_refuses_what_is_too_short():
-    network = GuoEvaluator(9, 2, (8, 8), 8, 6, 8, 5).eval()
+    network = GuoEvaluator(7, (8, 8), 8, 6, 8, 5).eval()
     motions, lengths = drawn(3, 20, 9), torch.tensor([8, 20, 12])
     together = network.motions(motions, lengths)
     for index, length in enumerate(lengths.tolist()):

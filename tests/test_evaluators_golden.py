@@ -139,10 +139,9 @@ def test_the_contrastive_loss_and_its_filter_are_those_of_the_published_code(fol
 def guo(name: str, seed: int) -> GuoEvaluator:
     listed = entries("evaluator_state_dicts.json", name)
     shapes = {entry["name"]: entry["shape"] for entry in listed}
-    hidden, features, _ = shapes["movement_encoder.main.0.weight"]
+    hidden, seen, _ = shapes["movement_encoder.main.0.weight"]
     network = GuoEvaluator(
-        features,
-        0,
+        seen,
         (hidden, shapes["movement_encoder.main.3.weight"][0]),
         shapes["motion_encoder.hidden"][2],
         shapes["text_encoder.pos_emb.weight"][0],
@@ -162,11 +161,10 @@ def test_the_guo_evaluator_of_the_published_size_is_the_published_code(folder):
     kinds = torch.from_numpy(rng.integers(0, 15, data["pos_ids"].shape))
     assert torch.equal(kinds, data["pos_ids"])
     torch.testing.assert_close(motions[0, 0, :5], data["motions_head"])
-    network.seen = 259  # of the 263 that are stored
     lengths = data["motion_lengths"]
     order = data["official_order"]
     assert_golden(network.motions(motions, lengths)[order], data["motion_embedding_official_order"])
-    assert_golden(network.movement_encoder(motions[:1, :, :259])[0], data["movements_first_item"])
+    assert_golden(network.movement_encoder(motions[:1, :, : network.seen])[0], data["movements_first_item"])
     one_hot = torch.nn.functional.one_hot(kinds, 15).float()
     texts = network.texts(words, one_hot, data["caption_lengths"])
     assert_golden(texts, data["text_embedding_input_order"])

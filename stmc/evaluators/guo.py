@@ -2,12 +2,10 @@
 multimodality are measured in most of the field's tables.
 
 Parameter names and shapes are those of `text_mot_match/model/finest.tar`. Knows nothing of how features are made or
-words looked up (see `words`), nor of metrics.
+words looked up, of files (see `published`), nor of metrics.
 """
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import torch
 from einops import rearrange, repeat
@@ -15,12 +13,8 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn.utils.rnn import pack_padded_sequence
 
-SECTIONS = ("movement_encoder", "text_encoder", "motion_encoder")
 STRIDE = 4
 """Frames that become one movement."""
-
-CONTACTS = 4
-"""Features at the end of HumanML3D's 263 that the movement encoder does not see."""
 
 
 class MovementEncoder(nn.Module):
@@ -83,15 +77,14 @@ class TextReader(SequenceReader):
 class GuoEvaluator(nn.Module):
     """The three networks together; a caption and its motion are near each other in Euclidean distance.
 
-    `features` numbers a frame, normalised with the evaluator's own mean and deviation; the last `contacts` of them are
-    dropped (4 of HumanML3D's 263; none of BABEL's 135). Rows come out in the order in which they went in (published
-    wrapper: sorted by length).
+    Of the numbers of a frame, normalised with the evaluator's own mean and deviation, the first `seen` are looked at:
+    of HumanML3D's 263 all but the contacts, of BABEL's 135 all. Rows come out in the order in which they went in
+    (published wrapper: sorted by length).
     """
 
     def __init__(
         self,
-        features: int = 263,
-        contacts: int = CONTACTS,
+        seen: int = 259,
         movements: tuple[int, int] = (512, 512),
         motion_hidden: int = 1024,
         words: int = 300,
@@ -99,8 +92,8 @@ class GuoEvaluator(nn.Module):
         width: int = 512,
     ) -> None:
         super().__init__()
-        self.seen = features - contacts
-        self.movement_encoder = MovementEncoder(self.seen, *movements)
+        self.seen = seen
+        self.movement_encoder = MovementEncoder(seen, *movements)
         self.text_encoder = TextReader(words, hidden=text_hidden, width=width)
         self.motion_encoder = SequenceReader(movements[1], motion_hidden, width)
 
@@ -121,24 +114,3 @@ class GuoEvaluator(nn.Module):
     ) -> Float[Tensor, "batch _"]:
         """Embeddings of captions of these many tokens, start and end included."""
         return self.text_encoder(words, parts_of_speech, lengths)
-
-    @classmethod
-    def read(cls, file: Path, features: int = 263, contacts: int = CONTACTS) -> GuoEvaluator:
-        """The published evaluator, in evaluation mode, from its `finest.tar`; nothing in the file is run.
-
-        Raises `ValueError` naming what is missing or does not fit.
-        """
-        try:
-            found = torch.load(file, map_location="cpu", weights_only=True)
-        except Exception as error:  # torch raises what it likes for a damaged or a malicious file
-            raise ValueError(f"{file} cannot be read as weights: {error}") from error
-        missing = [section for section in SECTIONS if not isinstance(found, dict) or section not in found]
-        if missing:
-            raise ValueError(f"{file} holds no {', '.join(missing)}: it is not an evaluator's finest.tar")
-        evaluator = cls(features, contacts)
-        for section in SECTIONS:
-            try:
-                getattr(evaluator, section).load_state_dict(found[section])
-            except (RuntimeError, TypeError) as error:
-                raise ValueError(f"{file}: {section} does not fit: {error}") from error
-        return evaluator.eval().requires_grad_(False)

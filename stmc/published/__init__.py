@@ -1,6 +1,7 @@
-"""The checkpoints that others published, as models of this library: STMC's, MDM's and MotionDiffuse's."""
+"""What others published, as models and evaluators of this library: STMC's, MDM's, MotionDiffuse's, TMR's and Guo's."""
 
 from stmc.published.checkpoint import CheckpointError
 from stmc.published.conversion import convert, read
+from stmc.published.evaluators import read_guo
 
-__all__ = ["CheckpointError", "convert", "read"]
+__all__ = ["CheckpointError", "convert", "read", "read_guo"]

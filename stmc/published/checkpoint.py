@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from stmc.arrays import ArraysError, read_npy
+from stmc.evaluators import Evaluator
 from stmc.model import Model
 from stmc.run import RunError, build
 from stmc.statistics import Statistics
@@ -28,9 +29,10 @@ class CheckpointError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """A published model and what its card should say: a title, and sentences on its source and on what was chosen."""
+    """A published model (or evaluator) and what its card should say: a title, and sentences on its source and on what
+    was chosen."""
 
-    model: Model
+    model: Model | Evaluator
     title: str
     facts: tuple[str, ...]
 
@@ -38,6 +40,21 @@ class Imported:
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """The content of a file that `torch.save` wrote, on the CPU. Raises `CheckpointError` where it is damaged, no dict,
     or holds more than tensors and plain values, which could run code."""
+    content = _content(path)
+    if not isinstance(content, dict):
+        raise CheckpointError(f"{path} holds a {type(content).__name__}, not a dict of weights")
+    return content
+
+
+def read_tensor(path: Path) -> Tensor:
+    """The one tensor in a file that `torch.save` wrote. Raises `CheckpointError` as `read_checkpoint` does."""
+    content = _content(path)
+    if not torch.is_tensor(content):
+        raise CheckpointError(f"{path} holds a {type(content).__name__}, not a tensor")
+    return content
+
+
+def _content(path: Path) -> Any:
     if not path.is_file():
         raise CheckpointError(f"{path} does not exist")
     try:
@@ -50,8 +67,6 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         ) from error
     except (RuntimeError, OSError, EOFError, ValueError, KeyError, AttributeError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{path} cannot be read as a checkpoint of PyTorch: {error}") from error
-    if not isinstance(content, dict):
-        raise CheckpointError(f"{path} holds a {type(content).__name__}, not a dict of weights")
     return content
 
 

@@ -1,0 +1,136 @@
+"""Evaluators as their authors publish them: a run of TMR, and the `finest.tar` of Guo et al.
+
+Names and shapes of their weights are those of `stmc.evaluators`; sizes are read off the weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from stmc.evaluators import Evaluator, GuoEvaluator, Tmr
+from stmc.published.checkpoint import (
+    CheckpointError,
+    Imported,
+    fill,
+    read_checkpoint,
+    read_json,
+    read_tensor,
+    size_of,
+    state_dict,
+)
+from stmc.representation import HumanML3DRepresentation
+from stmc.statistics import Statistics
+from stmc.text import Tokens
+
+WEIGHTS, CHECKPOINT = Path("last_weights"), Path("logs/checkpoints/last.ckpt")
+PARTS = ("motion_encoder", "text_encoder", "motion_decoder")
+STATISTICS = Path("stats/humanml3d/guoh3dfeats")
+"""Where they lie in TMR's own folder, two levels above a run: per dimension, unlike HumanML3D's `Std.npy`."""
+EPSILON = 1e-12
+"""What the published code adds to a standard deviation."""
+FPS, HEADS = 20, 4
+DISTILBERT = "distilbert/distilbert-base-uncased"
+SECTIONS = ("movement_encoder", "text_encoder", "motion_encoder")
+
+
+def read_tmr(folder: Path, statistics: Path | None = None, text_model: str | None = None) -> Imported:
+    """The evaluator of a run of TMR on HumanML3D's 263 features, with DistilBERT's tokens as texts.
+
+    `statistics`: the folder of `mean.pt` and `std.pt` (None: where TMR's own folder has them, above the run).
+    `text_model`: where DistilBERT's weights are (None: the hub). Raises `CheckpointError` for whatever is missing or
+    does not fit.
+    """
+    weights = _weights(folder)
+    place = str(folder)
+    sizes = {
+        "features": size_of(weights, "motion_encoder.projection.weight", 1, place),
+        "text_width": size_of(weights, "text_encoder.projection.weight", 1, place),
+        "width": size_of(weights, "motion_encoder.tokens", 1, place),
+        "feedforward": size_of(weights, "motion_encoder.seqTransEncoder.layers.0.linear1.weight", 0, place),
+        "layers": sum(name.startswith("motion_encoder.") and name.endswith("norm1.weight") for name in weights),
+        "heads": HEADS,
+        "variational": size_of(weights, "motion_encoder.tokens", 0, place) == 2,
+    }
+    representation = HumanML3DRepresentation()
+    if sizes["features"] != representation.width:
+        raise CheckpointError(f"{folder} was trained on {sizes['features']} features, not HumanML3D's 263")
+    network = Tmr(**sizes)
+    fill(network, weights, place)
+    text = {"_target_": "stmc.text.Tokens", "source": text_model or DISTILBERT, "width": sizes["text_width"]}
+    evaluator = Evaluator(
+        network=network,
+        text_encoder=Tokens(text["source"], text["width"]),
+        representation=representation,
+        motion_statistics=_statistics(statistics or folder.absolute().parent.parent / STATISTICS, representation.width),
+        text_statistics=Statistics(torch.zeros(text["width"]), torch.ones(text["width"])),
+        fps=FPS,
+        config={
+            "network": {"_target_": "stmc.evaluators.Tmr"} | sizes,
+            "text_encoder": text,
+            "representation": {"_target_": "stmc.representation.HumanML3DRepresentation"},
+        },
+    )
+    facts = ("TMR (Petrovich et al. 2023) on HumanML3D's 263 features.", f"Texts: tokens of {text['source']}.")
+    return Imported(evaluator, "TMR", facts)
+
+
+def read_guo(file: Path) -> GuoEvaluator:
+    """The evaluator of Guo et al. from its `finest.tar`. Raises `CheckpointError` for what is missing or no fit."""
+    content = read_checkpoint(file)
+    if missing := [section for section in SECTIONS if section not in content]:
+        raise CheckpointError(f"{file} holds no {', '.join(missing)}: it is not an evaluator's finest.tar")
+    weights = {
+        f"{section}.{name}": value
+        for section in SECTIONS
+        for name, value in state_dict(content[section], f"{file}: {section}").items()
+    }
+
+    def size(name: str, dimension: int) -> int:
+        return size_of(weights, name, dimension, str(file))
+
+    evaluator = GuoEvaluator(
+        seen=size("movement_encoder.main.0.weight", 1),
+        movements=(size("movement_encoder.main.0.weight", 0), size("movement_encoder.main.3.weight", 0)),
+        motion_hidden=size("motion_encoder.hidden", 2),
+        words=size("text_encoder.pos_emb.weight", 0),
+        text_hidden=size("text_encoder.hidden", 2),
+        width=size("motion_encoder.output_net.3.weight", 0),
+    )
+    fill(evaluator, weights, str(file))
+    return evaluator
+
+
+def is_tmr(folder: Path) -> bool:
+    """Whether a run's folder is one of TMR: by the files of its weights, or by settings that name no diffusion."""
+    if (folder / WEIGHTS / f"{PARTS[0]}.pt").is_file():
+        return True
+    return (folder / "config.json").is_file() and "diffusion" not in read_json(folder / "config.json")
+
+
+def _weights(folder: Path) -> Mapping[str, Tensor]:
+    """From `last_weights`, a file for each part, or from the run's last checkpoint."""
+    if (folder / WEIGHTS).is_dir():
+        return {
+            f"{part}.{name}": value
+            for part in PARTS
+            for path in [folder / WEIGHTS / f"{part}.pt"]
+            for name, value in state_dict(read_checkpoint(path), str(path)).items()
+        }
+    content = read_checkpoint(folder / CHECKPOINT)
+    weights = state_dict(content.get("state_dict"), f"{folder / CHECKPOINT}: state_dict")
+    return {name: value for name, value in weights.items() if name.startswith(PARTS)}
+
+
+def _statistics(folder: Path, width: int) -> Statistics:
+    mean, std = (read_tensor(folder / f"{moment}.pt") for moment in ("mean", "std"))
+    for name, value in (("mean", mean), ("std", std)):
+        if value.shape != (width,):
+            raise CheckpointError(f"{folder / name}.pt must hold {width} numbers, not {list(value.shape)}")
+    try:
+        return Statistics(mean.float(), std.float() + EPSILON)
+    except ValueError as error:
+        raise CheckpointError(f"{folder}: statistics must be finite, with a std that is not negative") from error
