@@ -36,7 +36,7 @@ def flow_mdm(name: str, seed: int, absolute_from: int, horizon: int) -> FlowMdm:
     """The network "small_humanml", "full_babel", … with golden weights, all of them."""
     shapes = parameters(name)
     features, text_width = shapes["output_process.poseFinal.weight"][0], shapes["embed_text.weight"][1]
-    sizes = SMALL if name.startswith("small") else {}
+    sizes = {} if name.startswith("full") else SMALL
     network = FlowMdm(features, text_width, absolute_from, horizon=horizon, **sizes)
     weights = {
         key: weight(key, shape, entries(name)[key]["kind"] == "norm_weight", seed) for key, shape in shapes.items()

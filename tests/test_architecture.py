@@ -22,6 +22,7 @@ TIERS = [
     {"assignment", "export", "representation", "training"},
     {"data", "evaluators", "metrics", "mtt", "planning", "viewing"},
     {"compose"},
+    {"rules", "sequences", "transitions"},
     {"model"},
     {"run"},
     {"published"},

@@ -1,17 +1,23 @@
-"""FlowMDM's network: parity with the published code, in both modes, with and without texts, and in training's layout."""
+"""FlowMDM: parity with the published code, in both modes, with and without texts, and in the layout of training."""
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 from conftest import GOLDEN, golden, golden_sets
 from flow import close, entries, flow_mdm, parameters, segments
+from mosaic import plans_of, timeline
 from published import drawn, frames, watched
 from torch import Tensor
 
+from stmc.body import BodyPart
+from stmc.compose import NULL
 from stmc.denoisers import FlowMdm
 from stmc.denoisers.flow_mdm import _positions
 from stmc.denoisers.flow_mdm_layers import TURNED, _frequencies
-from stmc.diffusion import Schedule, guide
+from stmc.diffusion import Schedule, ddpm, guide
+from stmc.sequences import guided_sequences, weave
 from stmc.tensors import mask
 from stmc.training.loss import squared_errors
 from stmc.training.sequences import Sequences
@@ -79,7 +85,7 @@ def test_the_small_network_answers_as_published_in_both_modes(folder, name):
 @NAMES
 def test_what_stands_between_the_layers_is_as_published(folder, name):
     case = Case(folder, "small", name, SHORT_HORIZON[name])
-    assert np.array_equal(_positions(case.x, case.segment).numpy(), case.data["pos_pe_abs"])
+    assert np.array_equal(_positions(case.segment, len(case.lengths)).numpy(), case.data["pos_pe_abs"])
     same = case.segment[0][:, None] == case.segment[0]
     assert np.array_equal(same.numpy(), case.data["pe_bias_is_zero"])
     encoder = case.network.seqTransEncoder
@@ -143,7 +149,9 @@ def test_the_layout_of_training_and_its_loss_are_as_published(folder, name):
         text = text.transpose(0, 1)
         lengths = [[length for length in row if length] for row in data["all_lengths"].tolist()]
         segment = segments(*lengths)
-        assert np.array_equal(_positions(motion, segment)[present].numpy(), data["pos_pe_abs"][data["mask"][:, 0, 0]])
+        assert np.array_equal(
+            _positions(segment, text.shape[1])[present].numpy(), data["pos_pe_abs"][data["mask"][:, 0, 0]]
+        )
     else:
         text, segment = text[:, None], None
         assert torch.equal(present, mask(torch.from_numpy(data["lengths"])))
@@ -164,3 +172,36 @@ def test_the_layout_of_training_and_its_loss_are_as_published(folder, name):
     errors = squared_errors(denoiser, schedule, batch, t, noise)
     per_row = torch.from_numpy(data["loss"]).double() * present.sum(dim=1)
     assert float(errors.double().mean()) == pytest.approx(float(per_row.sum()), rel=1e-4)
+
+
+@SETS
+def test_a_whole_chain_over_three_texts_is_as_published(folder):
+    """By the library's own way: a timeline, its plan, guided sequences woven, and `ddpm`."""
+    data = golden(folder, "flowmdm_chain50.npz")
+    steps, absolute = int(data["num_steps"]), int(data["bpe_denoising_step"])
+    network = flow_mdm("chain24", int(data["weight_seed"]), steps - absolute + 1, int(data["rpe_horizon"]))
+    edges = np.concatenate([[0], np.cumsum(data["lengths"])]).tolist()
+    plans = plans_of(timeline(*[(str(i), *span) for i, span in enumerate(pairwise(edges))]), overlap=0)
+    texts = torch.from_numpy(data["text_embeddings"])
+    embeddings = {NULL: torch.zeros(1, texts.shape[2])} | {str(i): text for i, text in enumerate(texts)}
+    schedule, rng = Schedule.cosine(steps), np.random.default_rng(int(data["noise_seed"]))
+    columns = dict.fromkeys(BodyPart, range(0)) | {BodyPart.LEGS: range(data["x_T"].shape[1])}
+    sequences = guided_sequences(network, schedule, plans, embeddings, float(data["guidance"]))
+    predict, states = weave(sequences, plans, columns), []
+
+    def draw(shape: torch.Size) -> Tensor:
+        batch, count, features = shape
+        return frames(rng.standard_normal((batch, features, 1, count)).astype(np.float32))
+
+    def watched_predict(x: Tensor, t: int) -> Tensor:
+        states.append((x, t))
+        return predict(x, t)
+
+    x = frames(data["x_T"])
+    assert torch.equal(draw(x.shape), x)
+    x0 = list(ddpm(watched_predict, schedule, x, draw, spread="std"))
+    for i, (iteration, t) in enumerate(zip(data["kept_iterations"], data["kept_t"], strict=True)):
+        assert states[iteration][1] == t
+        close(x0[iteration], frames(data["pred_xstart"][i]))
+        after = states[iteration + 1][0] if t else x0[iteration]
+        close(after, frames(data["samples"][i]))

@@ -77,10 +77,7 @@ class FlowMdm(Network):
     ) -> Float[Tensor, "batch frames features"]:
         """See `Denoiser`. With `segment`, which says of every frame to which segment it belongs, `text` has a word for
         each of a row's segments; without it, a row is one segment. A segment may be interrupted by others."""
-        if self.training:
-            absolute = torch.rand(len(x), device=x.device) >= RELATIVE
-        else:
-            absolute = t >= self.absolute_from
+        absolute = torch.rand(len(x), device=x.device) >= RELATIVE if self.training else t >= self.absolute_from
         return self.encoded(x, t, text, absolute, mask, segment)
 
     def forward(
@@ -110,9 +107,11 @@ class FlowMdm(Network):
         step = self.embed_timestep["time_embed"](self.positions[t])[:, None]
         told = text if segment is None else text.take_along_dim(segment[..., None], dim=1)
         condition = (step + told).expand(-1, x.shape[1], -1)
+        alone = torch.arange(x.shape[1], device=x.device)[None]
+        position = alone if segment is None else _positions(segment, text.shape[1])
         sight = Sight(x.shape[1], self.horizon, mask, segment, absolute)
         frames = self.input_process["poseEmbedding"](x)
-        return self.output_process["poseFinal"](self.seqTransEncoder(frames, condition, sight))
+        return self.output_process["poseFinal"](self.seqTransEncoder(frames, condition, position, sight))
 
 
 class _Encoder(nn.Module):
@@ -124,9 +123,9 @@ class _Encoder(nn.Module):
         self.attn_layers = Layers(width, feedforward, layers, heads, skipped)
         self.project_out = nn.Linear(width, width)
 
-    def forward(self, frames: Tensor, condition: Tensor, sight: Sight) -> Tensor:
+    def forward(self, frames: Tensor, condition: Tensor, position: Tensor, sight: Sight) -> Tensor:
         frames = self.project_in(frames)
-        place = self.pos_emb["absolute"](absolute_positions(_positions(frames, sight.segment), frames.shape[-1]))
+        place = self.pos_emb["absolute"](absolute_positions(position, frames.shape[-1]))
         absolute = rearrange(sight.confined, "batch -> batch 1 1")
         frames = self.dropout(frames + torch.where(absolute, place, 0.0))
         turns = Turns.of(frames.shape[1], ~sight.confined)
@@ -142,10 +141,8 @@ class _Scale(nn.Module):
         return values * self.scale
 
 
-def _positions(frames: Tensor, segment: Tensor | None) -> Int[Tensor, "batch frames"]:
+def _positions(segment: Int[Tensor, "batch frames"], segments: int) -> Int[Tensor, "batch frames"]:
     """Of every frame, counted from the first one of its segment."""
-    frame = torch.arange(frames.shape[1], device=frames.device).expand(frames.shape[:2])
-    if segment is None:
-        return frame
-    first = torch.full_like(frame, frames.shape[1]).scatter_reduce(1, segment, frame, "amin")
-    return frame - first.take_along_dim(segment, dim=1)
+    frame = torch.arange(segment.shape[1], device=segment.device).expand_as(segment)
+    first = segment.new_full((len(segment), segments), segment.shape[1])
+    return frame - first.scatter_reduce(1, segment, frame, "amin").take_along_dim(segment, dim=1)

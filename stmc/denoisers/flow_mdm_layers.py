@@ -111,7 +111,7 @@ class Turns:
         frame = torch.arange(frames, dtype=torch.float64, device=relative.device)
         angle = frame[:, None] * _frequencies(TURNED // 2).to(frame)
         angle = rearrange(relative, "batch -> batch 1 1 1") * angle
-        return cls(angle.cos().float(), angle.sin().float())
+        return cls(angle.cos(), angle.sin())
 
     def __call__(self, values: Heads) -> Heads:
         """Channel i of the first half of the turned ones is turned with channel i of the second."""
