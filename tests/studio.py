@@ -110,7 +110,7 @@ def babel(folder: Path) -> Path:
     whole = {"anntr_id": "x", "babel_lid": "y", "mul_act": False, "labels": [label("walking")]}
     kick = {"babel_sid": 1, "feat_p": "KIT/KIT/3/kick_high_left02_poses.npz", "dur": 3.2, "seq_ann": whole}
     rub = "BMLrub/BioMotionLab_NTroje/rub001/0000_treadmill_norm_poses.npz"
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     first = kick | {"frame_ann": whole | {"labels": frames}}
     (folder / "train.json").write_text(json.dumps({"1": first}))
     (folder / "val.json").write_text(json.dumps({"2": kick | {"feat_p": rub, "frame_ann": None}}))
