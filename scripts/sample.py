@@ -30,7 +30,7 @@ CHOICES = {
 }
 FORMATS = ("npz", "bvh", "html")
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
-DECIDING = ("seed", "method", "sampler", "spread", "steps", "guidance", "overlap", "precision")
+DECIDING = ("seed", "method", "late", "sampler", "spread", "steps", "guidance", "overlap", "precision")
 Job = tuple[str, stmc.Timeline, int]
 """A motion to be: its files' name, its timeline, its seed."""
 
@@ -66,6 +66,8 @@ def check(config: DictConfig) -> None:
             raise SystemExit(f"{key}={config[key]}: choose from {', '.join(filter(None, choices))}")
     if not config.formats or set(config.formats) - set(FORMATS):
         raise SystemExit(f"formats={list(config.formats)}: choose from {', '.join(FORMATS)}")
+    if not 0 <= config.late < 1 or (config.late and config.method.startswith("sinc")):
+        raise SystemExit(f"late={config.late}: from 0 to below 1, and 0 for SINC")
     for key in ("samples", "batch", "steps"):
         if config[key] is not None and config[key] < 1:
             raise SystemExit(f"{key}={config[key]}: at least 1")
@@ -157,6 +159,7 @@ def generate(model: stmc.Model, jobs: list[Job], config: DictConfig, progress: P
             steps=config.steps,
             sampler=partial(sampler, spread=config.spread or model.spread) if config.sampler == "ddpm" else sampler,
             method=config.method,
+            late=config.late,
             track=partial(progress.track, total=steps, task_id=task),
         )
     finally:

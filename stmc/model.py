@@ -9,7 +9,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
+from itertools import islice
 from typing import Any, Literal, get_args
 
 import torch
@@ -24,6 +25,7 @@ from stmc.motion import Motion
 from stmc.planning import Plan, plan
 from stmc.representation import Representation
 from stmc.statistics import Statistics
+from stmc.tensors import mask
 from stmc.text import TextEncoder
 from stmc.timeline import Timeline, one_text, single_track
 
@@ -111,6 +113,7 @@ class Model:
         steps: int | None = None,
         sampler: Sampler | None = None,
         method: Method = "stmc",
+        late: float | int = 0.0,
         track: Track = iter,
     ) -> list[Motion]:
         """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
@@ -118,51 +121,33 @@ class Model:
         `seed`: one for each timeline, or the first of consecutive ones; a motion depends on its own alone, not on the
         batch. `guidance` weighs the text (1: as trained, 0: no text; None: the model's own); `overlap` in seconds;
         `steps` of denoising (None: as many as in training); `sampler` (None: `ddpm` with the model's own spread).
-        `method`: "stmc" stitches at every step (section 3.3); "sinc" once, after sampling each
-        crop on its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts
-        by "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
-        Raises `ValueError` for an unknown method, negative seeds, and seeds that are not one for each timeline.
+
+        `method`: "stmc" stitches at every step (section 3.3), or only after the share `late` of them, before which
+        crops are denoised alone (section 4.6's outlook); "sinc" once, after sampling each crop on its own; "sinc_lerp"
+        smooths the seams of that over `overlap`; "single_track" joins simultaneous texts by "while" and composes in
+        time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
+
+        Raises `ValueError` for an unknown method, negative seeds, seeds that are not one for each timeline, and `late`
+        outside of [0, 1) or with SINC.
         """
         timelines = [timelines] if isinstance(timelines, Timeline) else list(timelines)
-        seeds = list(range(seed, seed + len(timelines))) if isinstance(seed, int) else list(seed)
-        if len(seeds) != len(timelines):
-            raise ValueError(f"{len(seeds)} seeds for {len(timelines)} timelines: each needs one")
-        if min(seeds, default=0) < 0:
-            raise ValueError(f"seed {min(seeds)} is negative: seeds count from 0")
+        seeds = _seeds(seed, len(timelines))
         if method not in get_args(Method):
             raise ValueError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
+        if not 0 <= late < 1 or (late and method.startswith("sinc")):
+            raise ValueError(f"late={late}: the share of the steps before stitching is in [0, 1), and 0 for SINC")
         if not timelines:
             return []
         self.denoiser.eval()
         timelines = [_baseline(timeline, method, self) for timeline in timelines]
-        independent = method in ("sinc", "sinc_lerp")
-        plans = self.plans(timelines, 0.0 if independent else overlap)
-        columns, window = self.representation.columns, self.denoiser.window
-        crops, sampler = self.guided(plans, guidance), sampler or partial(ddpm, spread=self.spread)
-        if independent:
-            lengths, seeds = crop_lengths(plans, window), crop_seeds(plans, seeds)
-            features = self._sample(crops, lengths, seeds, sampler, steps, track)
-            features = sinc(features, plans, columns)
+        run = _Run(self, timelines, seeds, guidance, sampler or partial(ddpm, spread=self.spread), steps, track)
+        if method in ("sinc", "sinc_lerp"):
+            features = run.apart()
             if method == "sinc_lerp":
-                features = lerp(features, plans, columns, int(overlap * self.fps))
+                features = lerp(features, run.plans, self.representation.columns, int(overlap * self.fps))
         else:
-            predict = collage(crops, plans, columns, window)
-            features = self._sample(predict, canvas_lengths(plans, window), seeds, sampler, steps, track)
-        return self.decode(features, [each.frames for each in plans])
-
-    def _sample(
-        self,
-        predict: Predict,
-        lengths: Sequence[int],
-        seeds: Sequence[Seed],
-        sampler: Sampler,
-        steps: int | None,
-        track: Track,
-    ) -> Float[Tensor, "batch frames features"]:
-        draw = Noise(seeds, lengths, self.representation.width, device=self.device)
-        for x0 in track(sampler(predict, self.schedule, draw(), draw, steps=steps)):  # noqa: B007
-            pass
-        return x0
+            features = run.stitched(self.plans(timelines, overlap), late)
+        return self.decode(features, [each.frames for each in run.plans])
 
     def decode(self, features: Float[Tensor, "batch frames features"], lengths: Sequence[int]) -> list[Motion]:
         """Motions on the CPU from a batch of normalised features, each of its own length."""
@@ -177,3 +162,79 @@ def _baseline(timeline: Timeline, method: Method, model: Model) -> Timeline:
     if method == "one_text":
         return one_text(timeline, model.longest / model.fps)
     return single_track(timeline, model.fps) if method == "single_track" else timeline
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """How timelines are sampled, whichever the method."""
+
+    model: Model
+    timelines: Sequence[Timeline]
+    seeds: Sequence[int]
+    guidance: float | int | None
+    sampler: Sampler
+    steps: int | None
+    track: Track
+
+    @cached_property
+    def plans(self) -> list[Plan]:
+        """Without overlap: every body part of every frame has one crop."""
+        return self.model.plans(self.timelines, 0.0)
+
+    def apart(self) -> Float[Tensor, "batch frames features"]:
+        """SINC: the crops alone, combined at the end."""
+        return sinc(self._crops(), self.plans, self.model.representation.columns)
+
+    def stitched(self, plans: Sequence[Plan], late: float | int) -> Float[Tensor, "batch frames features"]:
+        """STMC on `plans`, from the share `late` of the steps on."""
+        model, window = self.model, self.model.denoiser.window
+        predict = collage(model.guided(plans, self.guidance), plans, model.representation.columns, window)
+        draw = self._noise(self.seeds, canvas_lengths(plans, window))
+        times = model.schedule.spaced(self.steps)
+        alone = int(late * len(times))
+        if not alone:
+            return _last(self.track(self.sampler(predict, model.schedule, draw(), draw, steps=self.steps)))
+        times = times[: len(times) - alone]
+        x = model.schedule.q_sample(torch.zeros_like(noise := draw()), times[-1], noise)  # what lies behind the ends
+        apart = sinc(self._crops(until=alone), self.plans, model.representation.columns)
+        x[:, : apart.shape[1]] = torch.where(self._within(apart), apart, x[:, : apart.shape[1]])
+        rest = self.sampler(lambda x, i: predict(x, times[i]), model.schedule.respaced(times), x, draw)
+        return _last(self.track(rest))
+
+    def _crops(self, until: int | None = None) -> Float[Tensor, "crops frames features"]:
+        """The crops, each sampled alone; or their noisy states after so many steps."""
+        model, window = self.model, self.model.denoiser.window
+        predict, states = model.guided(self.plans, self.guidance), []
+        draw = self._noise(crop_seeds(self.plans, self.seeds), crop_lengths(self.plans, window))
+
+        def watched(x: Tensor, t: int) -> Tensor:
+            states[:] = [x]
+            return predict(x, t)
+
+        sampling = self.sampler(watched, model.schedule, draw(), draw, steps=self.steps)
+        if until is None:
+            return _last(self.track(sampling))
+        _last(islice(sampling, until + 1))
+        return states[0]
+
+    def _within(self, features: Tensor) -> Tensor:
+        """Where a timeline has frames."""
+        return mask(torch.tensor([plan.frames for plan in self.plans]))[..., None].to(features.device)
+
+    def _noise(self, seeds: Sequence[Seed], lengths: Sequence[int]) -> Noise:
+        return Noise(seeds, lengths, self.model.representation.width, device=self.model.device)
+
+
+def _last(items: Iterable[Tensor]) -> Tensor:
+    for item in items:  # noqa: B007
+        pass
+    return item
+
+
+def _seeds(seed: int | Sequence[int], count: int) -> list[int]:
+    seeds = list(range(seed, seed + count)) if isinstance(seed, int) else list(seed)
+    if len(seeds) != count:
+        raise ValueError(f"{len(seeds)} seeds for {count} timelines: each needs one")
+    if min(seeds, default=0) < 0:
+        raise ValueError(f"seed {min(seeds)} is negative: seeds count from 0")
+    return seeds

@@ -128,6 +128,24 @@ def test_sinc_takes_each_part_from_one_crop_and_its_lerp_changes_only_the_seams(
     assert not changed[45:].any()
 
 
+@pytest.mark.parametrize("late", [0.25, 0.5, 0.9])
+def test_late_stitching_goes_on_from_the_crops_as_they_are(model, late):
+    """Of a single crop there is nothing to stitch: whenever it begins, it is what it would be alone."""
+    settings = {"steps": 4, "sampler": ddim}
+    alone = model.generate([NOD], method="sinc", **settings)[0]
+    assert apart(model.generate([NOD], late=late, **settings)[0], alone) < 1e-6
+    first, second = model.generate([NOD, WALK_WAVE], late=late, **settings)
+    assert apart(first, alone) < 1e-5
+    assert second.frames == WALK_WAVE.frames(20)
+
+
+def test_stitching_later_is_neither_stitching_from_the_start_nor_at_the_end(model):
+    made = [model.generate([WALK_WAVE], steps=4, sampler=ddim, late=late)[0] for late in (0.0, 0.1, 0.5)]
+    assert apart(made[0], made[1]) == 0, "less than one step of four"
+    sinc = model.generate([WALK_WAVE], steps=4, sampler=ddim, method="sinc")[0]
+    assert min(apart(made[2], made[0]), apart(made[2], sinc)) > 1e-3
+
+
 def test_a_prompt_longer_than_the_model_knows_is_sampled_in_pieces(model):
     crops = []
     long = Timeline.parse("walk # 0 # 12 # legs")
@@ -200,6 +218,8 @@ def test_a_body_part_obeys_its_own_prompt_alone(model):
         ({"overlap": -1.0}, "overlap -20 must be 0"),
         ({"steps": 101}, "101"),
         ({"steps": 0}, "0"),
+        ({"late": 1.0}, r"late=1\.0: the share"),
+        ({"late": 0.5, "method": "sinc"}, "0 for SINC"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(model, arguments, message):
