@@ -38,7 +38,7 @@ def second_take(plan: Plan, longest: int | None = None) -> Plan:
     denoises again. Where two overlap, each has the half that is nearer to its transition.
 
     A crop of more than `longest` frames (None: as published, any number) is cut to as many around its transition; what
-    then belongs to none becomes crops of its own.
+    then belongs to none becomes crops of its own. The plan is one with overlap.
     """
     spans = transition_spans(plan)
     edges = [0, *((end + start) // 2 for (_, end), (start, _) in pairwise(spans)), plan.frames]

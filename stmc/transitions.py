@@ -27,8 +27,8 @@ def inpaint(
 ) -> Predict:
     """The predictor whose every answer is drawn towards `content`: by nothing where `kept` is 0, entirely where 1.
 
-    To paint at less than full noise, sample with `schedule.respaced(tuple(range(steps)))`, from `content` as noisy as at
-    its last step: the samplers need not know.
+    To begin with less than full noise, sample with `schedule.respaced(tuple(range(steps)))` from `content` as noisy as
+    at its last step: the samplers need not know.
     """
     return lambda x, t: torch.lerp(predict(x, t), content, kept)
 
