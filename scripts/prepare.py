@@ -7,11 +7,11 @@ killed, it goes on where it was.
 import os
 import shutil
 from dataclasses import replace
+from inspect import Parameter, signature
 from pathlib import Path
 
 import hydra
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
+from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
@@ -19,6 +19,9 @@ from rich.progress import track
 from stmc.data.cache import fresh
 from stmc.data.preparation import Preparation
 from stmc.data.report import TEXT, lines, write_report
+
+PLACES = ("source", "annotations", "body")
+"""Where the things are that data sets are prepared from; each needs some of them."""
 
 TOLD = 20
 """Skipped clips that are named on the screen; the report names all."""
@@ -55,11 +58,16 @@ def main(config: DictConfig) -> None:
 
 def described(config: DictConfig) -> Preparation:
     """The data set with the places that were given; `SystemExit` says which is missing or does not belong to it."""
-    given = {name: config[name] for name in ("source", "annotations", "body") if config[name] is not None}
-    try:
-        return instantiate(config.data.preparation, **given)
-    except InstantiationException as error:
-        raise SystemExit(f"this data set is prepared from other things: {error.__cause__}") from error
+    given = {name: config[name] for name in PLACES if config[name] is not None}
+    known = signature(get_class(config.data.preparation._target_)).parameters
+    missing = [
+        name for name in PLACES if name in known and known[name].default is Parameter.empty and name not in given
+    ]
+    foreign = [name for name in given if name not in known]
+    if missing or foreign:
+        told = [f"{name}= is missing" for name in missing] + [f"{name}= does not belong to it" for name in foreign]
+        raise SystemExit(f"{', '.join(told)}; what this data set is prepared from: see configs/data")
+    return instantiate(config.data.preparation, **given)
 
 
 if __name__ == "__main__":
