@@ -100,3 +100,12 @@ HUMANML3D_LAYOUT = Layout(
     )
 )
 """The 263 numbers of HumanML3D (Guo et al. 2022)."""
+
+BABEL_LAYOUT = Layout(
+    (
+        Field("root_height", 1),
+        Field("root_velocity", 2),
+        Field("rotations", 6, JOINTS[:ROTATED]),
+    )
+)
+"""The 135 numbers of models of BABEL; see `BabelRepresentation`."""

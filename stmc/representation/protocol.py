@@ -1,6 +1,6 @@
 """What every representation is: motions as feature vectors with a named layout, and back.
 
-Knows no formula: these are `smpl`'s and `humanml3d`'s.
+Knows no formula: these are `smpl`'s, `humanml3d`'s and `babel`'s.
 """
 
 from __future__ import annotations
