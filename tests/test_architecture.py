@@ -21,7 +21,7 @@ TIERS = [
     {"inverse_kinematics"},
     {"assignment", "export", "representation", "training"},
     {"data", "evaluators", "metrics", "mtt", "planning", "viewing"},
-    {"compose", "rules"},
+    {"compose", "results", "rules"},
     {"sequences", "transitions"},
     {"model"},
     {"run"},
@@ -39,6 +39,7 @@ FORBIDDEN = {
     "evaluators": {"compose", "data", "planning", "timeline"},
     "export": {"diffusion", "denoisers", "compose"},
     "viewing": {"diffusion", "denoisers", "compose"},
+    "results": {"diffusion", "denoisers", "compose", "metrics"},
     "training": {"data", "representation", "timeline", "motion"},
 }
 """What a package must not even import through others."""

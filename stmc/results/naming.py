@@ -1,0 +1,77 @@
+"""What methods and measures are called in tables and charts, in the paper's order, and which direction is better."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+REAL = "ground_truth"
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A metric as it is shown: `key` in `Result.metrics`, its heading, the better direction, the decimals."""
+
+    key: str
+    heading: str
+    better: Literal["higher", "lower"]
+    decimals: int
+    unit: str = ""
+
+    @property
+    def arrow(self) -> str:
+        """Up where more is better, else down."""
+        return "↑" if self.better == "higher" else "↓"
+
+    def shown(self, value: float) -> str:
+        """A value with the decimals it is shown with."""
+        return f"{value:.{self.decimals}f}"
+
+
+MEASURES = (
+    Measure("recall_1", "R@1", "higher", 1, "%"),
+    Measure("recall_3", "R@3", "higher", 1, "%"),
+    Measure("m2t", "TMR-Score M2T", "higher", 3),
+    Measure("m2m", "TMR-Score M2M", "higher", 3),
+    Measure("fid", "FID", "lower", 3),
+    Measure("fid_plus", "FID+", "lower", 3),
+    Measure("transition", "Transition distance", "lower", 1, "cm"),
+)
+"""The columns of the paper's Table 1 and A.1; FID and FID+ (section 4.2) apart."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A row of Table 1: its label, and what it is given of a timeline ("Single" or "Multi" tracks, and crops each)."""
+
+    label: str
+    tracks: str = "–"
+    crops: str = "–"
+
+
+METHODS = {
+    REAL: Method("Ground truth"),
+    "one_text": Method("One text", "Single", "Single"),
+    "single_track": Method("DiffCollage", "Single", "Multi"),
+    "sinc": Method("SINC w/o Lerp", "Multi", "Multi"),
+    "sinc_lerp": Method("SINC w/ Lerp", "Multi", "Multi"),
+    "stmc": Method("STMC", "Multi", "Multi"),
+}
+"""In the order of Table 1's rows."""
+
+
+def method(name: str) -> Method:
+    """The method of that name; one that the paper does not have is called by its own name."""
+    return METHODS.get(name, Method(name))
+
+
+def place(name: str) -> int:
+    """Where a method stands among others; those that the paper does not have come last."""
+    return list(METHODS).index(name) if name in METHODS else len(METHODS)
+
+
+def measures(keys: Iterable[str]) -> tuple[Measure, ...]:
+    """The known measures among `keys`, in the order of the columns."""
+    found = set(keys)
+    return tuple(measure for measure in MEASURES if measure.key in found)

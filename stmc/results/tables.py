@@ -1,0 +1,183 @@
+"""The paper's tables from records, as text and LaTeX: means over seeds ± 95 % intervals, each column's best marked.
+
+Knows rows and columns; how a mean and its interval are found is `estimates`' matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+from stmc.results.estimates import Estimate, estimates
+from stmc.results.naming import REAL, Measure, measures, method, place
+from stmc.results.records import Result, ResultError, Setting, by_setting
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "–": "--",
+    "±": r"$\pm$",
+} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """Labels on the left, numbers on the right. Only rows that compete can be the best: real motion does not."""
+
+    labels: tuple[str, ...]
+    estimates: Mapping[str, Estimate]
+    competes: bool = True
+
+
+@dataclass(frozen=True)
+class Table:
+    """Blocks of rows; the best mean of a column is marked in each block, all that look the same when rounded."""
+
+    caption: str
+    headings: tuple[str, ...]
+    measures: tuple[Measure, ...]
+    blocks: tuple[tuple[Row, ...], ...]
+
+    def text(self) -> str:
+        """Aligned columns; the best have a *."""
+        heads = [*self.headings, *(f"{each.heading}{_unit(each)} {each.arrow} " for each in self.measures)]
+        bodies = [[[*row.labels, *self._cells(block, row, _plain)] for row in block] for block in self.blocks]
+        wide = [max(len(cells[column]) for cells in chain([heads], *bodies)) for column in range(len(heads))]
+        rule = "-" * (sum(wide) + 2 * (len(wide) - 1))
+        lines = [self.caption, rule, _line(heads, wide, len(self.headings))]
+        for body in bodies:
+            lines += [rule, *(_line(cells, wide, len(self.headings)) for cells in body)]
+        return "\n".join([*lines, rule]) + "\n"
+
+    def latex(self) -> str:
+        """A `table` that needs the package booktabs; the best are bold."""
+        arrows = {"higher": r"$\uparrow$", "lower": r"$\downarrow$"}
+        heads = [_escaped(name) for name in self.headings]
+        heads += [f"{_escaped(each.heading + _unit(each))} {arrows[each.better]}" for each in self.measures]
+        lines = [r"\begin{table}", r"\centering", rf"\begin{{tabular}}{{{'l' * len(self.headings)}"]
+        lines[-1] += "c" * len(self.measures) + "}"
+        lines += [r"\toprule", _latex_line(heads)]
+        for block in self.blocks:
+            lines.append(r"\midrule")
+            for row in block:
+                cells = self._cells(block, row, _typeset)
+                lines.append(_latex_line([*(_escaped(label) for label in row.labels), *cells]))
+        lines += [r"\bottomrule", r"\end{tabular}", rf"\caption{{{_escaped(self.caption)}}}", r"\end{table}"]
+        return "\n".join(lines) + "\n"
+
+    def _cells(self, block: Sequence[Row], row: Row, show) -> list[str]:
+        return [
+            show(measure, row.estimates[measure.key], row.competes and _is_best(block, row, measure))
+            if measure.key in row.estimates
+            else "–"
+            for measure in self.measures
+        ]
+
+
+def comparison_table(results: Iterable[Result]) -> Table:
+    """Table 1: a block for the ground truth and one for each denoiser, its methods in the paper's order.
+
+    Raises `ResultError` where a denoiser has a method with several settings: a comparison is of one each.
+    """
+    groups = by_setting(results)
+    _refuse_ambiguous(groups)
+    blocks: dict[str, list[tuple[int, Row]]] = {}
+    for setting, runs in groups.items():
+        shown = method(setting.method)
+        row = Row((setting.denoiser or "–", shown.label, shown.tracks, shown.crops), estimates(runs))
+        if setting.method == REAL:
+            row = Row(row.labels, row.estimates, competes=False)
+        blocks.setdefault("" if setting.method == REAL else setting.denoiser, []).append((place(setting.method), row))
+    ordered = sorted(blocks.items(), key=lambda block: block[0] != "")
+    rows = tuple(tuple(row for _, row in sorted(block, key=lambda each: each[0])) for _, block in ordered)
+    headings = ("Denoiser", "Method", "#tracks", "#crops")
+    return Table(_caption("Comparison with baselines", groups), headings, _columns(rows), rows)
+
+
+def overlap_table(results: Iterable[Result]) -> Table:
+    """Table A.1: one method of one denoiser, a row for each overlap (seconds of a whole transition).
+
+    Raises `ResultError` for records that differ in something else than overlap and seed, and for none with an overlap.
+    """
+    groups = by_setting(result for result in results if result.overlap is not None)
+    if not groups:
+        raise ResultError("no record has an overlap")
+    _refuse_other_differences(groups, "overlap")
+    rows = [
+        Row((f"{setting.overlap:g}",), estimates(runs))
+        for setting, runs in sorted(groups.items(), key=lambda group: group[0].overlap)
+    ]
+    blocks = (tuple(rows),)
+    return Table(_caption("Influence of the overlap", groups), ("Overlap (s)",), _columns(blocks), blocks)
+
+
+def _refuse_ambiguous(groups: Mapping[Setting, Sequence[Result]]) -> None:
+    seen: dict[tuple[str, str], Setting] = {}
+    for setting in groups:
+        other = seen.setdefault((setting.denoiser, setting.method), setting)
+        if other != setting:
+            name = f"{setting.method} of {setting.denoiser or 'no denoiser'}"
+            raise ResultError(f"{name} stands there with {_difference(other, setting)}; choose one")
+
+
+def _refuse_other_differences(groups: Mapping[Setting, Sequence[Result]], varied: str) -> None:
+    first, *others = groups
+    for other in others:
+        if first._replace(**{varied: None}) != other._replace(**{varied: None}):
+            raise ResultError(f"records differ in more than {varied}: {_difference(first, other)}; choose one")
+
+
+def _difference(first: Setting, second: Setting) -> str:
+    pairs = zip(Setting._fields, first, second, strict=True)
+    return ", ".join(f"{name} {one} and {other}" for name, one, other in pairs if one != other)
+
+
+def _columns(blocks: Iterable[Iterable[Row]]) -> tuple[Measure, ...]:
+    return measures(key for block in blocks for row in block for key in row.estimates)
+
+
+def _caption(subject: str, groups: Mapping[Setting, Sequence[Result]]) -> str:
+    counts = sorted({len(runs) for setting, runs in groups.items() if setting.method != REAL})
+    seeds = " to ".join(str(count) for count in dict.fromkeys([*counts[:1], *counts[-1:]]))
+    if counts[-1:] in ([], [1]):
+        return f"{subject}: one seed each."
+    return f"{subject}: means over {seeds} seeds ± 95% confidence intervals (t distribution)."
+
+
+def _is_best(block: Sequence[Row], row: Row, measure: Measure) -> bool:
+    rivals = [other.estimates[measure.key] for other in block if other.competes and measure.key in other.estimates]
+    means = [float(measure.shown(rival.mean)) for rival in rivals]
+    best = max(means) if measure.better == "higher" else min(means)
+    return len(means) > 1 and float(measure.shown(row.estimates[measure.key].mean)) == best
+
+
+def _plain(measure: Measure, value: Estimate, best: bool) -> str:
+    half = "" if value.half is None else f" ± {measure.shown(value.half)}"
+    return f"{measure.shown(value.mean)}{half}{'*' if best else ' '}"
+
+
+def _typeset(measure: Measure, value: Estimate, best: bool) -> str:
+    mean = measure.shown(value.mean)
+    marked = rf"\mathbf{{{mean}}}" if best else mean
+    return f"${marked}$" if value.half is None else rf"${marked} \pm {measure.shown(value.half)}$"
+
+
+def _line(cells: Sequence[str], wide: Sequence[int], labels: int) -> str:
+    aligned = [
+        f"{cell:<{w}}" if n < labels else f"{cell:>{w}}" for n, (cell, w) in enumerate(zip(cells, wide, strict=True))
+    ]
+    return "  ".join(aligned).rstrip()
+
+
+def _latex_line(cells: Sequence[str]) -> str:
+    return " & ".join(cells) + r" \\"
+
+
+def _unit(measure: Measure) -> str:
+    return f" ({measure.unit})" if measure.unit else ""
+
+
+def _escaped(text: str) -> str:
+    return "".join(_SPECIAL.get(sign, sign) for sign in text)
