@@ -12,16 +12,14 @@ from matplotlib.colors import to_hex
 from stmc.results import (
     Result,
     ResultError,
-    bars,
     by_setting,
     comparison_table,
     estimate,
-    overlap_sweep,
     overlap_table,
-    quality_against_cost,
     read_results,
     write_results,
 )
+from stmc.results.charts import bars, overlap_sweep, quality_against_cost
 
 SETTINGS = {"denoiser": "mdm_smpl", "steps": 100, "sampler": "ddpm", "overlap": 0.5, "guidance": 2.5}
 

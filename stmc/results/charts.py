@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stmc.results.estimates import Estimate, estimate, estimates
+from stmc.results.intervals import Estimate, estimate, estimates
 from stmc.results.naming import REAL, Measure, measures, method, place
 from stmc.results.records import Result, ResultError, Setting, by_setting
 from stmc.viewing.colours import palette

@@ -1,6 +1,6 @@
 """The paper's tables from records, as text and LaTeX: means over seeds ± 95 % intervals, each column's best marked.
 
-Knows rows and columns; how a mean and its interval are found is `estimates`' matter.
+Knows rows and columns; how a mean and its interval are found is `intervals`' matter.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from stmc.results.estimates import Estimate, estimates
+from stmc.results.intervals import Estimate, estimates
 from stmc.results.naming import REAL, Measure, measures, method, place
 from stmc.results.records import Result, ResultError, Setting, by_setting
 
