@@ -1,7 +1,7 @@
 """Results of experiments: what was measured under which settings, and the tables and charts that are made of them.
 
-Knows names and numbers; knows no motion, no model and no metric's formula. `stmc.results.charts` is imported by its own name:
-what only reads and writes records need not wait for what draws.
+Knows names and numbers; knows no motion, no model and no metric's formula. `stmc.results.charts` is not
+imported here: what only reads and writes records need not wait for what draws.
 """
 
 from stmc.results.intervals import Estimate, estimate
