@@ -6,6 +6,7 @@ killed, it goes on where it was.
 
 import os
 import shutil
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from inspect import Parameter, signature
 from pathlib import Path
@@ -45,6 +46,8 @@ def main(config: DictConfig) -> None:
         )
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error
+    except BrokenProcessPool as error:
+        raise SystemExit("a worker was killed, perhaps for memory; ask again, with fewer workers=") from error
     replace(cache, fingerprint=inputs).write(folder)
     shutil.rmtree(scratch, ignore_errors=True)
     for name, why in cache.skipped[:TOLD]:

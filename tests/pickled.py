@@ -27,8 +27,8 @@ def run_code(call: str, argument: str, protocol: int) -> bytes:
 
 
 def python_2_pickle(entries: dict[str, object], protocol: int) -> bytes:
-    """A dict as Python 2 pickled it. ("Ch", values), ("Select", values, places, shape) and ("add", values) become chumpy's
-    objects."""
+    """A dict as Python 2 pickled it, with chumpy's objects for ("Ch", values), ("Select", values, places, shape) and
+    ("add", values)."""
     chumpy = {name: types.ModuleType(name) for name in ("chumpy", "chumpy.ch", "chumpy.reordering")}
     classes = {}
     for name, module in (("Ch", "chumpy.ch"), ("add", "chumpy.ch"), ("Select", "chumpy.reordering")):

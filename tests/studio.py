@@ -1,6 +1,8 @@
 """AMASS and HumanML3D as people have them on their disks, small and made up: what the tests prepare and train on."""
 
 import json
+import pickle
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,16 @@ PUBLISHED = {
     "M000000": ("M/KIT/3/kick_high_left02_poses", "train", (("someone walks and raises the left arm", 0.0, 3.0),)),
 }
 """HumanML3D's entries: id → AMASS's path, split, texts with seconds."""
+
+
+class Threads(ThreadPoolExecutor):
+    """Workers in this process, for speed; what they get has been pickled, as on its way to another."""
+
+    def __init__(self, workers: int, **_: object) -> None:
+        super().__init__(workers)
+
+    def submit(self, call, /, *given) -> Future:
+        return super().submit(call, *pickle.loads(pickle.dumps(given)))
 
 
 def recorded(number: int = 0, fps: float = 120.0, seconds: float = 3.2) -> Motion:

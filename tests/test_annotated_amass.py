@@ -4,13 +4,12 @@ lost in silence. Killed and asked again, what was converted stays converted."""
 import json
 import os
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from studio import PUBLISHED, amass, babel, published, recorded, smplh_arrays
+from studio import PUBLISHED, Threads, amass, babel, published, recorded, smplh_arrays
 from test_body_model import write_body
 from torch.testing import assert_close
 
@@ -29,7 +28,7 @@ SKELETON = Skeleton.default()
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
-    monkeypatch.setattr(preparation, "ProcessPoolExecutor", lambda workers, **_: ThreadPoolExecutor(workers))
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Threads)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +50,7 @@ def prepared(source, annotations, folder, **settings) -> Cache:
 def cache(source, tmp_path_factory):
     folder = tmp_path_factory.mktemp("once")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(preparation, "ProcessPoolExecutor", lambda workers, **_: ThreadPoolExecutor(workers))
+        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
         return prepared(source, published(folder / "texts"), folder)
 
 

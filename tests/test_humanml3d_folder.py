@@ -2,13 +2,12 @@
 
 import re
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import torch
 from pickled import run_code
-from studio import humanml3d
+from studio import Threads, humanml3d
 from torch.testing import assert_close
 
 from stmc.data import humanml3d as module
@@ -20,7 +19,7 @@ from stmc.data.preparation import LayoutError
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
-    monkeypatch.setattr(preparation, "ProcessPoolExecutor", lambda workers, **_: ThreadPoolExecutor(workers))
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Threads)
     monkeypatch.setattr(module, "AT_ONCE", 5)
 
 

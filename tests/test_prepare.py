@@ -2,16 +2,14 @@
 
 import json
 import os
-import subprocess
-import sys
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
-from studio import amass, babel, humanml3d, published
+from studio import Threads, amass, babel, humanml3d, published
 from test_body_model import write_body
 
 import stmc
@@ -44,7 +42,7 @@ def run(script: str, config_name: str, *overrides: object) -> None:
 @pytest.fixture
 def in_this_process(monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(preparation, "ProcessPoolExecutor", lambda workers, **_: ThreadPoolExecutor(workers))
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Threads)
 
 
 def sampled(folder: Path, model: Path) -> stmc.Motion:
@@ -56,18 +54,12 @@ def sampled(folder: Path, model: Path) -> stmc.Motion:
     return stmc.read(folder / "out" / "timeline_0.npz")
 
 
-def test_amass_with_annotations_goes_from_its_files_to_an_exported_motion(tmp_path):
+def test_amass_with_annotations_goes_from_its_files_to_an_exported_motion(tmp_path, in_this_process, capsys):
     write_body(tmp_path, "smplh")
     places = (f"source={amass(tmp_path / 'amass')}", f"annotations={published(tmp_path / 'texts')}", f"body={tmp_path}")
-    command = [sys.executable, str(ROOT / "scripts/prepare.py"), "data=humanml3d", *places, "workers=2"]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200"}
-    (tmp_path / "here").mkdir()
-    command.append(f"folder={tmp_path / 'cache'}")
-    done = subprocess.run(command, cwd=tmp_path / "here", env=environment, text=True, capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "train: 3 clips (1 mirrored) of 3 contents" in done.stdout
+    run("prepare", "prepare", "data=humanml3d", *places, f"folder={tmp_path / 'cache'}", "workers=2")
+    assert "train: 3 clips (1 mirrored) of 3 contents" in capsys.readouterr().out
     assert sorted(os.listdir(tmp_path / "cache")) == sorted([FEATURES, TABLE, TEXT, NUMBERS])
-    assert os.listdir(tmp_path / "here") == []
     cache, model = Cache.read(tmp_path / "cache"), tmp_path / "run"
     settings = (f"run={model}", f"data.folder={tmp_path / 'cache'}", f"text_cache={tmp_path / 'sentences'}")
     run("train", "train_humanml3d", *settings, *TINY, "text_encoder=minilm")
@@ -144,3 +136,14 @@ def test_where_nothing_can_be_used_no_cache_is_left(tmp_path, in_this_process):
             "workers=1",
         )
     assert not (tmp_path / "c" / TABLE).exists()
+
+
+def test_a_worker_that_is_killed_ends_in_a_sentence(tmp_path, monkeypatch):
+    def killed(*_, **__):
+        raise BrokenProcessPool
+
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", killed)
+    source = humanml3d(tmp_path / "HumanML3D", clips=2)
+    settings = (f"source={source}", f"folder={tmp_path / 'c'}", "workers=1")
+    with pytest.raises(SystemExit, match="a worker was killed, perhaps for memory"):
+        run("prepare", "prepare", "data=humanml3d_processed", *settings)
