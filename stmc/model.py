@@ -14,23 +14,41 @@ from itertools import islice
 from typing import Any, Literal, get_args
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from stmc.body_model import Skeleton
 from stmc.compose import canvas_lengths, collage, crop_lengths, crop_seeds, distinct_texts, guided_crops, lerp, sinc
-from stmc.denoisers import Network
+from stmc.denoisers import FlowMdm, Network
 from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, Spread, ddpm
 from stmc.motion import Motion
 from stmc.planning import Plan, plan
 from stmc.representation import Representation
+from stmc.rules import handshake, multi_diffusion, second_take
+from stmc.sequences import guided_sequences, weave
 from stmc.statistics import Statistics
 from stmc.tensors import mask
 from stmc.text import TextEncoder
 from stmc.timeline import Timeline, one_text, single_track
+from stmc.transitions import inpaint, kept_shares, slerp
 
-Method = Literal["stmc", "sinc", "sinc_lerp", "single_track", "one_text"]
-"""STMC itself and the baselines of the paper's table 1: see `Model.generate`."""
+Method = Literal[
+    "stmc", "sinc", "sinc_lerp", "single_track", "one_text", "multi_diffusion", "double_take", "sinc_slerp", "flow_mdm"
+]
+"""STMC itself, the baselines of the paper's table 1, and other rules of composing in time: see `Model.generate`."""
+
+STITCHED: Mapping[Method, Callable[[Plan], Plan]] = {
+    "stmc": lambda plan: plan,
+    "single_track": lambda plan: plan,
+    "one_text": lambda plan: plan,
+    "multi_diffusion": multi_diffusion,
+    "double_take": handshake,
+}
+"""The methods that stitch crops at every step, each with the rule that it makes of a plan."""
+
+SKIPPED = 0.1
+"""The share of the steps, the noisiest, that DoubleTake's second take goes without (Shafir et al. 2024)."""
 
 Precision = Literal["fp32", "bf16"]
 
@@ -89,12 +107,23 @@ class Model:
         """A predictor of the plans' crops with classifier-free guidance (None: the model's own): see
         `compose.guided_crops`."""
         weight = self.guidance if weight is None else weight
-        network = self.denoiser
+        settings = {"mixed": self.denoiser.mixed, "window": self.denoiser.window}
+        read = self._read(plans)
+        return guided_crops(self._denoise, self.schedule, plans, read, weight, self.prediction, **settings)
+
+    def guided_sequences(self, plans: Sequence[Plan], weight: float | int | None = None) -> Predict:
+        """A predictor of the body sequences of plans without overlap, with guidance: see
+        `sequences.guided_sequences`. Raises `ValueError` for a denoiser that knows one text only."""
+        if not isinstance(self.denoiser, FlowMdm):
+            name = type(self.denoiser).__name__
+            raise ValueError(f"{name} knows one text for all frames; only FlowMdm denoises sequences of several")
+        weight = self.guidance if weight is None else weight
+        return guided_sequences(self._denoise, self.schedule, plans, self._read(plans), weight, self.prediction)
+
+    def _read(self, plans: Sequence[Plan]) -> dict[str, Float[Tensor, "words read"]]:
         with self._autocast():
             embeddings = self.embed(distinct_texts(plans)).items()
-            read = {text: network.read(words[None].to(self.device))[0].float() for text, words in embeddings}
-        settings = {"mixed": network.mixed, "window": network.window}
-        return guided_crops(self._denoise, self.schedule, plans, read, weight, self.prediction, **settings)
+            return {text: self.denoiser.read(words[None].to(self.device))[0].float() for text, words in embeddings}
 
     def _denoise(self, x: Tensor, *others: Tensor | None) -> Tensor:
         with self._autocast():
@@ -125,28 +154,36 @@ class Model:
         `method`: "stmc" stitches at every step (section 3.3), or only after the share `late` of them, before which
         crops are denoised alone (section 4.6's outlook); "sinc" once, after sampling each crop on its own; "sinc_lerp"
         smooths the seams of that over `overlap`; "single_track" joins simultaneous texts by "while" and composes in
-        time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
+        time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3). "multi_diffusion" averages
+        overlapping crops; "double_take" fades them into each other and then makes the transitions' surroundings anew;
+        "sinc_slerp" is "sinc_lerp" with rotations on the sphere (TEACH); "flow_mdm" makes seamless sequences of what
+        each body part obeys, without overlap and crops, by a denoiser that knows a text for every frame (`FlowMdm`).
 
-        Raises `ValueError` for an unknown method, negative seeds, seeds that are not one for each timeline, and `late`
-        outside of [0, 1) or with SINC.
+        Raises `ValueError` for an unknown method, negative seeds, seeds that are not one for each timeline, `late`
+        outside of [0, 1) or with a method that does not stitch, and for "flow_mdm" with any other denoiser.
         """
         timelines = [timelines] if isinstance(timelines, Timeline) else list(timelines)
         seeds = _seeds(seed, len(timelines))
         if method not in get_args(Method):
             raise ValueError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
-        if not 0 <= late < 1 or (late and method.startswith("sinc")):
-            raise ValueError(f"late={late}: the share of the steps before stitching is in [0, 1), and 0 for SINC")
+        if not 0 <= late < 1 or (late and method not in STITCHED):
+            raise ValueError(
+                f"late={late}: the share of the steps before stitching is in [0, 1), and 0 for SINC and FlowMDM"
+            )
         if not timelines:
             return []
         self.denoiser.eval()
         timelines = [_baseline(timeline, method, self) for timeline in timelines]
         run = _Run(self, timelines, seeds, guidance, sampler or partial(ddpm, spread=self.spread), steps, track)
-        if method in ("sinc", "sinc_lerp"):
-            features = run.apart()
-            if method == "sinc_lerp":
-                features = lerp(features, run.plans, self.representation.columns, int(overlap * self.fps))
+        if method == "flow_mdm":
+            features = run.woven()
+        elif method in STITCHED:
+            plans = self.plans(timelines, overlap)
+            features = run.stitched([STITCHED[method](plan) for plan in plans], late)
+            if method == "double_take":
+                features = run.retaken(plans, features, int(overlap * self.fps) // 2)
         else:
-            features = run.stitched(self.plans(timelines, overlap), late)
+            features = run.joined(run.apart(), method, int(overlap * self.fps))
         return self.decode(features, [each.frames for each in run.plans])
 
     def decode(self, features: Float[Tensor, "batch frames features"], lengths: Sequence[int]) -> list[Motion]:
@@ -184,6 +221,38 @@ class _Run:
     def apart(self) -> Float[Tensor, "batch frames features"]:
         """SINC: the crops alone, combined at the end."""
         return sinc(self._crops(), self.plans, self.model.representation.columns)
+
+    def joined(self, features: Tensor, method: Method, overlap: int) -> Float[Tensor, "batch frames features"]:
+        """The combined crops with their seams smoothed over `overlap` frames, or as they are."""
+        statistics, representation = self.model.motion_statistics, self.model.representation
+        if method == "sinc_slerp":
+            return statistics.normalise(slerp(statistics.restore(features), self.plans, representation.layout, overlap))
+        return lerp(features, self.plans, representation.columns, overlap) if method == "sinc_lerp" else features
+
+    def woven(self) -> Float[Tensor, "batch frames features"]:
+        """FlowMDM, with several tracks."""
+        predict = self.model.guided_sequences(self.plans, self.guidance)
+        predict = weave(predict, self.plans, self.model.representation.columns)
+        draw = self._noise(self.seeds, canvas_lengths(self.plans))
+        return _last(self.track(self.sampler(predict, self.model.schedule, draw(), draw, steps=self.steps)))
+
+    def retaken(
+        self, plans: Sequence[Plan], content: Float[Tensor, "batch frames features"], ramp: int
+    ) -> Float[Tensor, "batch frames features"]:
+        """DoubleTake's second take: `ramp` frames on either side of each transition, made anew without a text."""
+        if not ramp:
+            return content
+        model, columns, window = self.model, self.model.representation.columns, self.model.denoiser.window
+        takes = [second_take(plan, model.longest) for plan in plans]
+        kept = kept_shares(plans, columns, ramp).to(content)
+        kept = F.pad(kept, (0, 0, 0, content.shape[1] - kept.shape[1]), value=1.0)
+        predict = inpaint(collage(model.guided(takes, 0.0), takes, columns, window), content, kept)
+        times = model.schedule.spaced(self.steps)
+        times = times[: max(1, len(times) - int(SKIPPED * len(times)))]
+        draw = self._noise([(seed, 0) for seed in self.seeds], canvas_lengths(takes, window))
+        x = model.schedule.q_sample(content, times[-1], draw())
+        rest = self.sampler(lambda x, i: predict(x, times[i]), model.schedule.respaced(times), x, draw)
+        return _last(self.track(rest))
 
     def stitched(self, plans: Sequence[Plan], late: float | int) -> Float[Tensor, "batch frames features"]:
         """STMC on `plans`, from the share `late` of the steps on."""
