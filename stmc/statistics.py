@@ -11,6 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+_AT_ONCE = 2**16
+"""Rows that are in float64 at a time: all of a large data set would take the memory twice over."""
+
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
@@ -28,7 +31,9 @@ class Statistics:
         """Over all `rows`, summed in float64. A feature that hardly varies has std `floor`, not 0."""
         if not len(rows):
             raise ValueError("statistics of no rows at all")
-        std, mean = torch.std_mean(rows.double(), dim=0, correction=0)
+        pieces = rows.split(_AT_ONCE)
+        mean = sum(piece.double().sum(dim=0) for piece in pieces) / len(rows)
+        std = (sum((piece.double() - mean).square().sum(dim=0) for piece in pieces) / len(rows)).sqrt()
         return cls(mean.to(rows.dtype), std.clamp_min(floor).to(rows.dtype))
 
     def normalise(self, raw: Float[Tensor, "*batch features"]) -> Float[Tensor, "*batch features"]:

@@ -173,10 +173,10 @@ def test_a_file_of_amass_itself_is_read_without_its_fingers_and_posed(motion, tm
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"poses": None}, "no array 'poses'"),
+        ({"poses": None}, "no array poses"),
         ({"poses": np.zeros((20, 63))}, "63 columns"),
         ({"trans": np.zeros((7, 3))}, re.escape("trans has shape (7, 3); need (20, 3)")),
-        ({"mocap_framerate": None}, "no array 'mocap_framerate'"),
+        ({"mocap_framerate": None}, "no array mocap_framerate"),
         ({"joints": np.zeros((20, 22, 3))}, "joints has shape"),
     ],
 )

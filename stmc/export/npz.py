@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 from einops import rearrange
 
+from stmc.arrays import npz_names, read_npz
 from stmc.body import JOINTS, ROTATED
 from stmc.body_model import Skeleton
 from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle
@@ -42,14 +44,14 @@ def load_npz(path: Path, skeleton: Skeleton) -> Motion:
     """The motion of an AMASS file (float32): its first 22 joints, whatever fingers and face follow.
 
     Without `joints`, as in AMASS's own files, `skeleton` is posed. Raises `ValueError` naming the file and the array
-    that is missing or has the wrong shape.
+    that is missing, damaged or has the wrong shape.
     """
-    with np.load(path, allow_pickle=False) as archive:
-        rate = next((name for name in _RATES if name in archive), _RATES[0])
-        poses = _array(archive, path, "poses", (None, None))
-        trans = _array(archive, path, "trans", (len(poses), 3))
-        fps = float(_array(archive, path, rate, ()))
-        joints = _array(archive, path, "joints", (len(poses), len(JOINTS), 3)) if "joints" in archive else None
+    rate = next((name for name in _RATES if name in npz_names(path)), _RATES[0])
+    arrays = read_npz(path, ("poses", "trans", rate), ("joints",))
+    poses = _shaped(arrays, path, "poses", (None, None))
+    trans = _shaped(arrays, path, "trans", (len(poses), 3))
+    fps = float(_shaped(arrays, path, rate, ()))
+    joints = _shaped(arrays, path, "joints", (len(poses), len(JOINTS), 3)) if "joints" in arrays else None
     if poses.shape[1] < 3 * ROTATED:
         raise ValueError(f"{path}: poses has {poses.shape[1]} columns; need at least {3 * ROTATED}")
     body = torch.from_numpy(poses[:, : 3 * ROTATED])
@@ -61,10 +63,8 @@ def load_npz(path: Path, skeleton: Skeleton) -> Motion:
     return Motion(rotations, positions[:, 0], positions, fps).to(dtype=torch.float32)
 
 
-def _array(archive: np.lib.npyio.NpzFile, path: Path, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    if name not in archive:
-        raise ValueError(f"{path}: no array {name!r}; it has {', '.join(archive.files)}")
-    array = np.asarray(archive[name], dtype=np.float64)
+def _shaped(arrays: Mapping[str, np.ndarray], path: Path, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    array = arrays[name].astype(np.float64)
     fits = len(array.shape) == len(shape) and all(
         want in (None, got) for want, got in zip(shape, array.shape, strict=True)
     )
