@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 import stmc
 from stmc.diffusion.samplers import Spread
 from stmc.files import write_whole
-from stmc.model import Method, Precision
+from stmc.model import STITCHED, Method, Precision
 from stmc.run import CONFIG, STATISTICS, WEIGHTS, bundled
 
 CHOICES = {
@@ -66,8 +66,8 @@ def check(config: DictConfig) -> None:
             raise SystemExit(f"{key}={config[key]}: choose from {', '.join(filter(None, choices))}")
     if not config.formats or set(config.formats) - set(FORMATS):
         raise SystemExit(f"formats={list(config.formats)}: choose from {', '.join(FORMATS)}")
-    if not 0 <= config.late < 1 or (config.late and config.method.startswith("sinc")):
-        raise SystemExit(f"late={config.late}: from 0 to below 1, and 0 for SINC")
+    if not 0 <= config.late < 1 or (config.late and config.method not in STITCHED):
+        raise SystemExit(f"late={config.late}: from 0 to below 1, and 0 for SINC and FlowMDM")
     for key in ("samples", "batch", "steps"):
         if config[key] is not None and config[key] < 1:
             raise SystemExit(f"{key}={config[key]}: at least 1")
