@@ -15,9 +15,9 @@ _HOMES = {
     "sinc": "compose", "lerp": "compose", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",
     "guide": "diffusion", "Noise": "diffusion", "Schedule": "diffusion", "BodyPart": "body", "Prompt": "timeline",
     "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline", "Motion": "motion",
-    "motion_of_joints": "inverse_kinematics",
-    "Skeleton": "body_model", "Model": "model", "load": "run", "save": "run", "read": "export", "write": "export",
-    "view": "viewing", "page": "viewing", "figure": "viewing", "pictures": "viewing",
+    "motion_of_joints": "inverse_kinematics", "Skeleton": "body_model", "Model": "model", "load": "run", "save": "run",
+    "load_evaluator": "run", "read": "export", "write": "export", "view": "viewing", "page": "viewing",
+    "figure": "viewing", "pictures": "viewing",
 }  # fmt: skip
 
 __all__ = sorted(_HOMES)
