@@ -15,7 +15,7 @@ from stmc.body import BodyPart
 from stmc.compose import NULL
 from stmc.denoisers import FlowMdm
 from stmc.denoisers.flow_mdm import _positions
-from stmc.denoisers.flow_mdm_layers import TURNED, _frequencies
+from stmc.denoisers.flow_mdm_layers import TURNED, frequencies
 from stmc.diffusion import Schedule, ddpm, guide
 from stmc.sequences import guided_sequences, weave
 from stmc.tensors import mask
@@ -64,7 +64,7 @@ def test_names_and_shapes_are_those_of_the_published_checkpoints(name, features)
     assert tables == {
         "sequence_pos_encoder.pe": (rows, 1, width),
         "embed_timestep.sequence_pos_encoder.pe": (rows, 1, width),
-        "seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq": tuple(_frequencies(TURNED // 2).shape),
+        "seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq": tuple(frequencies(TURNED // 2).shape),
     }
 
 

@@ -313,7 +313,7 @@ def test_a_folder_of_no_known_format_is_refused_with_those_that_are(tmp_path):
     with pytest.raises(CheckpointError, match="does not exist; expected one of"):
         convert(tmp_path / "nowhere", tmp_path / "ours")
     checkpoints.motion_diffuse(tmp_path / "md")
-    with pytest.raises(CheckpointError, match="only MDM's and TMR's weights take statistics"):
+    with pytest.raises(CheckpointError, match="only MDM's, FlowMDM's and TMR's weights take statistics"):
         convert(tmp_path / "md", tmp_path / "ours", statistics=tmp_path)
 
 

@@ -109,7 +109,7 @@ class Turns:
         Angles are float64 until their sines are known: after ten minutes they are large.
         """
         frame = torch.arange(frames, dtype=torch.float64, device=relative.device)
-        angle = frame[:, None] * _frequencies(TURNED // 2).to(frame)
+        angle = frame[:, None] * frequencies(TURNED // 2).to(frame)
         angle = rearrange(relative, "batch -> batch 1 1 1") * angle
         return cls(angle.cos(), angle.sin())
 
@@ -122,11 +122,12 @@ class Turns:
 
 def absolute_positions(position: Int[Tensor, "batch frames"], width: int) -> Float[Tensor, "batch frames width"]:
     """Sines of the positions, then their cosines, with wavelengths 2 pi to 20,000 pi."""
-    angle = position[..., None] * _frequencies(width // 2).to(position.device, torch.float32)
+    angle = position[..., None] * frequencies(width // 2).to(position.device, torch.float32)
     return torch.cat([angle.sin(), angle.cos()], dim=-1)
 
 
-def _frequencies(count: int) -> Tensor:
+def frequencies(count: int) -> Float[Tensor, " count"]:
+    """Radians a frame, in float64: 1, and falling towards 1 / `BASE`."""
     return BASE ** (-torch.arange(count, dtype=torch.float64) / count)
 
 

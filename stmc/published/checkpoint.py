@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import pickle
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -154,6 +154,27 @@ def identity(width: int) -> Statistics:
 def without(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     """The weights whose names do not start with `prefix`."""
     return {name: value for name, value in weights.items() if not name.startswith(prefix)}
+
+
+def only_file(folder: Path, pattern: str) -> Path:
+    """The one file of a folder that the pattern fits. Raises `CheckpointError` where there is none, or more."""
+    found = sorted(folder.glob(pattern))
+    if len(found) != 1:
+        names = ", ".join(path.name for path in found) or "none"
+        raise CheckpointError(f"{folder} should hold one {pattern}, but holds {names}: name the file itself")
+    return found[0]
+
+
+def without_tables(weights: Mapping[str, Tensor], names: Sequence[str], table: Tensor, path: Path) -> dict[str, Tensor]:
+    """The weights without the tables of positions called `names`, which follow from a formula; shorter or longer ones
+    are the same. Raises `CheckpointError` for other numbers: then the checkpoint is of another network."""
+    for name in names:
+        if name in weights:
+            theirs = weights[name].float().reshape(len(weights[name]), -1)
+            rows = min(len(theirs), len(table))
+            if theirs.shape[1] != table.shape[1] or not torch.allclose(theirs[:rows], table[:rows], atol=1e-2):
+                raise CheckpointError(f"{path}: {name} {list(weights[name].shape)} is another table of positions")
+    return {name: value for name, value in weights.items() if name not in names}
 
 
 def _short(value: Any) -> str:

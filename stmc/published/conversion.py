@@ -8,13 +8,13 @@ from pathlib import Path
 
 from stmc import run
 from stmc.evaluators import Evaluator
-from stmc.published import evaluators, mdm, mdm_smpl, motion_diffuse
+from stmc.published import evaluators, flow_mdm, mdm, mdm_smpl, motion_diffuse
 from stmc.published.checkpoint import CheckpointError, Imported
 
 EXPECTED = (
-    "expected one of: STMC's run directory (config.json, logs/checkpoints/last.ckpt); MDM's folder or .pt file "
-    "(args.json, model000200000.pt); MotionDiffuse's folder (opt.txt, model/latest.tar, meta/mean.npy, meta/std.npy); "
-    "TMR's run (config.json, last_weights/motion_encoder.pt)"
+    "expected one of: STMC's run directory (config.json, logs/checkpoints/last.ckpt); MDM's or FlowMDM's folder or .pt "
+    "file (args.json, model000200000.pt); MotionDiffuse's folder (opt.txt, model/latest.tar, meta/mean.npy, "
+    "meta/std.npy); TMR's run (config.json, last_weights/motion_encoder.pt)"
 )
 
 
@@ -44,22 +44,24 @@ def convert(
 def read(source: str | Path, statistics: str | Path | None = None, text_model: str | None = None) -> Imported:
     """The model of a published checkpoint: its folder, or the file of its weights. TMR is an evaluator, not a model.
 
-    `statistics`: the folder of HumanML3D's `Mean.npy` and `Std.npy`, which MDM's weights come without, or of TMR's
-    `mean.pt` and `std.pt`. `text_model`:
-    where the text encoder's weights are, a folder or a hub name (None: the published ones on the hub). Raises
-    `CheckpointError` for a source of no known format, and for whatever is wrong with it.
+    `statistics`: the folder of HumanML3D's `Mean.npy` and `Std.npy`, which MDM's and FlowMDM's weights come without, of
+    BABEL's `rfeats_mean.pt` and `rfeats_std.pt`, or of TMR's `mean.pt` and `std.pt`. `text_model`: where the text
+    encoder's weights are, a folder or a hub name (None: the published ones on the hub). Raises `CheckpointError` for a
+    source of no known format, and for whatever is wrong with it.
     """
     source = Path(source).expanduser()
     statistics = None if statistics is None else Path(statistics).expanduser()
     if not source.exists():
         raise CheckpointError(f"{source} does not exist; {EXPECTED}")
     if (_above(source, 1) / "args.json").is_file():
-        return mdm.read(source, statistics, text_model)
+        family = flow_mdm if flow_mdm.is_flow_mdm(_above(source, 1) / "args.json") else mdm
+        return family.read(source, statistics, text_model)
     if source.is_dir() and evaluators.is_tmr(source):
         return evaluators.read_tmr(source, statistics, text_model)
     if statistics is not None:
         raise CheckpointError(
-            f"{source} has no args.json beside it: only MDM's and TMR's weights take statistics from elsewhere"
+            f"{source} has no args.json beside it: only MDM's, FlowMDM's and TMR's weights take statistics from "
+            "elsewhere"
         )
     file = source if source.is_file() else None
     if (_above(source, 2) / "opt.txt").is_file():

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from stmc.denoisers import MdmDecoder, MdmEncoder
@@ -17,11 +16,13 @@ from stmc.published.checkpoint import (
     built,
     fill,
     identity,
+    only_file,
     read_checkpoint,
     read_json,
     read_statistics,
     state_dict,
     without,
+    without_tables,
 )
 
 DEFAULTS = {
@@ -67,15 +68,14 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
     weights). `text_model`: where the text encoder's weights are (a folder or a hub name; None: the published ones on
     the hub). Raises `CheckpointError` for what is missing, strange, does not fit, or cannot be run.
     """
-    path = _only(path) if path.is_dir() else path
+    path = only_file(path, "model*.pt") if path.is_dir() else path
     settings, said = _settings(path.parent / "args.json")
     weights = without(_weights(read_checkpoint(path), settings, path), "clip_model.")
     leading = _leading(settings, said)
     config = _described(settings, leading, text_model)
     parts = built(config, str(path.parent / "args.json"))
     network = parts["denoiser"]
-    _check_tables(weights, network, path)
-    fill(network, {name: value for name, value in weights.items() if name not in TABLES}, str(path))
+    fill(network, without_tables(weights, TABLES, network.positions, path), str(path))
     folder = path.parent if statistics is None else statistics
     model = Model(
         **parts,
@@ -97,14 +97,6 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
     if leading is not None:
         facts.append(f"The decoder's leading token tells {leading.replace('_', ' ')}.")
     return Imported(model, "MDM", tuple(facts))
-
-
-def _only(folder: Path) -> Path:
-    found = sorted(folder.glob("model*.pt"))
-    if len(found) != 1:
-        names = ", ".join(path.name for path in found) or "none"
-        raise CheckpointError(f"{folder} should hold one model*.pt, but holds {names}: name the file itself")
-    return found[0]
 
 
 def _settings(path: Path) -> tuple[dict[str, Any], set[str]]:
@@ -169,14 +161,3 @@ def _described(settings: Mapping[str, Any], leading: str | None, text_model: str
         "text_encoder": {"_target_": "stmc.text.EmptyAsZeros", "encoder": texts},
         "representation": {"_target_": "stmc.representation.HumanML3DRepresentation"},
     }
-
-
-def _check_tables(weights: Mapping[str, Tensor], network: torch.nn.Module, path: Path) -> None:
-    """The tables of positions follow from a formula: a checkpoint with another one is of another network."""
-    ours = network.positions
-    for name in TABLES:
-        if name in weights:
-            table = weights[name].float().reshape(len(weights[name]), -1)
-            rows = min(len(table), len(ours))
-            if table.shape[1] != ours.shape[1] or not torch.allclose(table[:rows], ours[:rows], atol=1e-2):
-                raise CheckpointError(f"{path}: {name} {list(weights[name].shape)} is another table of positions")
