@@ -13,6 +13,8 @@ from stmc.denoisers import Denoiser, FlowMdm
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
 from stmc.sequences import SequenceDenoiser, body_sequences, guided_sequences, weave
 from stmc.tensors import mask
+from stmc.training.loss import Denoising, draw_noise
+from stmc.training.sequences import Sequences
 
 SCHEDULE = Schedule.cosine(20)
 
@@ -268,6 +270,22 @@ def test_every_weight_learns_from_a_padded_batch_of_several_segments():
     silent = [name for name, each in network.named_parameters() if each.grad is None or not each.grad.abs().max() > 0]
     assert silent == []
     assert all(each.grad.isfinite().all() for each in network.parameters())
+
+
+def test_the_denoisers_objective_tells_of_segments():
+    """The same motion with its texts in one order and in the other: the loss is that of what the network was told."""
+    network, generator = small_network(), torch.Generator()
+    motion, text = torch.randn(2, 30, 10), torch.randn(2, 2, 4)
+    segment = torch.tensor([[0] * 12 + [1] * 18]).expand(2, -1)
+    losses = []
+    for each in (segment, 1 - segment):
+        batch = Sequences(motion, None, text, None, 60, each)
+        terms = Denoising(SCHEDULE)(network, batch, generator.manual_seed(0))
+        t, noise = draw_noise(batch, SCHEDULE.steps, generator.manual_seed(0))
+        out = network(SCHEDULE.q_sample(motion, t, noise), t, text, None, None, each)
+        torch.testing.assert_close(terms, (out - motion).square().sum(dim=(0, 1)))
+        losses.append(float(terms.mean()))
+    assert abs(losses[0] - losses[1]) > 1e-3
 
 
 @torch.no_grad()
