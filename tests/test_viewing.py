@@ -23,7 +23,7 @@ from stmc.motion import Motion
 from stmc.timeline import Timeline
 from stmc.viewing import figure, page, pictures, view
 from stmc.viewing.camera import framing
-from stmc.viewing.colours import NEUTRAL, as_rgb, ink, owners, palette, transitions, worn
+from stmc.viewing.colours import NEUTRAL, as_rgb, hand_overs, ink, owners, palette, worn
 from stmc.viewing.mannequin import dressed, sculpt
 from stmc.viewing.skin import PARTS, Skin
 
@@ -84,7 +84,7 @@ def test_owners_cover_the_motion_even_where_the_timeline_is_longer_or_shorter(ti
 
 def test_transitions_lie_around_hand_overs_and_within_the_motion():
     spans = ((0, 0, 4), (1, 4, 60), (None, 60, 80))
-    assert transitions(spans, fps=20.0, overlap=0.5) == [(0.0, 9.0), (55.0, 65.0)]
+    assert hand_overs(spans, fps=20.0, overlap=0.5) == [(0.0, 9.0), (55.0, 65.0)]
 
 
 def test_without_a_timeline_everything_has_one_colour_that_is_not_neutral():

@@ -35,7 +35,7 @@ class ImplausibleMotion(ValueError):
     """Joints that no person's can be; the message says what they look like, and what would be right."""
 
 
-def check_joints(motions: Sequence[Float[Tensor, "_ joints 3"]]) -> None:
+def check_joints(motions: Sequence[Float[Tensor, "_ _ 3"]]) -> None:
     """Raises `ImplausibleMotion` unless the motions, taken together, are those of people in metres, z up, mostly
     upright, with at least SMPL's first 22 joints in SMPL's order.
 

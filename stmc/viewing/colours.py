@@ -58,7 +58,7 @@ def owners(timeline: Timeline, fps: int | float, frames: int) -> dict[BodyPart, 
     return owned
 
 
-def transitions(spans: Spans, fps: int | float, overlap: int | float) -> list[tuple[float, float]]:
+def hand_overs(spans: Spans, fps: int | float, overlap: int | float) -> list[tuple[float, float]]:
     """Where one owner hands over to the next: (start, end) in frames, `overlap` seconds long, within the spans."""
     half = overlap * fps / 2
     last = spans[-1][2]
@@ -83,7 +83,7 @@ def worn(
     for index, part in enumerate(BodyPart):
         for owner, start, end in owned[part]:
             result[start:end, index] = neutral if owner is None else colours[owner]
-        for start, end in transitions(owned[part], fps, overlap):
+        for start, end in hand_overs(owned[part], fps, overlap):
             centre, half = (start + end) / 2, max((end - start) / 2, 1e-9)
             share = np.clip(1.0 - np.abs(middle - centre) / half, 0.0, 1.0)[:, None]
             result[:, index] = (1 - share) * result[:, index] + share * neutral

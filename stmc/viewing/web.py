@@ -11,7 +11,7 @@ from pathlib import Path
 from stmc.body_model import Body
 from stmc.motion import Motion
 from stmc.timeline import Prompt, Timeline
-from stmc.viewing.colours import NEUTRAL, ink, owners, palette, transitions, worn
+from stmc.viewing.colours import NEUTRAL, hand_overs, ink, owners, palette, worn
 from stmc.viewing.mannequin import dressed
 from stmc.viewing.scene import record
 
@@ -115,7 +115,7 @@ def _tracks(timeline: Timeline, motion: Motion, overlap: int | float) -> str:
             _span("span", start, end, motion, f"background:{NEUTRAL if owner is None else colours[owner]}")
             for owner, start, end in spans
         ]
-        pieces += [_span("span change", start, end, motion) for start, end in transitions(spans, motion.fps, overlap)]
+        pieces += [_span("span change", start, end, motion) for start, end in hand_overs(spans, motion.fps, overlap)]
         rows.append(_row(part, "row part", pieces))
     return f'<div id="stmc-tracks">{"".join(rows)}<div id="stmc-time"></div>{_ruler(motion.duration)}</div>'
 
