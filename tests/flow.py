@@ -11,12 +11,10 @@ from published import weight
 from torch import Tensor
 
 from stmc.denoisers import FlowMdm
+from stmc.denoisers.flow_mdm_layers import HEAD
 
 RELATIVE = 2e-5
 """Of the largest expected value: the README's tolerance of network outputs."""
-
-SMALL = {"width": 64, "feedforward": 128, "layers": 2, "heads": 3}
-"""The README, section 1."""
 
 
 @functools.cache
@@ -36,7 +34,13 @@ def flow_mdm(name: str, seed: int, absolute_from: int, horizon: int) -> FlowMdm:
     """The network "small_humanml", "full_babel", … with golden weights, all of them."""
     shapes = parameters(name)
     features, text_width = shapes["output_process.poseFinal.weight"][0], shapes["embed_text.weight"][1]
-    sizes = {} if name.startswith("full") else SMALL
+    layers = "seqTransEncoder.attn_layers.layers."
+    sizes = {
+        "width": shapes["embed_text.weight"][0],
+        "feedforward": shapes[f"{layers}1.1.ff.0.0.weight"][0],
+        "layers": sum(key.endswith("to_q.weight") for key in shapes),
+        "heads": shapes[f"{layers}0.1.to_q.weight"][0] // HEAD,
+    }
     network = FlowMdm(features, text_width, absolute_from, horizon=horizon, **sizes)
     weights = {
         key: weight(key, shape, entries(name)[key]["kind"] == "norm_weight", seed) for key, shape in shapes.items()
