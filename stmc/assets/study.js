@@ -130,51 +130,48 @@
 
   // ---- pictures -----------------------------------------------------------------------------------------------------
   const FOV = (30 * Math.PI) / 180;
+  const TILE = 0.5; // metres
   const view = { azimuth: -Math.PI / 2 + 0.5, elevation: 0.24 };
   const canvases = [find("left"), find("right")];
   const shade = (colour, share) =>
     "rgb(" + colour.map((value) => Math.round(share < 1 ? value * share : value + (255 - value) * (share - 1))) + ")";
 
+  const distance = (around) => (1.02 * around.radius) / Math.sin(FOV / 2);
+
   function projector(canvas, around, target) {
     const { clientWidth: wide, clientHeight: tall } = canvas;
     const [ca, sa, ce, se] = [Math.cos(view.azimuth), Math.sin(view.azimuth), Math.cos(view.elevation), Math.sin(view.elevation)];
-    const distance = (1.02 * around.radius) / Math.sin(FOV / 2);
+    const away = distance(around);
     const focal = Math.min(wide, tall) / 2 / Math.tan(FOV / 2);
     return (point) => {
       const x = point[0] - target[0], y = point[1] - target[1], z = point[2] - around.height;
       const near = ce * (ca * x + sa * y) + se * z;
-      const scale = focal / (distance - near);
-      return { x: wide / 2 + scale * (ca * y - sa * x), y: tall / 2 - scale * (ce * z - se * (ca * x + sa * y)), scale, depth: distance - near };
+      const scale = focal / (away - near);
+      return { x: wide / 2 + scale * (ca * y - sa * x), y: tall / 2 - scale * (ce * z - se * (ca * x + sa * y)), scale, depth: away - near };
     };
   }
 
-  function drawFloor(context, project, target) {
-    const reach = 4, cell = 0.5;
-    const lines = [[], [], [], []];
+  // A round piece of floor with half-metre tiles, fading towards its rim; every other line is a metre's.
+  function drawFloor(context, project, target, reach) {
     for (const axis of [0, 1]) {
-      const first = Math.ceil((target[axis] - reach) / cell), last = Math.floor((target[axis] + reach) / cell);
-      const begin = Math.floor((target[1 - axis] - reach) / cell), end = Math.ceil((target[1 - axis] + reach) / cell);
-      for (let line = first; line <= last; line++)
-        for (let piece = begin; piece < end; piece++) {
-          const at = (step) => (axis ? [step * cell, line * cell, 0] : [line * cell, step * cell, 0]);
-          const far = Math.hypot(line * cell - target[axis], (piece + 0.5) * cell - target[1 - axis]) / reach;
-          const ends = [project(at(piece)), project(at(piece + 1))];
-          if (far < 1 && ends.every((one) => one.depth > 0.3)) lines[Math.floor(4 * far)].push([ends, line % 2 === 0]);
-        }
-    }
-    lines.forEach((pieces, ring) => {
-      for (const bold of [false, true]) {
+      const last = Math.floor((target[axis] + reach) / TILE);
+      for (let line = Math.ceil((target[axis] - reach) / TILE); line <= last; line++) {
+        const aside = line * TILE - target[axis];
+        const half = Math.sqrt(Math.max(reach * reach - aside * aside, 0));
+        const at = (along) => project(axis ? [target[0] + along, line * TILE, 0] : [line * TILE, target[1] + along, 0]);
+        const [one, other] = [at(-half), at(half)];
+        const fade = context.createLinearGradient(one.x, one.y, other.x, other.y);
+        const middle = 0.55 * (half / reach) ** 2;
+        for (const [place, alpha] of [[0, 0], [0.25, 0.6 * middle], [0.5, middle], [0.75, 0.6 * middle], [1, 0]])
+          fade.addColorStop(place, `rgba(90, 100, 118, ${alpha})`);
+        context.strokeStyle = fade;
+        context.lineWidth = line % 2 ? 0.7 : 1.5;
         context.beginPath();
-        for (const [[one, other], even] of pieces)
-          if (even === bold) {
-            context.moveTo(one.x, one.y);
-            context.lineTo(other.x, other.y);
-          }
-        context.strokeStyle = `rgba(90, 100, 118, ${[0.5, 0.36, 0.22, 0.1][ring]})`;
-        context.lineWidth = bold ? 1.5 : 0.6;
+        context.moveTo(one.x, one.y);
+        context.lineTo(other.x, other.y);
         context.stroke();
       }
-    });
+    }
   }
 
   function drawShadow(context, project, pose) {
@@ -227,7 +224,7 @@
     context.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
     const { pose, target } = posed(clip, time);
     const project = projector(canvas, around, target);
-    drawFloor(context, project, target);
+    drawFloor(context, project, target, Math.min(4, 0.8 * distance(around)));
     drawShadow(context, project, pose);
     const seen = pose.map(project);
     BONES.map(([from, to, one, other, colour]) => ({ a: seen[from], b: seen[to], one, other, colour }))
@@ -255,6 +252,7 @@
   let time = 0;
   let playing = false;
   let before = null;
+  let drawn = ""; // what the pictures show, so that a pause costs nothing
 
   function seek(value) {
     time = Math.min(Math.max(value, 0), shown.duration);
@@ -280,6 +278,10 @@
       if (time > shown.duration + REST) time = 0;
     }
     const at = Math.min(time, shown.duration);
+    const sizes = canvases.flatMap((canvas) => [canvas.clientWidth, canvas.clientHeight]);
+    const looks = [shown.id, at, view.azimuth, view.elevation, window.devicePixelRatio, ...sizes].join();
+    if (looks === drawn) return;
+    drawn = looks;
     canvases.forEach((canvas, side) => draw(canvas, shown.clips[side], shown.ball, at));
     mark(at);
   }
@@ -361,7 +363,9 @@
     find("thanks").hidden = state.at !== count;
     find("ask").hidden = state.at < 0 || state.at >= count;
     document.body.dataset.at = state.at;
+    document.activeElement?.blur(); // else a button that is gone would still take the space bar
     shown = null;
+    drawn = "";
     if (find("ask").hidden) return;
     const question = survey.questions[state.at];
     const clips = question.clips.map(decoded);
@@ -441,6 +445,7 @@
     if (event.key === " " && !event.target.matches("button, [type=radio]:not(:checked)")) play(!playing);
     else if (/^Arrow(Left|Right)$/.test(event.key) && !radio && !range) seek(Math.min(time, shown.duration) + (event.key === "ArrowLeft" ? -0.25 : 0.25));
     else if (digit) digit.click();
+    else if (event.key === "Enter" && !event.target.matches("button")) find("next").click();
     else return;
     event.preventDefault();
   });
