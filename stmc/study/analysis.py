@@ -77,6 +77,10 @@ class Analysis:
             lines.append(f"{len(self.unjudged)} pairs are judged by nobody: {', '.join(self.unjudged)}")
         for aspect, preference in self.preferences.items():
             lines += ["", self._paragraph(aspect, preference)]
+        lines += [
+            "",
+            "Pairs by their majority (a tie is no preference), shares, and Wilson's 95 % intervals over pairs.",
+        ]
         return "\n".join(lines) + "\n"
 
     def data(self) -> dict[str, Any]:

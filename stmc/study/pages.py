@@ -8,7 +8,7 @@ from importlib.resources import files
 from stmc.study.clips import TREE
 from stmc.study.surveys import Question, Survey
 
-_ASSETS = ("html", "css", "js")
+_ASSETS = ("study.html", "study.css", "study_stage.js", "study.js")
 
 
 def survey_page(survey: Survey) -> str:
@@ -17,10 +17,10 @@ def survey_page(survey: Survey) -> str:
 
     It keeps the answers in the browser as they are given, so that a closed tab loses nothing.
     """
-    content, style, script = ((files("stmc") / "assets" / f"study.{kind}").read_text("utf-8") for kind in _ASSETS)
+    content, style, *scripts = ((files("stmc") / "assets" / name).read_text("utf-8") for name in _ASSETS)
     data = {"survey": survey.id, "tree": TREE, "questions": [_asked(question) for question in survey.questions]}
     embedded = json.dumps(data, separators=(",", ":")).replace("<", r"\u003c")
-    for mark, text in (("/* style */", style), ("/* script */", script), ("/* survey */", embedded)):
+    for mark, text in (("/* style */", style), ("/* script */", "\n".join(scripts)), ("/* survey */", embedded)):
         assert content.count(mark) == 1, mark
         content = content.replace(mark, text)
     return content
