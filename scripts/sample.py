@@ -66,7 +66,7 @@ def check(config: DictConfig) -> None:
             raise SystemExit(f"{key}={config[key]}: choose from {', '.join(filter(None, choices))}")
     if not config.formats or set(config.formats) - set(FORMATS):
         raise SystemExit(f"formats={list(config.formats)}: choose from {', '.join(FORMATS)}")
-    if not 0 <= config.late < 1 or (config.late and config.method not in STITCHED):
+    if config.late is not None and (not 0 <= config.late < 1 or (config.late and config.method not in STITCHED)):
         raise SystemExit(f"late={config.late}: from 0 to below 1, and 0 for SINC and FlowMDM")
     for key in ("samples", "batch", "steps"):
         if config[key] is not None and config[key] < 1:

@@ -64,7 +64,8 @@ class Model:
     """Everything that makes motion from text. `fps` is the frame rate of the features, `longest` the most frames that
     the denoiser knows from training; `config` says how to build the parts again (see `run.save`). `precision` is the
     denoiser's at sampling: "bf16" is faster where the processor has it, but a motion then depends on its batch, a bit.
-    `guidance` and the `spread` of `ddpm` are those the model is sampled with unless told otherwise.
+    `guidance`, the `spread` of `ddpm` and how `late` STMC begins to stitch are those the model is sampled with unless
+    told otherwise.
     """
 
     denoiser: Network
@@ -81,6 +82,7 @@ class Model:
     precision: Precision = "fp32"
     guidance: float | int = 2.5
     spread: Spread = "variance"
+    late: float | int = 0.0
 
     @property
     def device(self) -> torch.device:
@@ -142,7 +144,7 @@ class Model:
         steps: int | None = None,
         sampler: Sampler | None = None,
         method: Method = "stmc",
-        late: float | int = 0.0,
+        late: float | int | None = None,
         track: Track = iter,
     ) -> list[Motion]:
         """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
@@ -151,13 +153,14 @@ class Model:
         batch. `guidance` weighs the text (1: as trained, 0: no text; None: the model's own); `overlap` in seconds;
         `steps` of denoising (None: as many as in training); `sampler` (None: `ddpm` with the model's own spread).
 
-        `method`: "stmc" stitches at every step (section 3.3), or only after the share `late` of them, before which
-        crops are denoised alone (section 4.6's outlook); "sinc" once, after sampling each crop on its own; "sinc_lerp"
-        smooths the seams of that over `overlap`; "single_track" joins simultaneous texts by "while" and composes in
-        time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3). "multi_diffusion" averages
-        overlapping crops; "double_take" fades them into each other and then makes the transitions' surroundings anew;
-        "sinc_slerp" is "sinc_lerp" with rotations on the sphere (TEACH); "flow_mdm" makes seamless sequences of what
-        each body part obeys, without overlap and crops, by a denoiser that knows a text for every frame (`FlowMdm`).
+        `method`: "stmc" stitches at every step (section 3.3), or only after the share `late` of them (None: the model's
+        own), before which crops are denoised alone (section 4.6's outlook); "sinc" once, after sampling each crop on
+        its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts by
+        "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
+        "multi_diffusion" averages overlapping crops; "double_take" fades them into each other and then makes the
+        transitions' surroundings anew; "sinc_slerp" is "sinc_lerp" with rotations on the sphere (TEACH); "flow_mdm"
+        makes seamless sequences of what each body part obeys, without overlap and crops, by a denoiser that knows a
+        text for every frame (`FlowMdm`).
 
         Raises `ValueError` for an unknown method, negative seeds, seeds that are not one for each timeline, `late`
         outside of [0, 1) or with a method that does not stitch, and for "flow_mdm" with any other denoiser.
@@ -166,6 +169,8 @@ class Model:
         seeds = _seeds(seed, len(timelines))
         if method not in get_args(Method):
             raise ValueError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
+        if late is None:
+            late = self.late if method == "stmc" else 0.0
         if not 0 <= late < 1 or (late and method not in STITCHED):
             raise ValueError(
                 f"late={late}: the share of the steps before stitching is in [0, 1), and 0 for SINC and FlowMDM"

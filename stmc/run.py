@@ -38,6 +38,8 @@ PARTS = {
     "representation": "stmc.representation",
 }
 """The parts of a model that a config describes, and the only place that the classes of each may come from."""
+SAMPLED = ("guidance", "spread", "late")
+"""How a model is sampled unless told otherwise; runs that do not say have `Model`'s defaults."""
 EVALUATOR_PARTS = {
     "network": "stmc.evaluators",
     "text_encoder": "stmc.text",
@@ -64,7 +66,7 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
     """
     folder = bundled() if folder is None else Path(folder).expanduser()
     config, parts = _opened(folder, PARTS, ("fps", "longest", "prediction"))
-    config = {"guidance": Model.guidance, "spread": Model.spread} | config
+    config = {name: getattr(Model, name) for name in SAMPLED} | config
     _check_model(config, folder / CONFIG)
     features, width = config["denoiser"].get("features"), parts["representation"].width
     if features != width:
@@ -78,8 +80,7 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
         fps=config["fps"],
         longest=config["longest"],
         prediction=config["prediction"],
-        guidance=config["guidance"],
-        spread=config["spread"],
+        **{name: config[name] for name in SAMPLED},
         config=config,
         precision=precision,
     )
@@ -121,7 +122,7 @@ def save(model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch
     and writes nothing, where `model.config` does not say how to build the parts, and for weights that are not finite or
     that `dtype` cannot hold.
     """
-    settings = {name: getattr(model, name) for name in ("fps", "longest", "prediction", "guidance", "spread")}
+    settings = {name: getattr(model, name) for name in ("fps", "longest", "prediction", *SAMPLED)}
     numbers = _numbered(model) | {"skeleton": model.skeleton.offsets}
     return _written(Path(folder), _described(model.config, PARTS) | settings, model.denoiser, numbers, card, dtype)
 
@@ -212,11 +213,13 @@ def _check_model(config: Mapping[str, Any], path: Path) -> None:
         raise RunError(f"{path}: longest must be a positive number of frames, not {longest!r}")
     if prediction not in get_args(Prediction):
         raise RunError(f"{path}: prediction must be one of {', '.join(get_args(Prediction))}, not {prediction!r}")
-    guidance, spread = config["guidance"], config["spread"]
+    guidance, spread, late = config["guidance"], config["spread"], config["late"]
     if not isinstance(guidance, (int, float)) or not abs(guidance) < float("inf"):
         raise RunError(f"{path}: guidance must be a number, not {guidance!r}")
     if spread not in get_args(Spread):
         raise RunError(f"{path}: spread must be one of {', '.join(get_args(Spread))}, not {spread!r}")
+    if not isinstance(late, (int, float)) or not 0 <= late < 1:
+        raise RunError(f"{path}: late must be a number from 0 to below 1, not {late!r}")
 
 
 def _check_targets(node: Any, place: str, home: str) -> None:

@@ -236,6 +236,17 @@ def test_guidance_spread_and_sampler_are_the_models_own_unless_told(model):
     assert apart(model.generate(NOD, steps=3)[0], usual) == 0
 
 
+def test_a_model_of_its_own_lateness_stitches_late_unless_told_and_its_baselines_do_not(model):
+    own, settings = dataclasses.replace(model, late=0.5), {"steps": 4, "sampler": ddim}
+    [late] = model.generate([WALK_WAVE], late=0.5, **settings)
+    [at_once] = model.generate([WALK_WAVE], **settings)
+    assert apart(own.generate([WALK_WAVE], **settings)[0], late) == 0
+    assert apart(own.generate([WALK_WAVE], late=0.0, **settings)[0], at_once) == 0
+    for method in ("single_track", "sinc"):
+        expected = model.generate([WALK_WAVE], method=method, **settings)[0]
+        assert apart(own.generate([WALK_WAVE], method=method, **settings)[0], expected) == 0
+
+
 def test_a_text_is_read_once_and_not_at_every_step(model):
     read = []
 

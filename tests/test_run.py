@@ -78,12 +78,13 @@ def test_a_loaded_model_saves_the_same_files_again(run, tmp_path):
         assert (again / name).read_bytes() == (run / name).read_bytes(), name
 
 
-def test_guidance_and_spread_come_with_the_model_and_older_runs_have_the_usual_ones(model, run, tmp_path):
-    own = stmc.save(dataclasses.replace(model, guidance=1.0, spread="std"), tmp_path / "own", "")
+def test_how_it_is_sampled_comes_with_the_model_and_older_runs_have_the_usual_ones(model, run, tmp_path):
+    own = stmc.save(dataclasses.replace(model, guidance=1.0, spread="std", late=0.25), tmp_path / "own", "")
     back = stmc.load(own)
-    assert (back.guidance, back.spread) == (1.0, "std")
-    edit(run, guidance=None, spread=None)
-    assert (stmc.load(run).guidance, stmc.load(run).spread) == (2.5, "variance")
+    assert (back.guidance, back.spread, back.late) == (1.0, "std", 0.25)
+    edit(run, guidance=None, spread=None, late=None)
+    usual = stmc.load(run)
+    assert (usual.guidance, usual.spread, usual.late) == (2.5, "variance", 0.0)
 
 
 def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, run, tmp_path):
@@ -200,6 +201,7 @@ def test_a_config_that_is_none_is_named(run, text):
         ({"longest": 0}, "longest must be a positive number of frames, not 0"),
         ({"prediction": "noise"}, "prediction must be one of x0, eps, v, score, not 'noise'"),
         ({"guidance": "much"}, "guidance must be a number, not 'much'"),
+        ({"late": 1.0}, r"late must be a number from 0 to below 1, not 1\.0"),
         ({"spread": "wide"}, "spread must be one of std, variance, not 'wide'"),
         ({"denoiser": 3}, "denoiser must say what to build as `_target_`, not 3"),
         ({"denoiser": {"width": 16}}, "denoiser must say what to build"),
