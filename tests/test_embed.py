@@ -70,6 +70,7 @@ def test_what_holds_no_texts_is_an_error(found, tmp_path, name, content, message
         found(tmp_path / "nowhere")
 
 
+@pytest.mark.slow
 @packaged
 def test_the_script_fills_the_cache_that_training_reads_and_goes_on_where_it_was(tmp_path):
     (tmp_path / "mtt.txt").write_text(MTT)
@@ -85,6 +86,7 @@ def test_the_script_fills_the_cache_that_training_reads_and_goes_on_where_it_was
     assert not list((tmp_path / "here").iterdir())
 
 
+@pytest.mark.slow
 def test_weights_that_are_not_there_are_named(tmp_path):
     (tmp_path / "lines.txt").write_text("walk\n")
     settings = (f"texts={tmp_path / 'lines.txt'}", f"folder={tmp_path / 'cache'}", "text_encoder=clip")

@@ -255,6 +255,7 @@ def trained(tmp_path_factory):
     return folder, settings, done
 
 
+@pytest.mark.slow
 def test_training_leaves_an_evaluator_and_says_what_it_finds(trained):
     folder, _, done = trained
     judge = load_evaluator(folder / "run")
@@ -272,6 +273,7 @@ def test_training_leaves_an_evaluator_and_says_what_it_finds(trained):
     assert "resuming" not in done.stdout
 
 
+@pytest.mark.slow
 def test_training_goes_on_where_it_stopped(trained):
     folder, settings, _ = trained
     done = script("train_tmr", *settings, "training.steps=6", folder=folder / "here")

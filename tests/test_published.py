@@ -77,6 +77,7 @@ def test_what_motion_diffuse_is_sampled_with_is_that_of_the_published_code(tmp_p
     assert float(model.schedule.beta[-1]) == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 def test_an_imported_model_samples_with_the_scripts(tmp_path):
     checkpoints.mdm(tmp_path / "theirs")
     text_model = checkpoints.clip(tmp_path / "clip")

@@ -359,6 +359,7 @@ def script(folder, *arguments) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, *arguments, str(folder)], cwd=HERE, env=environment)
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_goes_on_to_the_same_losses(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     uninterrupted, victim = (script(folder, "train_toy.py", "--steps=80") for folder in (whole, killed))
@@ -375,6 +376,7 @@ def test_a_process_that_is_killed_goes_on_to_the_same_losses(tmp_path):
     assert len(losses(whole)) == 40 + 10
 
 
+@pytest.mark.slow
 def test_two_processes_share_a_step(tmp_path):
     launch = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2")
     assert script(tmp_path, *launch, "train_toy.py", "--steps=8").wait(900) == 0
