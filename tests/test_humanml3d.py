@@ -5,7 +5,7 @@ import math
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from test_motion import walk
 from test_representation import moved
@@ -146,8 +146,9 @@ def test_features_do_not_depend_on_place_heading_and_size(turn, x, y, scale, see
 @settings(max_examples=25, deadline=None)
 def test_features_lead_back_to_the_retargeted_joints_by_positions_and_by_rotations(frames, seed):
     motion = walk(frames, seed=seed)
-    expected = canonical(uniform(y_up(motion.joints[:, :22])))[:-1]
-    features = REPRESENTATION.encode(motion)
+    whole = canonical(uniform(y_up(motion.joints[:, :22])))
+    assume(bool((smoothed_heading(whole).diff().abs() < math.pi).all()))  # the half turn has its own test below
+    expected, features = whole[:-1], REPRESENTATION.encode(motion)
     assert_close(features_to_joints(features), expected, atol=1e-9, rtol=0)
     assert_close(features_to_posed_joints(features), expected, atol=1e-6, rtol=0)
 
