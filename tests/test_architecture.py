@@ -22,7 +22,7 @@ TIERS = [
     {"assignment", "export", "representation", "training"},
     {"data", "evaluators", "metrics", "mtt", "planning", "study", "viewing"},
     {"compose", "results", "rules"},
-    {"sequences", "transitions"},
+    {"benchmarks", "sequences", "transitions"},
     {"model"},
     {"run"},
     {"published"},
@@ -41,6 +41,7 @@ FORBIDDEN = {
     "study": {"diffusion", "denoisers", "compose", "viewing"},
     "viewing": {"diffusion", "denoisers", "compose"},
     "results": {"diffusion", "denoisers", "compose", "metrics"},
+    "benchmarks": {"compose", "denoisers", "diffusion"},
     "training": {"data", "representation", "timeline", "motion"},
 }
 """What a package must not even import through others."""

@@ -15,14 +15,14 @@ class Measure:
 
     key: str
     heading: str
-    better: Literal["higher", "lower"]
+    better: Literal["higher", "lower", "real"]
     decimals: int
     unit: str = ""
 
     @property
     def arrow(self) -> str:
-        """Up where more is better, else down."""
-        return "↑" if self.better == "higher" else "↓"
+        """Up where more is better, down where less is, to the right where real motion's value is."""
+        return {"higher": "↑", "lower": "↓", "real": "→"}[self.better]
 
     def shown(self, value: float) -> str:
         """A value with the decimals it is shown with."""
@@ -37,8 +37,17 @@ MEASURES = (
     Measure("fid", "FID", "lower", 3),
     Measure("fid_plus", "FID+", "lower", 3),
     Measure("transition", "Transition distance", "lower", 1, "cm"),
+    Measure("r_precision", "R-prec", "higher", 3),
+    Measure("subsequence_fid", "FID", "lower", 3),
+    Measure("subsequence_diversity", "Div", "real", 2),
+    Measure("mm_dist", "MM-Dist", "lower", 3),
+    Measure("transition_fid", "FID (transitions)", "lower", 3),
+    Measure("transition_diversity", "Div (transitions)", "real", 2),
+    Measure("peak_jerk", "PJ", "real", 4),
+    Measure("area_under_jerk", "AUJ", "lower", 2),
 )
-"""The columns of the paper's Table 1 and A.1; FID and FID+ (section 4.2) apart."""
+"""The columns of STMC's Table 1 and A.1 (section 4.2), FID per crop and FID+ of whole motions; then of FlowMDM's Table 1
+(section 4.1). "real": the nearer to real motion's, the better."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +63,16 @@ METHODS = {
     REAL: Method("Ground truth"),
     "one_text": Method("One text", "Single", "Single"),
     "single_track": Method("DiffCollage", "Single", "Multi"),
+    "independent": Method("Prompts alone", "Multi", "Multi"),
     "sinc": Method("SINC w/o Lerp", "Multi", "Multi"),
     "sinc_lerp": Method("SINC w/ Lerp", "Multi", "Multi"),
+    "sinc_slerp": Method("SINC w/ Slerp", "Multi", "Multi"),
+    "multi_diffusion": Method("MultiDiffusion", "Multi", "Multi"),
+    "double_take": Method("DoubleTake", "Multi", "Multi"),
     "stmc": Method("STMC", "Multi", "Multi"),
+    "flow_mdm": Method("FlowMDM", "Multi", "None"),
 }
-"""In the order of Table 1's rows."""
+"""In the order of Table 1's rows, and others beside those that they are nearest to."""
 
 
 def method(name: str) -> Method:

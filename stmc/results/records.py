@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -28,6 +28,7 @@ class Setting(NamedTuple):
     guidance: float | int | None
     spread: str | None
     late: float | int | None
+    absolute: float | int | None
 
 
 @dataclass(frozen=True)
@@ -51,13 +52,19 @@ class Result:
     """Of `ddpm`'s noise."""
     late: float | int | None = None
     """The share of steps before stitching begins."""
+    absolute: float | int | None = None
+    """The share of steps that FlowMDM takes with absolute positions."""
+    curves: Mapping[str, Sequence[float | int]] = field(default_factory=dict)
+    """What was measured frame by frame."""
 
     def __post_init__(self) -> None:
         numbers = {f"metrics.{name}": value for name, value in self.metrics.items()}
+        numbers |= {f"curves.{name}[{i}]": value for name, row in self.curves.items() for i, value in enumerate(row)}
         for name, value in (numbers | self.setting._asdict()).items():
             if isinstance(value, float) and not math.isfinite(value):
                 raise ResultError(f"{name}: {value} is not a finite number")
-        object.__setattr__(self, "metrics", MappingProxyType(dict(self.metrics)))
+        for name in ("metrics", "curves"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @property
     def setting(self) -> Setting:
@@ -75,6 +82,8 @@ _KINDS: Mapping[str, tuple[type, ...]] = {
     "guidance": (int, float, type(None)),
     "spread": (str, type(None)),
     "late": (int, float, type(None)),
+    "absolute": (int, float, type(None)),
+    "curves": (dict,),
     "metrics": (dict,),
 }
 
@@ -102,7 +111,10 @@ def by_setting(results: Iterable[Result]) -> dict[Setting, list[Result]]:
 def write_results(results: Sequence[Result], path: str | Path) -> None:
     """Writes JSON, a record a line; the file appears whole or not at all."""
     lines = [
-        json.dumps({key.name: getattr(result, key.name) for key in fields(Result)} | {"metrics": dict(result.metrics)})
+        json.dumps(
+            {key.name: getattr(result, key.name) for key in fields(Result)}
+            | {name: dict(getattr(result, name)) for name in ("metrics", "curves")}
+        )
         for result in results
     ]
     content = "".join(f"{line}\n" for line in lines)
@@ -142,4 +154,8 @@ def _of_line(line: str) -> Result:
         _check(name, value, _KINDS[name])
     for name, value in data["metrics"].items():
         _check(f"metrics.{name}", value, (int, float))
+    for name, row in data.get("curves", {}).items():
+        _check(f"curves.{name}", row, (list,))
+        for value in row:
+            _check(f"curves.{name}", value, (int, float))
     return Result(**data)

@@ -53,7 +53,7 @@ class Table:
 
     def latex(self) -> str:
         """A `table` that needs the package booktabs; the best are bold."""
-        arrows = {"higher": r"$\uparrow$", "lower": r"$\downarrow$"}
+        arrows = {"higher": r"$\uparrow$", "lower": r"$\downarrow$", "real": r"$\rightarrow$"}
         heads = [_escaped(name) for name in self.headings]
         heads += [f"{_escaped(each.heading + _unit(each))} {arrows[each.better]}" for each in self.measures]
         lines = [r"\begin{table}", r"\centering", rf"\begin{{tabular}}{{{'l' * len(self.headings)}"]
@@ -147,6 +147,8 @@ def _caption(subject: str, groups: Mapping[Setting, Sequence[Result]]) -> str:
 
 
 def _is_best(block: Sequence[Row], row: Row, measure: Measure) -> bool:
+    if measure.better == "real":
+        return False  # what is nearest is for the reader to see: real motion stands in the table
     rivals = [other.estimates[measure.key] for other in block if other.competes and measure.key in other.estimates]
     means = [float(measure.shown(rival.mean)) for rival in rivals]
     best = max(means) if measure.better == "higher" else min(means)

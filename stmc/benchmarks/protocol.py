@@ -1,0 +1,33 @@
+"""What every benchmark offers, whatever it measures: timelines to make motions of, and what to make of the motions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+from stmc.motion import Motion
+from stmc.timeline import Timeline
+
+
+class Scores(NamedTuple):
+    """What was measured: numbers by the keys of `results.naming.MEASURES`, and curves over frames by their names."""
+
+    metrics: dict[str, float]
+    curves: dict[str, list[float]] = {}
+
+
+@runtime_checkable
+class Benchmark(Protocol):
+    """Knows what is asked for, and how good what comes is; knows no model."""
+
+    def timelines(self, method: str) -> list[Timeline]:
+        """What a method (a name of `results.naming.METHODS`) is to make motions of, in order: always the same."""
+        ...
+
+    def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
+        """The scores of motions, one for each of `timelines(method)`; what is random in measuring follows `seed`."""
+        ...
+
+    def real(self, seed: int) -> Scores:
+        """The same of real motion."""
+        ...
