@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.metrics.timelines import Judge
 from stmc.motion import Motion
 from stmc.timeline import Timeline
 
@@ -14,6 +18,13 @@ class Scores(NamedTuple):
 
     metrics: dict[str, float]
     curves: dict[str, list[float]] = {}
+
+
+@runtime_checkable
+class TextJudge(Judge, Protocol):
+    """A judge of texts, too, as `evaluators.Evaluator` is: their latents are near those of the motions they tell of."""
+
+    def texts(self, texts: Sequence[str]) -> Float[Tensor, "batch width"]: ...
 
 
 @runtime_checkable
