@@ -14,15 +14,15 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.body_model import Skeleton
 from stmc.geometry import heading as heading_of
 from stmc.geometry import matrix_to_axis_angle, matrix_to_rows, rotation_z, rows_to_matrix
 from stmc.motion import Motion
 from stmc.representation.layout import BABEL_LAYOUT, Layout
+from stmc.representation.protocol import Representation
 
 
-class BabelRepresentation:
+class BabelRepresentation(Representation):
     """Motion ⇄ features in the world's axes, once the whole motion was turned to begin facing one way.
 
     Per frame, in metres and *per frame* (not per second), z up:
@@ -38,16 +38,6 @@ class BabelRepresentation:
     """
 
     layout: ClassVar[Layout] = BABEL_LAYOUT
-
-    @property
-    def width(self) -> int:
-        """Numbers per frame: 135."""
-        return self.layout.width
-
-    @property
-    def columns(self) -> dict[BodyPart, tuple[int, ...]]:
-        """The columns that each body part owns."""
-        return self.layout.columns
 
     @property
     def skeleton(self) -> Skeleton:

@@ -19,12 +19,13 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, PARENTS, ROTATED, BodyPart
+from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
 from stmc.geometry import rows_to_matrix, shortest_arc
 from stmc.inverse_kinematics import motion_of_joints
 from stmc.motion import Motion
 from stmc.representation.layout import HUMANML3D_LAYOUT, Layout
+from stmc.representation.protocol import Representation
 
 _SMOOTHING = 20
 """Standard deviation, in frames, of the Gaussian that smooths the facing direction."""
@@ -38,7 +39,7 @@ _TURNS_WITH = tuple(0 if "collar" in name else parent for name, parent in zip(JO
 """The joint that each rotation is relative to: arms do not inherit the spine's."""
 
 
-class HumanML3DRepresentation:
+class HumanML3DRepresentation(Representation):
     """Motion ⇄ features, the same wherever the body stands and wherever it looks. One row less than frames.
 
     The motion is retargeted to one skeleton, put on the floor and turned so that it starts facing ahead. Then, per
@@ -54,16 +55,6 @@ class HumanML3DRepresentation:
     """
 
     layout: ClassVar[Layout] = HUMANML3D_LAYOUT
-
-    @property
-    def width(self) -> int:
-        """Numbers per frame: 263."""
-        return self.layout.width
-
-    @property
-    def columns(self) -> dict[BodyPart, tuple[int, ...]]:
-        """The columns that each body part owns."""
-        return self.layout.columns
 
     @property
     def skeleton(self) -> Skeleton:

@@ -1,6 +1,6 @@
 """What every representation is: motions as feature vectors with a named layout, and back.
 
-Knows no formula: these are `smpl`'s, `humanml3d`'s and `babel`'s.
+Knows what follows from the layout alone, and no formula: these are `smpl`'s, `humanml3d`'s and `babel`'s.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class Representation(Protocol):
 
     @property
     def width(self) -> int:
-        """Numbers per frame: the layout's."""
-        ...
+        """Numbers per frame."""
+        return self.layout.width
 
     @property
     def columns(self) -> dict[BodyPart, tuple[int, ...]]:
-        """The columns that each body part owns: the layout's."""
-        ...
+        """The columns that each body part owns."""
+        return self.layout.columns
 
     @property
     def skeleton(self) -> Skeleton:

@@ -18,12 +18,13 @@ from stmc.geometry import forward_kinematics, matrix_to_rows, rotation_z, rows_t
 from stmc.geometry import heading as heading_of
 from stmc.motion import Motion, Posable
 from stmc.representation.layout import SMPL_LAYOUT, Layout
+from stmc.representation.protocol import Representation
 
 _LEGS = [JOINTS.index(joint) for joint in BodyPart.LEGS.joints]
 _LEG_PARENTS = [-1, *(_LEGS.index(PARENTS[joint]) for joint in _LEGS[1:])]
 
 
-class SmplRepresentation:
+class SmplRepresentation(Representation):
     """Motion ⇄ features, the same wherever the body stands and wherever it looks.
 
     Per frame, in metres, radians and *per frame* (not per second), z up:
@@ -36,16 +37,6 @@ class SmplRepresentation:
     """
 
     layout: ClassVar[Layout] = SMPL_LAYOUT
-
-    @property
-    def width(self) -> int:
-        """Numbers per frame: 205."""
-        return self.layout.width
-
-    @property
-    def columns(self) -> dict[BodyPart, tuple[int, ...]]:
-        """The columns that each body part owns."""
-        return self.layout.columns
 
     @property
     def skeleton(self) -> Skeleton:
@@ -130,7 +121,7 @@ class SmplRepresentation:
         Zero while a foot stands; what MDM's foot loss looks at (Tevet et al. 2023, Eq. 4).
         """
         rows = rearrange(features[..., self.layout["rotations"]], "... (joints width) -> ... joints width", width=6)
-        local = rows_to_matrix(rows[..., _LEGS[: len(_LEGS) - 2], :])
+        local = rows_to_matrix(rows[..., _LEGS[:-2], :])
         root = rotation_z(-heading_of(local[..., 0, :, :])) @ local[..., 0, :, :]
         local = torch.cat([root[..., None, :, :], local[..., 1:, :, :]], dim=-3)
         feet = forward_kinematics(local, skeleton.offsets.to(features)[_LEGS], _LEG_PARENTS)[..., -2:, :]
