@@ -1,6 +1,5 @@
 """Samples motions of timelines: `python scripts/sample.py timeline=PATH`. Every setting is in configs/sample.yaml."""
 
-import hashlib
 import json
 import re
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ import stmc
 from stmc.diffusion.samplers import Spread
 from stmc.files import write_whole
 from stmc.model import STITCHED, Method, Precision
-from stmc.run import CONFIG, STATISTICS, WEIGHTS, bundled
+from stmc.run import fingerprint
 
 CHOICES = {
     "sampler": ("ddpm", "ddim", "dpm_solver"),
@@ -42,7 +41,7 @@ def main(config: DictConfig) -> None:
     try:
         source = Path(config.timeline or str(files("stmc") / "assets/timelines/walk_and_wave.json")).expanduser()
         timelines = list(named(stmc.Timeline.read_all(source), source.stem))
-        made_by = fingerprint(config)
+        made_by = fingerprint(config.model)
         jobs = waiting(timelines, config, made_by)
         if not jobs:
             console.print(f"every motion is in {config.output} already")
@@ -94,17 +93,6 @@ def waiting(timelines: list[tuple[str, stmc.Timeline]], config: DictConfig, made
     ]
     missing = [job for job in jobs if not finished(*job, config, made_by)]
     return sorted(missing, key=lambda job: -job[1].duration)
-
-
-def fingerprint(config: DictConfig) -> str:
-    """Tells models apart, wherever they lie: a digest of the run's files ("" where some are missing)."""
-    folder = bundled() if config.model is None else Path(config.model).expanduser()
-    digest = hashlib.sha256()
-    for name in (CONFIG, WEIGHTS, STATISTICS):
-        if not (folder / name).is_file():
-            return ""
-        digest.update((folder / name).read_bytes())
-    return digest.hexdigest()
 
 
 def record(timeline: stmc.Timeline, seed: int, config: DictConfig, made_by: str) -> dict:

@@ -6,6 +6,7 @@ card, `README.md`. Nothing in it is unpickled, and only this library's own class
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 from collections.abc import Mapping
 from importlib.resources import files
@@ -55,6 +56,19 @@ class RunError(ValueError):
 def bundled() -> Path:
     """Where the model lies that comes with the library."""
     return Path(str(files("stmc") / "assets" / BUNDLED))
+
+
+def fingerprint(folder: str | Path | None = None) -> str:
+    """Tells what run directories hold apart, wherever they lie: a digest of the files ("" where some are missing);
+    without `folder`, of the bundled model."""
+    folder = bundled() if folder is None else Path(folder).expanduser()
+    files = [folder / name for name in (CONFIG, WEIGHTS, STATISTICS)]
+    if not all(path.is_file() for path in files):
+        return ""
+    digest = hashlib.sha256()
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def load(folder: str | Path | None = None, device: torch.device | str = "cpu", precision: Precision = "fp32") -> Model:

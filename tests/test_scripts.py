@@ -17,7 +17,7 @@ from tiny import tiny
 
 import stmc
 from stmc.data.cache import Cache
-from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS
+from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, fingerprint
 
 ROOT = Path(__file__).parents[1]
 
@@ -202,14 +202,14 @@ def run(tmp_path) -> Path:
 
 def jobs_left(sample, config, timeline: str = TIMELINES.split("\n\n")[1]) -> int:
     timelines = [("nod", stmc.Timeline.parse(timeline))]
-    return len(sample.waiting(timelines, config, sample.fingerprint(config)))
+    return len(sample.waiting(timelines, config, fingerprint(config.model)))
 
 
 def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample, run, tmp_path):
     base = (f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz]", "steps=2")
     config, timeline = settings(*base), stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
-    sample.save(motion, "nod_0", timeline, 0, config, sample.fingerprint(config))
+    sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
     assert jobs_left(sample, config) == 0
     for change in ("guidance=2", "overlap=0.6", "method=sinc", "sampler=ddim", "spread=std", "seed=1"):
         assert jobs_left(sample, settings(*base, change)) == 1, change
@@ -227,11 +227,11 @@ def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample,
 
 
 def test_a_moved_model_is_the_same_and_another_model_in_its_place_is_not(sample, run, tmp_path):
-    before = sample.fingerprint(settings(f"model={run}"))
+    before = fingerprint(run)
     moved = run.rename(tmp_path / "moved")
-    assert sample.fingerprint(settings(f"model={moved}")) == before
+    assert fingerprint(moved) == before
     (moved / WEIGHTS).write_bytes((moved / WEIGHTS).read_bytes()[:-1] + b"\0")
-    assert sample.fingerprint(settings(f"model={moved}")) != before
+    assert fingerprint(moved) != before
 
 
 def test_a_motion_whose_record_is_damaged_or_files_are_gone_is_made_again(sample, run, tmp_path):
@@ -239,7 +239,7 @@ def test_a_motion_whose_record_is_damaged_or_files_are_gone_is_made_again(sample
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
     for damage in (lambda out: (out / "nod_0.json").write_text("{"), lambda out: (out / "nod_0.npz").unlink()):
-        sample.save(motion, "nod_0", timeline, 0, config, sample.fingerprint(config))
+        sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
         assert jobs_left(sample, config) == 0
         damage(tmp_path / "out")
         assert jobs_left(sample, config) == 1
@@ -249,10 +249,10 @@ def test_a_motion_whose_files_cannot_be_written_is_not_taken_for_finished(sample
     config = settings(f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz,bvh]", "steps=2")
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
-    sample.save(motion, "nod_0", timeline, 0, config, sample.fingerprint(config))
+    sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
     monkeypatch.setattr(stmc, "write", lambda *_: (_ for _ in ()).throw(OSError("no space left on device")))
     with pytest.raises(OSError, match="no space"):
-        sample.save(motion, "nod_0", timeline, 0, config, sample.fingerprint(config))
+        sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
     assert jobs_left(sample, config) == 1
 
 

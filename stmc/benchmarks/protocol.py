@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Float
@@ -17,7 +18,7 @@ class Scores(NamedTuple):
     """What was measured: numbers by the keys of `results.naming.MEASURES`, and curves over frames by their names."""
 
     metrics: dict[str, float]
-    curves: dict[str, list[float]] = {}
+    curves: Mapping[str, list[float]] = MappingProxyType({})
 
 
 @runtime_checkable

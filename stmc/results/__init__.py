@@ -6,7 +6,7 @@ imported here: what only reads and writes records need not wait for what draws.
 
 from stmc.results.intervals import Estimate, estimate
 from stmc.results.records import Result, ResultError, by_setting, read_results, write_results
-from stmc.results.tables import Table, comparison_table, overlap_table
+from stmc.results.tables import Table, comparison_table, sweep_table
 
 __all__ = [
     "Estimate",
@@ -16,7 +16,7 @@ __all__ = [
     "by_setting",
     "comparison_table",
     "estimate",
-    "overlap_table",
     "read_results",
+    "sweep_table",
     "write_results",
 ]

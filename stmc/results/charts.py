@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from stmc.results.intervals import Estimate, estimate, estimates
-from stmc.results.naming import REAL, Measure, measures, method, place
-from stmc.results.records import Result, ResultError, Setting, by_setting
+from stmc.results.naming import HEADINGS, REAL, Measure, measures, method, place, variant
+from stmc.results.records import Result, ResultError, Setting, by_setting, refuse_other_differences
 from stmc.viewing.colours import palette
 from stmc.viewing.tracks import FAINT, INK
 
@@ -36,7 +36,7 @@ def bars(results: Sequence[Result]) -> Figure:
     groups = by_setting(results)
     made = {setting: runs for setting, runs in groups.items() if setting.method != REAL}
     columns = _shown(made)
-    names = sorted({setting.method for setting in made}, key=place)
+    names = list(dict.fromkeys(variant(setting) for setting in sorted(made, key=place)))
     plot, panels = _panels(len(columns), wide=max(2.4, 0.24 * len(made) + 1.3), tall=2.9)
     for axes, measure in zip(panels, columns, strict=True):
         _bar_panel(axes, measure, made, dict(zip(names, palette(len(names)), strict=True)))
@@ -58,7 +58,7 @@ def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("reca
     the noise, and steps.
     """
     groups = {setting: runs for setting, runs in by_setting(results).items() if setting.steps is not None}
-    _refuse_other_differences(groups, ("sampler", "spread", "steps"))
+    refuse_other_differences(groups, ("sampler", "spread", "steps"))
     columns = _shown(groups, keys)
     timed = all(SECONDS in result.metrics for runs in groups.values() for result in runs)
     plot = Figure(figsize=(4.4 * (1 + timed), 2.9 * len(columns)), layout="constrained")
@@ -80,15 +80,17 @@ def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("reca
     return plot
 
 
-def overlap_sweep(results: Sequence[Result]) -> Figure:
-    """A panel per metric against the overlap (seconds of a whole transition), a line per denoiser and method, with 95 %
-    intervals. Raises `ResultError` for records that have no overlap, or that differ in other settings."""
-    groups = {setting: runs for setting, runs in by_setting(results).items() if setting.overlap is not None}
-    _refuse_other_differences(groups, ("overlap", "denoiser", "method"))
+def sweep(results: Sequence[Result], varied: str) -> Figure:
+    """A panel per metric against a setting that is a number, such as the overlap; a line per denoiser and method, with
+    95 % intervals. Raises `ResultError` for records without it, or that differ in other settings."""
+    groups = {setting: runs for setting, runs in by_setting(results).items() if getattr(setting, varied) is not None}
+    if not groups:
+        raise ResultError(f"no record has {varied}")
+    refuse_other_differences(groups, (varied, "denoiser", "method"))
     columns = _shown(groups)
     plot, panels = _panels(len(columns), wide=3.0, tall=2.6)
     for axes, measure in zip(panels, columns, strict=True):
-        _lines(axes, measure, groups, _who, lambda setting, runs: setting.overlap, "overlap (s)")
+        _lines(axes, measure, groups, _who, lambda setting, runs: getattr(setting, varied), HEADINGS[varied].lower())
     _legend(plot, panels)
     return plot
 
@@ -98,13 +100,13 @@ def _bar_panel(axes: Axes, measure: Measure, groups: Groups, colours: dict[str, 
     position, ticks = 0.0, []
     denoisers = dict.fromkeys(setting.denoiser for setting in groups)
     for denoiser in denoisers:
-        own = sorted((each for each in groups if each.denoiser == denoiser), key=lambda each: place(each.method))
+        own = sorted((each for each in groups if each.denoiser == denoiser), key=place)
         ticks.append((position + (len(own) - 1) / 2, denoiser))
         for setting in own:
             found = estimates(groups[setting]).get(measure.key)
             if found is not None:
-                label = method(setting.method).label
-                axes.bar(position, found.mean, 0.86, color=colours[setting.method], label=label)
+                label = variant(setting)
+                axes.bar(position, found.mean, 0.86, color=colours[label], label=label)
                 if found.half is not None:
                     axes.errorbar(position, found.mean, found.half, color=INK, linewidth=1.1, capsize=2.5)
             position += 1
@@ -145,14 +147,6 @@ def _shown(groups: Groups, keys: Sequence[str] | None = None) -> tuple[Measure, 
         wanted = "" if keys is None else f" of {', '.join(keys)}"
         raise ResultError(f"no record has a metric to draw{wanted}")
     return columns
-
-
-def _refuse_other_differences(groups: Iterable[Setting], varied: Sequence[str]) -> None:
-    kept = {}
-    for setting in groups:
-        for name, value in setting._asdict().items():
-            if name not in varied and kept.setdefault(name, value) != value:
-                raise ResultError(f"{name} is {kept[name]} and {value}; choose one, only {', '.join(varied)} may vary")
 
 
 def _panels(count: int, wide: float, tall: float) -> tuple[Figure, list[Axes]]:

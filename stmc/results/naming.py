@@ -6,7 +6,25 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from stmc.results.records import Setting
+
 REAL = "ground_truth"
+
+ALONE = "independent"
+"""Every prompt as a motion of its own: what composing could at best keep, no rival of its own (appendix E)."""
+
+HEADINGS = {
+    "method": "Method",
+    "denoiser": "Denoiser",
+    "steps": "Steps",
+    "sampler": "Sampler",
+    "overlap": "Overlap (s)",
+    "guidance": "Guidance",
+    "spread": "Spread of the noise",
+    "late": "Stitching from (share of steps)",
+    "absolute": "Absolute (share of steps)",
+}
+"""What the settings are called."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +64,8 @@ MEASURES = (
     Measure("peak_jerk", "PJ", "real", 4),
     Measure("area_under_jerk", "AUJ", "lower", 2),
 )
-"""The columns of STMC's Table 1 and A.1 (section 4.2), FID per crop and FID+ of whole motions; then of FlowMDM's Table 1
-(section 4.1). "real": the nearer to real motion's, the better."""
+"""The columns of STMC's Table 1 and A.1 (section 4.2), FID of crops and FID+ of whole motions; then of FlowMDM's
+Table 1 (section 4.1). "real": the nearer to real motion's, the better."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +81,7 @@ METHODS = {
     REAL: Method("Ground truth"),
     "one_text": Method("One text", "Single", "Single"),
     "single_track": Method("DiffCollage", "Single", "Multi"),
-    "independent": Method("Prompts alone", "Multi", "Multi"),
+    ALONE: Method("Prompts alone", "Multi", "Multi"),
     "sinc": Method("SINC w/o Lerp", "Multi", "Multi"),
     "sinc_lerp": Method("SINC w/ Lerp", "Multi", "Multi"),
     "sinc_slerp": Method("SINC w/ Slerp", "Multi", "Multi"),
@@ -80,9 +98,17 @@ def method(name: str) -> Method:
     return METHODS.get(name, Method(name))
 
 
-def place(name: str) -> int:
-    """Where a method stands among others; those that the paper does not have come last."""
-    return list(METHODS).index(name) if name in METHODS else len(METHODS)
+def variant(setting: Setting) -> str:
+    """The method's label, with the share of the steps from which on it stitches."""
+    label = method(setting.method).label
+    return f"{label}, from {setting.late:.0%} on" if setting.late else label
+
+
+def place(setting: Setting) -> tuple[int, float]:
+    """Where a row stands among others: in the order of `METHODS`, those that it does not have last; the later a method
+    stitches, the later."""
+    known = list(METHODS)
+    return known.index(setting.method) if setting.method in METHODS else len(known), float(setting.late or 0)
 
 
 def measures(keys: Iterable[str]) -> tuple[Measure, ...]:

@@ -108,6 +108,22 @@ def by_setting(results: Iterable[Result]) -> dict[Setting, list[Result]]:
     return groups
 
 
+def refuse_other_differences(groups: Iterable[Setting], varied: Sequence[str]) -> None:
+    """Raises `ResultError` where settings differ in more than the fields `varied`."""
+    same = dict.fromkeys(varied)
+    first, *others = groups
+    for other in others:
+        if first._replace(**same) != other._replace(**same):
+            told = difference(first._replace(**same), other._replace(**same))
+            raise ResultError(f"records differ in more than {', '.join(varied)}: {told}; choose one")
+
+
+def difference(first: Setting, second: Setting) -> str:
+    """In which fields two settings differ, and how."""
+    pairs = zip(Setting._fields, first, second, strict=True)
+    return ", ".join(f"{name} {one} and {other}" for name, one, other in pairs if one != other)
+
+
 def write_results(results: Sequence[Result], path: str | Path) -> None:
     """Writes JSON, a record a line; the file appears whole or not at all."""
     lines = [

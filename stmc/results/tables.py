@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from itertools import chain
 
 from stmc.results.intervals import Estimate, estimates
-from stmc.results.naming import REAL, Measure, measures, method, place
-from stmc.results.records import Result, ResultError, Setting, by_setting
+from stmc.results.naming import ALONE, HEADINGS, REAL, Measure, measures, method, place, variant
+from stmc.results.records import Result, ResultError, Setting, by_setting, difference, refuse_other_differences
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -77,61 +77,62 @@ class Table:
 
 
 def comparison_table(results: Iterable[Result]) -> Table:
-    """Table 1: a block for the ground truth and one for each denoiser, its methods in the paper's order.
+    """Table 1: a block for the ground truth and one for each denoiser, its methods in the paper's order; a method that
+    stitches from several moments on has a row for each.
 
-    Raises `ResultError` where a denoiser has a method with several settings: a comparison is of one each.
+    Raises `ResultError` where a denoiser has a method with several other settings: a comparison is of one each.
     """
     groups = by_setting(results)
     _refuse_ambiguous(groups)
-    blocks: dict[str, list[tuple[int, Row]]] = {}
+    blocks: dict[str, list[tuple[tuple[int, float], Row]]] = {}
     for setting, runs in groups.items():
         shown = method(setting.method)
-        row = Row((setting.denoiser or "–", shown.label, shown.tracks, shown.crops), estimates(runs))
-        if setting.method == REAL:
-            row = Row(row.labels, row.estimates, competes=False)
-        blocks.setdefault("" if setting.method == REAL else setting.denoiser, []).append((place(setting.method), row))
+        labels = (setting.denoiser or "–", variant(setting), shown.tracks, shown.crops)
+        row = Row(labels, estimates(runs), competes=setting.method not in (REAL, ALONE))
+        blocks.setdefault("" if setting.method == REAL else setting.denoiser, []).append((place(setting), row))
     ordered = sorted(blocks.items(), key=lambda block: block[0] != "")
     rows = tuple(tuple(row for _, row in sorted(block, key=lambda each: each[0])) for _, block in ordered)
     headings = ("Denoiser", "Method", "#tracks", "#crops")
     return Table(_caption("Comparison with baselines", groups), headings, _columns(rows), rows)
 
 
-def overlap_table(results: Iterable[Result]) -> Table:
-    """Table A.1: one method of one denoiser, a row for each overlap (seconds of a whole transition).
+def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
+    """A row for each of the values that the settings `varied` take (names of `Setting`'s fields), with everything else
+    the same; varied by the overlap it is Table A.1.
 
-    Raises `ResultError` for records that differ in something else than overlap and seed, and for none with an overlap.
+    Raises `ResultError` for a name that is no setting's, for records that differ in others, and for none that has one.
     """
-    groups = by_setting(result for result in results if result.overlap is not None)
+    if unknown := [name for name in varied if name not in HEADINGS]:
+        raise ResultError(f"unknown setting {unknown[0]!r}; choose from {', '.join(HEADINGS)}")
+    groups = by_setting(result for result in results if any(getattr(result, name) is not None for name in varied))
     if not groups:
-        raise ResultError("no record has an overlap")
-    _refuse_other_differences(groups, "overlap")
+        raise ResultError(f"no record has {' or '.join(varied)}")
+    refuse_other_differences(groups, varied)
     rows = [
-        Row((f"{setting.overlap:g}",), estimates(runs))
-        for setting, runs in sorted(groups.items(), key=lambda group: group[0].overlap)
+        Row(tuple(_value(getattr(setting, name)) for name in varied), estimates(runs))
+        for setting, runs in sorted(groups.items(), key=lambda group: _order(group[0], varied))
     ]
-    blocks = (tuple(rows),)
-    return Table(_caption("Influence of the overlap", groups), ("Overlap (s)",), _columns(blocks), blocks)
+    blocks, headings = (tuple(rows),), tuple(HEADINGS[name] for name in varied)
+    return Table(_caption(f"Influence of {' and '.join(headings).lower()}", groups), headings, _columns(blocks), blocks)
+
+
+def _order(setting: Setting, varied: Sequence[str]) -> tuple:
+    """Numbers by value, names by the alphabet, what is not said first."""
+    values = (getattr(setting, name) for name in varied)
+    return tuple((value is not None, value or 0) if not isinstance(value, str) else (True, value) for value in values)
+
+
+def _value(value: str | float | int | None) -> str:
+    return "–" if value is None else value if isinstance(value, str) else f"{value:g}"
 
 
 def _refuse_ambiguous(groups: Mapping[Setting, Sequence[Result]]) -> None:
-    seen: dict[tuple[str, str], Setting] = {}
+    seen: dict[tuple[str, str, float | int | None], Setting] = {}
     for setting in groups:
-        other = seen.setdefault((setting.denoiser, setting.method), setting)
+        other = seen.setdefault((setting.denoiser, setting.method, setting.late), setting)
         if other != setting:
             name = f"{setting.method} of {setting.denoiser or 'no denoiser'}"
-            raise ResultError(f"{name} stands there with {_difference(other, setting)}; choose one")
-
-
-def _refuse_other_differences(groups: Mapping[Setting, Sequence[Result]], varied: str) -> None:
-    first, *others = groups
-    for other in others:
-        if first._replace(**{varied: None}) != other._replace(**{varied: None}):
-            raise ResultError(f"records differ in more than {varied}: {_difference(first, other)}; choose one")
-
-
-def _difference(first: Setting, second: Setting) -> str:
-    pairs = zip(Setting._fields, first, second, strict=True)
-    return ", ".join(f"{name} {one} and {other}" for name, one, other in pairs if one != other)
+            raise ResultError(f"{name} stands there with {difference(other, setting)}; choose one")
 
 
 def _columns(blocks: Iterable[Iterable[Row]]) -> tuple[Measure, ...]:

@@ -1,0 +1,112 @@
+"""The benchmark of timelines with several tracks (STMC, section 4): atomic prompts, timelines of them, real motions.
+
+Knows which frames of a motion should show which text; how that is measured is `metrics.timelines`' matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+
+from stmc.benchmarks.protocol import Scores, TextJudge
+from stmc.data.footage import Footage
+from stmc.metrics.kinematics import local_joints
+from stmc.metrics.realism import fid
+from stmc.metrics.smoothness import quarter_points, transition_distance
+from stmc.metrics.timelines import GroundTruth, Span, TimelineScores, semantics, timeline_scores
+from stmc.motion import Motion
+from stmc.mtt import AtomicPrompt
+from stmc.timeline import Prompt, Timeline, TimelineError
+
+INDEPENDENT = "independent"
+"""Each prompt as a motion of its own: what composing could at best keep (appendix E)."""
+
+
+@dataclass(frozen=True, eq=False)
+class MultiTrack:
+    """A `Benchmark` of `asked` timelines whose texts are those of `atoms`.
+
+    `truth` are the judge's latents of the atoms in their order, `footage` the motions that show them. `scored` says
+    how to measure: `timeline_scores`, or `published_timeline_scores` to compare with the paper's tables.
+    """
+
+    asked: Sequence[Timeline]
+    atoms: Sequence[AtomicPrompt]
+    judge: TextJudge
+    truth: GroundTruth
+    footage: Sequence[Motion]
+    scored: Callable[..., TimelineScores] = timeline_scores
+
+    def __post_init__(self) -> None:
+        known = {atom.text for atom in self.atoms}
+        for timeline in self.asked:
+            for prompt in timeline.prompts:
+                if prompt.text not in known:
+                    raise TimelineError(f"timeline {timeline.name}: {prompt.text!r} is none of the {len(known)} texts")
+
+    @classmethod
+    def of(
+        cls,
+        asked: Sequence[Timeline],
+        atoms: Sequence[AtomicPrompt],
+        judge: TextJudge,
+        footage: Footage,
+        others: Sequence[Motion] = (),
+        scored: Callable[..., TimelineScores] = timeline_scores,
+    ) -> MultiTrack:
+        """The benchmark with the latents of its atoms, shown by `footage`, and of the `others` that FID compares with
+        (none: as published, the atoms' own)."""
+        shown = [footage(atom.clip, atom.start, atom.end) for atom in atoms]
+        latents = judge.motions([judge.features(motion) for motion in [*shown, *others]])
+        truth = GroundTruth(
+            texts=judge.texts([atom.text for atom in atoms]),
+            motions=latents[: len(atoms)],
+            others=latents[len(atoms) :] if others else None,
+        )
+        return cls(asked, atoms, judge, truth, shown, scored)
+
+    def timelines(self, method: str) -> list[Timeline]:
+        """Those of the benchmark; for "independent" each of their prompts as a timeline."""
+        if method != INDEPENDENT:
+            return list(self.asked)
+        prompts = [prompt for timeline in self.asked for prompt in timeline.prompts]
+        return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
+
+    def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
+        """See `timeline_scores`. One text stands for its whole motion, which is measured as every prompt's, as in the
+        paper; "independent" motions have no transitions and are not whole, so only their crops are measured."""
+        spans = self._spans(method, motions)
+        scores = self.scored(motions, spans, self.judge, self.truth, seed)
+        metrics = asdict(scores.semantics) | {"fid": scores.fid}
+        if method != INDEPENDENT:
+            metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
+        return Scores(metrics)
+
+    def real(self, seed: int) -> Scores:
+        """Of the atoms' real motions. FID is that of two random halves of what FID compares with: the least that can be
+        hoped for; 0 where that is the atoms' own motions, as published."""
+        found = semantics(self.truth.motions, range(len(self.atoms)), self.truth)
+        poses = [local_joints(motion.resampled(self.judge.fps)) for motion in self.footage]
+        distance = transition_distance(poses, [quarter_points(len(pose)) for pose in poses])
+        least = 0.0
+        if self.truth.others is not None:
+            order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
+            least = fid(*(self.truth.real[half] for half in order.tensor_split(2)))
+        return Scores(asdict(found) | {"fid": least, "fid_plus": least, "transition": 100 * distance})
+
+    def _spans(self, method: str, motions: Sequence[Motion]) -> list[list[Span]]:
+        whole = [range(int(motion.duration * self.judge.fps + 1e-6)) for motion in motions]
+        asked = self.timelines(method)
+        if method in ("one_text", INDEPENDENT):
+            frames = [[(0, len(each))] * len(timeline.prompts) for timeline, each in zip(asked, whole, strict=True)]
+        else:
+            frames = [timeline.spans(self.judge.fps) for timeline in asked]
+        texts_of = [[prompt.text for prompt in timeline.prompts] for timeline in asked]
+        numbers = {atom.text: number for number, atom in enumerate(self.atoms)}
+        return [
+            [(start, min(end, len(each)), numbers[text]) for (start, end), text in zip(span, texts, strict=True)]
+            for span, texts, each in zip(frames, texts_of, whole, strict=True)
+        ]

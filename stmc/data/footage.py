@@ -1,0 +1,53 @@
+"""Single motions by the name of their recording and seconds within it: where ground truth comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from stmc.body_model import Skeleton, load_body
+from stmc.data.amass import Recordings, read_recording
+from stmc.data.cache import Cache, CacheError
+from stmc.motion import Motion
+from stmc.representation import Representation
+
+Footage = Callable[[str, float, float], Motion]
+"""(recording, start, end) → what it shows in between; seconds."""
+
+
+def cache_footage(folder: str | Path, representation: Representation) -> Footage:
+    """The clips of a prepared data set. Raises `CacheError` for a clip that is not there, or ends before `end`."""
+    cache = Cache.read(Path(folder).expanduser())
+    clips = {clip.name: clip for clip in cache.clips}
+
+    def shown(name: str, start: float, end: float) -> Motion:
+        if name not in clips:
+            raise CacheError(f"{folder}: no clip {name!r} among {len(clips)}, such as {next(iter(clips))!r}")
+        clip = clips[name]
+        motion = representation.decode(cache.features[clip.start : clip.end], cache.fps, cache.skeleton)
+        return _between(motion, name, start, end)
+
+    return shown
+
+
+def amass_footage(folder: str | Path, fps: float | int, body: str | Path | None = None) -> Footage:
+    """The recordings of a folder of AMASS at `fps`, on the bones of SMPL-H's folder `body` (None: the default
+    skeleton's). Raises `LayoutError` and `RecordingError` as `data.amass` does, `ValueError` for a recording that is
+    not there."""
+    recordings = Recordings(Path(folder).expanduser())
+    skeleton = Skeleton.default() if body is None else load_body(Path(body).expanduser(), "smplh").skeleton
+
+    def shown(name: str, start: float, end: float) -> Motion:
+        path = recordings.find(name)
+        if path is None:
+            raise ValueError(f"{folder}: no recording {name!r}; there are such as {', '.join(recordings.examples)}")
+        return _between(read_recording(path, skeleton).resampled(fps), name, start, end)
+
+    return shown
+
+
+def _between(motion: Motion, name: str, start: float, end: float) -> Motion:
+    first, last = int(start * motion.fps), round(end * motion.fps)
+    if not 0 <= first < last <= len(motion) + 1:
+        raise ValueError(f"{name}: seconds {start:g} to {end:g} of a motion of {motion.duration:g} seconds")
+    return motion.trimmed(first, min(last, len(motion)))
