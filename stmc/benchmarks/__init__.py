@@ -1,5 +1,7 @@
 """Benchmarks: what models are asked for, and how good what comes is. See `protocol`."""
 
+from stmc.benchmarks.compositions import Compositions
+from stmc.benchmarks.multi_track import MultiTrack, open_mtt, published_mtt
 from stmc.benchmarks.protocol import Benchmark, Scores, TextJudge
 
-__all__ = ["Benchmark", "Scores", "TextJudge"]
+__all__ = ["Benchmark", "Compositions", "MultiTrack", "Scores", "TextJudge", "open_mtt", "published_mtt"]

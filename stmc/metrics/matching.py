@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stmc.metrics.retrieval import ranks
@@ -26,10 +26,21 @@ def matching_score(texts: Float[Tensor, "pairs width"], motions: Float[Tensor, "
     return float((texts - motions).norm(dim=-1).double().mean())
 
 
-def r_precision(texts: Float[Tensor, "pairs width"], motions: Float[Tensor, "pairs width"]) -> tuple[float, ...]:
+def r_precision(
+    texts: Float[Tensor, "pairs width"],
+    motions: Float[Tensor, "pairs width"],
+    true: Bool[Tensor, "pairs pairs"] | None = None,
+) -> tuple[float, ...]:
     """Shares of texts whose own motion is among the nearest 1, 2 and 3 of the 32 in their batch, in the given order;
-    what is left over is dropped. Raises `ValueError` for less than one batch."""
-    hits = [_hits(texts[batch], motions[batch]) for batch in _batches(len(texts))]
+    what is left over is dropped.
+
+    `true[i, j]` that text i is true of motion j, too: then j is no candidate for i, so that equally right motions
+    neither spoil nor save the text's own. Raises `ValueError` for less than one batch.
+    """
+    hits = [
+        _hits(texts[batch], motions[batch], None if true is None else true[batch, batch])
+        for batch in _batches(len(texts))
+    ]
     return _shares(hits)
 
 
@@ -64,8 +75,11 @@ def multimodality(embeddings: Float[Tensor, "texts repetitions width"], pairs: i
     return float((embeddings[:, first] - embeddings[:, second]).norm(dim=-1).double().mean())
 
 
-def _hits(texts: Tensor, motions: Tensor) -> list[float]:
-    found = ranks(-torch.cdist(texts, motions, compute_mode="donot_use_mm_for_euclid_dist"))
+def _hits(texts: Tensor, motions: Tensor, true: Tensor | None = None) -> list[float]:
+    table = -torch.cdist(texts, motions, compute_mode="donot_use_mm_for_euclid_dist")
+    if true is not None:
+        table = table.masked_fill(true & ~torch.eye(len(true), dtype=torch.bool), -torch.inf)
+    found = ranks(table)
     return [float((found < top).double().mean()) for top in TOP]
 
 

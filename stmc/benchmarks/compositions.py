@@ -1,0 +1,297 @@
+"""The benchmark of compositions in time (Barquero et al. 2024, section 4.1): many actions one after the other, of which
+every subsequence and every transition is measured by itself.
+
+Knows a prepared data set's test clips, their sentences and a judge; what is asked is drawn from them, and what comes is
+compared with them. Knows no model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from stmc.benchmarks.protocol import Scores, TextJudge
+from stmc.data.cache import Cache, CacheError, Clip
+from stmc.geometry import rotation_z
+from stmc.metrics.matching import BATCH, embedding_diversity, matching_score, r_precision
+from stmc.metrics.plausibility import check_joints
+from stmc.metrics.realism import fid
+from stmc.metrics.smoothness import (
+    HUMANML3D_WINDOW,
+    area_under_jerk,
+    jerk,
+    jerk_curve,
+    peak_jerk,
+    transition_window,
+)
+from stmc.motion import Motion
+from stmc.representation import Representation
+from stmc.timeline import Prompt, Timeline
+
+JERKED = 22
+"""Joints whose jerk counts: SMPL's without the hands, those that HumanML3D has."""
+
+ASKED, REFERENCE, REAL = range(3)
+"""What a seed is used for; each has a random stream of its own."""
+
+LOST = 2
+"""Frames that a motion may be shorter than its timeline: what rounding and resampling can take."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A sentence, and a real clip that it is true of; asked for during `seconds`."""
+
+    text: str
+    clip: Clip
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Takes:
+    """What is measured of motions, made or real: the latents, of length 1, of the segments' texts and of their
+    subsequences; and of windows of transitions the latents and the jerk of each frame."""
+
+    segments: tuple[Segment, ...]
+    texts: Float[Tensor, "segments width"]
+    subsequences: Float[Tensor, "segments width"]
+    windows: Float[Tensor, "windows width"]
+    jerks: Float[Tensor, "windows frames"]
+
+
+class Compositions:
+    """A `Benchmark`: `count` compositions of `segments` pairs of a sentence and a duration, drawn with `seed` from the
+    test clips of `cache`, those that are not mirrored.
+
+    Each content that has `least` such clips is drawn as often as any other, however many there are; a segment lasts as
+    long as its clip, but `shortest` to `longest` seconds. Each action that is drawn stays for `repeats` segments; where
+    that is more than one, only cyclic contents are drawn: `repeats=segments` is FlowMDM's extrapolation. A transition
+    is a `window` of frames, at the judge's frame rate, around the first frame of each segment but the first.
+
+    `representation` is that of the cache's features. Latents are compared at length 1, as TMR does.
+
+    Raises `CacheError` for a test split that holds too little, `ImplausibleMotion` where its motions are not people's,
+    and `ValueError` for numbers that cannot be meant.
+    """
+
+    def __init__(
+        self,
+        cache: Cache,
+        representation: Representation,
+        judge: TextJudge,
+        count: int = 32,
+        segments: int = 32,
+        repeats: int = 1,
+        shortest: float | int = 2.0,
+        longest: float | int = 8.0,
+        least: int = 5,
+        window: int = HUMANML3D_WINDOW,
+        seed: int = 0,
+    ) -> None:
+        if min(count, segments - 1, repeats, least, window - 7) < 1 or count * segments < BATCH:
+            raise ValueError(
+                f"count {count}, repeats {repeats} and least {least} must be at least 1, segments {segments} 2, window "
+                f"{window} 8, and there must be {BATCH} segments in all, not {count * segments}"
+            )
+        if not window / 2 <= int(shortest * judge.fps) <= longest * judge.fps:
+            raise ValueError(
+                f"shortest {shortest} s must be half of the window ({window} frames at {judge.fps} a second) or more, "
+                f"and at most longest, {longest} s"
+            )
+        self.judge, self.window, self.longest, self._shortest = judge, window, longest, shortest
+        self._repeats, self._seed = repeats, seed
+        self._said = {key: dict(rows) for key, rows in cache.texts.items()}
+        self._contents = _contents(cache, least, cyclic=repeats > 1)
+        self._footage = _footage(cache, representation, judge.fps, self._contents)
+        self._places = self._windows_of()
+        chance = np.random.default_rng([seed, ASKED])
+        self.compositions = [self._composition(segments, chance) for _ in range(count)]
+
+    def timelines(self, method: str) -> list[Timeline]:
+        """The same for every method: one track of prompts that claim the whole body."""
+        return list(self._timelines)
+
+    def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
+        """The scores of FlowMDM's tables, and the curve "jerk": its mean over the transitions in each frame.
+
+        R-precision looks for each text's own motion, in batches of 32 drawn with `seed`, among those of other texts;
+        motions of clips that the text is true of, too, are left out (contents repeat, and it is no mistake to find
+        them; that one of them is found is no merit of the motion either). FID compares subsequences with the very clips
+        that were drawn, and transitions with as many windows from real clips of the same contents; the mean jerk of
+        these windows is what the area under the jerk is measured from, and each window is turned to begin with heading
+        zero. Raises `ValueError` unless there is a motion for each timeline, about as long.
+        """
+        takes = self._of_motions(motions)
+        return self._scores(takes, seed)
+
+    def real(self, seed: int) -> Scores:
+        """Of other draws from the same clips: the least FID that can be hoped for."""
+        chance = np.random.default_rng([seed, REAL])
+        drawn = [self._composition(len(each), chance) for each in self.compositions]
+        return self._scores(self._of_clips(drawn, chance), seed)
+
+    @cached_property
+    def _timelines(self) -> list[Timeline]:
+        timelines = []
+        for number, composition in enumerate(self.compositions):
+            prompts, start = [], 0.0
+            for segment in composition:
+                end = round(start + segment.seconds, 2)
+                prompts.append(Prompt(segment.text, start, end))
+                start = end
+            timelines.append(Timeline(prompts, f"{number:04d}"))
+        return timelines
+
+    @cached_property
+    def _reference(self) -> Takes:
+        return self._of_clips(self.compositions, np.random.default_rng([self._seed, REFERENCE]))
+
+    def _composition(self, segments: int, chance: np.random.Generator) -> tuple[Segment, ...]:
+        """For each action a content, one of its clips and one of the clip's sentences; the other segments of the action
+        have clips of their own, of those that the sentence is true of."""
+        drawn: list[Segment] = []
+        while len(drawn) < segments:
+            clip = _choice(_choice(list(self._contents.values()), chance), chance)
+            shares = np.array(list(self._said[clip.texts].values()))
+            text = list(self._said[clip.texts])[int(chance.choice(len(shares), p=shares / shares.sum()))]
+            fellows = [each for clips in self._contents.values() for each in clips if text in self._said[each.texts]]
+            shown = [clip, *(_choice(fellows, chance) for _ in range(self._repeats - 1))]
+            drawn += [Segment(text, each, self._lasting(each)) for each in shown[: segments - len(drawn)]]
+        return tuple(drawn)
+
+    def _lasting(self, clip: Clip) -> float:
+        duration = self._footage[clip].frames / self.judge.fps
+        return round(float(min(max(duration, self._shortest), self.longest)), 2)
+
+    def _windows_of(self) -> list[list[Clip]]:
+        """Of each content, the clips that hold a window."""
+        long = [[clip for clip in own if len(self._footage[clip]) >= self.window] for own in self._contents.values()]
+        long = [clips for clips in long if clips]
+        if not long:
+            longest = max(len(motion) for motion in self._footage.values())
+            raise CacheError(f"no test clip is as long as a window of {self.window} frames; the longest has {longest}")
+        return long
+
+    def _of_motions(self, motions: Sequence[Motion]) -> Takes:
+        fps = self.judge.fps
+        if len(motions) != len(self._timelines):
+            raise ValueError(f"{len(motions)} motions for {len(self._timelines)} timelines")
+        check_joints([motion.joints for motion in motions])
+        crops, windows, jerks = [], [], []
+        for timeline, motion in zip(self._timelines, motions, strict=True):
+            motion = motion if motion.fps == fps else motion.resampled(fps)
+            spans = timeline.spans(fps)
+            if len(motion) < spans[-1][1] - LOST:
+                raise ValueError(f"the motion of timeline {timeline.name} has {len(motion)} frames, not {spans[-1][1]}")
+            features = self.judge.features(motion)
+            crops += [features[start:end] for start, end in spans]
+            around = [transition_window(start, self.window) for start, _ in spans[1:]]
+            windows += [features[start:end] for start, end in around]
+            jerks += [window_jerk(motion.trimmed(start, min(end, len(motion))), self.window) for start, end in around]
+        segments = tuple(segment for composition in self.compositions for segment in composition)
+        return self._takes(segments, crops, windows, jerks)
+
+    def _of_clips(self, compositions: Sequence[Sequence[Segment]], chance: np.random.Generator) -> Takes:
+        """The clips of the segments as subsequences, and as many windows, anywhere in clips, as there are transitions:
+        every content that has any as often as the others."""
+        segments = tuple(segment for composition in compositions for segment in composition)
+        longest = int(self.longest * self.judge.fps)
+        features = {clip: self.judge.features(motion) for clip, motion in self._footage.items()}
+        crops = [features[segment.clip][:longest] for segment in segments]
+        windows, jerks = [], []
+        for _ in range(len(segments) - len(compositions)):
+            clip = _choice(_choice(self._places, chance), chance)
+            start = int(chance.integers(len(self._footage[clip]) - self.window + 1))
+            end = start + self.window
+            windows.append(features[clip][start:end])
+            jerks.append(window_jerk(self._footage[clip].trimmed(start, end), self.window))
+        return self._takes(segments, crops, windows, jerks)
+
+    def _takes(
+        self,
+        segments: tuple[Segment, ...],
+        crops: Sequence[Tensor],
+        windows: Sequence[Tensor],
+        jerks: Sequence[Tensor],
+    ) -> Takes:
+        distinct = {text: row for row, text in enumerate(dict.fromkeys(segment.text for segment in segments))}
+        texts = self.judge.texts(list(distinct))[[distinct[segment.text] for segment in segments]]
+        latents = (
+            F.normalize(each, dim=-1) for each in (texts, self.judge.motions(crops), self.judge.motions(windows))
+        )
+        return Takes(segments, *latents, torch.stack(list(jerks)))
+
+    def _scores(self, takes: Takes, seed: int) -> Scores:
+        real = self._reference
+        order = torch.from_numpy(np.random.default_rng(seed).permutation(len(takes.segments)))
+        texts, motions, true = (
+            takes.texts[order],
+            takes.subsequences[order],
+            self._true(takes.segments)[order][:, order],
+        )
+        curve = jerk_curve(takes.jerks)
+        metrics = {
+            "r_precision": r_precision(texts, motions, true)[2],
+            "subsequence_fid": fid(motions, real.subsequences),
+            "subsequence_diversity": embedding_diversity(motions, len(motions), seed),
+            "mm_dist": matching_score(texts, motions),
+            "transition_fid": fid(takes.windows, real.windows),
+            "transition_diversity": embedding_diversity(takes.windows, len(takes.windows), seed),
+            "peak_jerk": peak_jerk(curve),
+            "area_under_jerk": area_under_jerk(curve, float(real.jerks.mean())),
+        }
+        return Scores(metrics, {"jerk": curve.tolist()})
+
+    def _true(self, segments: Sequence[Segment]) -> Bool[Tensor, "segments segments"]:
+        """Of which segments' clips the text of each segment is true."""
+        return torch.tensor([[one.text in self._said[other.clip.texts] for other in segments] for one in segments])
+
+
+def window_jerk(window: Motion, frames: int) -> Float[Tensor, " _"]:
+    """The jerk of a window, turned to begin with heading zero, in `frames - 3` values; where a motion ends within the
+    window, its last one goes on."""
+    joints = window.joints[:, :JERKED] @ rotation_z(-window.heading[0]).mT
+    values = jerk(joints)
+    return torch.cat([values, values[-1:].expand(frames - 3 - len(values))])
+
+
+def _contents(cache: Cache, least: int, cyclic: bool) -> dict[str, list[Clip]]:
+    """The test clips of each content that has enough, in order of their names."""
+    test = [clip for clip in cache.clips if clip.split == "test" and not clip.mirrored and any(cache.texts[clip.texts])]
+    found: dict[str, list[Clip]] = {}
+    for clip in sorted(test, key=lambda clip: (clip.content, clip.name)):
+        if clip.cyclic or not cyclic:
+            found.setdefault(clip.content, []).append(clip)
+    enough = {content: clips for content, clips in found.items() if len(clips) >= least}
+    if len(enough) < 2:
+        kind = "cyclic " if cyclic else ""
+        counts = ", ".join(f"{content} ({len(clips)})" for content, clips in found.items()) or "none"
+        raise CacheError(
+            f"the test split needs two {kind}contents of at least {least} clips with texts, not mirrored; it has "
+            f"{counts}: prepare more data, or lower `least`"
+        )
+    return enough
+
+
+def _footage(
+    cache: Cache, representation: Representation, fps: float | int, contents: dict[str, list[Clip]]
+) -> dict[Clip, Motion]:
+    if cache.features.shape[1] != representation.width:
+        raise CacheError(f"the cache has {cache.features.shape[1]} features, the representation {representation.width}")
+    footage = {}
+    for clip in (clip for clips in contents.values() for clip in clips):
+        motion = representation.decode(cache.features[clip.start : clip.end], cache.fps, cache.skeleton)
+        footage[clip] = motion if motion.fps == fps else motion.resampled(fps)
+    check_joints([motion.joints for motion in footage.values()])
+    return footage
+
+
+def _choice(items: Sequence, chance: np.random.Generator):
+    return items[int(chance.integers(len(items)))]
