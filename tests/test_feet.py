@@ -9,7 +9,7 @@ from walker import walking
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.dataset import Corpus
 from stmc.data.feet import FootSteps
-from stmc.representation import SmplRepresentation
+from stmc.representation import HUMANML3D_LAYOUT, SmplRepresentation
 
 
 def clip(name: str, split: str) -> Clip:
@@ -40,6 +40,13 @@ def test_a_body_that_stands_takes_no_steps(corpus):
     steps = FootSteps(corpus)(corpus.motion.normalise(standing).expand(1, 8, -1))
     assert steps.shape == (1, 7, 6)
     assert steps.abs().max() < 1e-4
+
+
+def test_features_of_another_layout_are_an_error_and_not_steps_of_nonsense():
+    clips, features = assemble([(clip(f"walk-{i}", "train"), torch.randn(20, 263)) for i in range(5)])
+    cache = Cache(20, "humanml3d", features, clips, {"walk": (("walk", 1.0),)})
+    with pytest.raises(ValueError, match="SmplRepresentation's 205 features alone, not of 263"):
+        FootSteps(Corpus(cache, LetterCounts(), HUMANML3D_LAYOUT))
 
 
 def test_a_gliding_body_is_seen_and_its_gradient_slows_it(corpus):
