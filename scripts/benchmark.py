@@ -11,7 +11,6 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
-from stmc.compose import padding_fraction
 
 
 @hydra.main(config_path="../configs", config_name="benchmark", version_base="1.3")
@@ -33,8 +32,8 @@ def main(config: DictConfig) -> None:
     table.add_row("time per timeline, alone / in the batch", f"{median(row[0] for row in rows):.2f}")
     table.add_row("time of STMC / SINC", f"{median(row[1] for row in rows):.2f}")
     table.add_row("largest difference of a joint, batch against alone", f"{difference:.1e} m")
-    table.add_row(f"padding, all {len(timelines)} timelines at once", f"{padding_fraction(plans):.1%}")
-    table.add_row(f"padding, batches of {config.batch}", f"{batched_padding(plans, config.batch):.1%}")
+    table.add_row(f"padding, all {len(timelines)} timelines at once", f"{model.guided(plans).padding:.1%}")
+    table.add_row(f"padding, batches of {config.batch}", f"{batched_padding(model, plans, config.batch):.1%}")
     Console().print(table)
 
 
@@ -45,10 +44,10 @@ def clock(run) -> tuple[float, list[stmc.Motion]]:
     return time.perf_counter() - start, motions
 
 
-def batched_padding(plans: list[stmc.Plan], size: int) -> float:
+def batched_padding(model: stmc.Model, plans: list[stmc.Plan], size: int) -> float:
     """Mean padding of the batches that sampling would make of these plans."""
     batches = [plans[start : start + size] for start in range(0, len(plans), size)]
-    return sum(padding_fraction(batch) for batch in batches) / len(batches)
+    return sum(model.guided(batch).padding for batch in batches) / len(batches)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ number of prompts. Knows no text encoders, no samplers and no meaning of the fea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -20,9 +19,10 @@ from torch import Tensor
 
 from stmc.body import BodyPart
 from stmc.denoisers import Denoiser
-from stmc.diffusion import Predict, Prediction, Schedule, Seed, guide
+from stmc.diffusion import Predict, Prediction, Schedule, Seed
+from stmc.passes import Guided, Row
 from stmc.planning import Plan, Tile
-from stmc.tensors import Moved, mask, pad
+from stmc.tensors import Moved, mask
 
 NULL = ""
 """The text that stands for no text: its embedding is what the network saw when the text was dropped in training."""
@@ -56,81 +56,14 @@ def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
 
 def distinct_texts(plans: Sequence[Plan]) -> tuple[str, ...]:
     """What has to be encoded for these plans: the empty text first, then every text once, in order of appearance."""
-    return tuple(dict.fromkeys([NULL, *_crop_texts(plans)]))
+    return tuple(dict.fromkeys([NULL, *(crop.text or NULL for plan in plans for crop in plan.crops)]))
 
 
-def _crop_texts(plans: Sequence[Plan]) -> list[str]:
-    return [crop.text or NULL for plan in plans for crop in plan.crops]
-
-
-# Denoising crops: which rows, in which calls ------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Row:
-    """One pass of one crop through the denoiser."""
-
-    crop: int
-    text: str
-    frames: int
-
-
-def _rows(plans: Sequence[Plan], weight: float, window: int | None = None) -> list[_Row]:
-    """Everything that one step has to denoise: no second pass without a text, or where guidance ignores one of two."""
-    rows = []
-    for crop, (frames, text) in enumerate(zip(crop_lengths(plans, window), _crop_texts(plans), strict=True)):
-        if frames < 1:
-            raise ValueError(f"crop {crop} ({text!r}) has {frames} frames; there must be at least one")
-        texts = {NULL: None} if weight == 0 else {text: None} if weight == 1 else {text: None, NULL: None}
-        rows += [_Row(crop, each, frames) for each in texts]
-    return rows
-
-
-def _calls(rows: Sequence[_Row], padding: float, budget: int) -> list[list[_Row]]:
-    """The rows, sorted by length, in few calls: see `guided_crops`."""
-    rows = sorted(rows, key=lambda row: row.frames)
-    calls = []
-    for first, last in _runs([row.frames for row in rows], padding):
-        most = max(1, budget // rows[last - 1].frames)
-        pieces = -(-(last - first) // most)
-        calls += [[rows[i] for i in piece] for piece in np.array_split(range(first, last), pieces)]
-    return calls
-
-
-def _runs(lengths: Sequence[int], padding: float) -> list[tuple[int, int]]:
-    """The fewest runs [first, last) of sorted `lengths` with a share of padding of at most `padding`.
-
-    Of the ways to cut that many runs it is the one with the least padding (dynamic programming).
-    """
-    values, counts = np.unique(lengths, return_counts=True)
-    rows = np.concatenate([[0], np.cumsum(counts)])
-    frames = np.concatenate([[0], np.cumsum(counts * values)])
-    # waste[i, j]: padded frames if the distinct lengths i to j make one run
-    waste = values * (rows[1:] - rows[:-1, None]) - (frames[1:] - frames[:-1, None])
-    waste = np.where(np.tri(len(values), dtype=bool).T, waste, np.inf)
-    least, starts = waste[0], []
-    while least[-1] > frames[-1] * padding / (1 - padding):
-        options = np.concatenate([[np.inf], least[:-1]])[:, None] + waste
-        starts.append(options.argmin(axis=0))
-        least = options.min(axis=0)
-    edges = [len(values)]
-    for start in reversed(starts):
-        edges.append(int(start[edges[-1] - 1]))
-    return [(int(rows[a]), int(rows[b])) for a, b in pairwise([0, *reversed(edges)])]
-
-
-def _by_words(rows: Sequence[_Row], embeddings: Mapping[str, Tensor]) -> list[list[_Row]]:
-    groups: dict[int, list[_Row]] = {}
-    for row in rows:
-        groups.setdefault(len(embeddings[row.text]), []).append(row)
-    return list(groups.values())
-
-
-def padding_fraction(plans: Sequence[Plan], weight: float = 2.5, padding: float = 0.1, budget: int = 32768) -> float:
-    """Which share of the frames that a step of `guided_crops` denoises for these plans is padding."""
-    calls = _calls(_rows(plans, weight), padding, budget)
-    denoised = sum(len(rows) * rows[-1].frames for rows in calls)
-    return 1 - sum(row.frames for rows in calls for row in rows) / denoised
+def check_embeddings(plans: Sequence[Plan], embeddings: Mapping[str, Tensor]) -> None:
+    """Raises `ValueError` naming the texts of the plans that have no embedding."""
+    missing = [text for text in distinct_texts(plans) if text not in embeddings]
+    if missing:
+        raise ValueError(f"no embedding for {missing}; every text of the plans needs one, and the empty text too")
 
 
 def guided_crops(
@@ -138,99 +71,31 @@ def guided_crops(
     schedule: Schedule,
     plans: Sequence[Plan],
     embeddings: Mapping[str, Float[Tensor, "_ width"]],
-    weight: float = 2.5,
+    weight: float | int = 2.5,
     prediction: Prediction = "x0",
     padding: float = 0.1,
     budget: int = 32768,
     mixed: bool = False,
     window: int | None = None,
-) -> Predict:
-    """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance.
+) -> Guided:
+    """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance: see `Guided`.
 
-    `embeddings` gives the normalised embedding [words, width] of every text in `distinct_texts(plans)`. Crops with a
-    text are denoised with it and without it, the others once; a `weight` of 1 or 0 needs only one pass. Rows are
-    grouped by length into as few calls as keep the share of padding within `padding` and the frames of one call within
-    `budget`, but for a longer crop alone. What stands beyond a crop's end is not seen, and comes out as zero.
+    `embeddings` gives the normalised embedding [words, width] of every text in `distinct_texts(plans)`. What stands
+    beyond a crop's end is not seen, and comes out as zero.
 
     `mixed`: texts of different numbers of words share calls, padded. Only for denoisers that padded words do not
     disturb, such as `MdmSmpl` with its `words` set: the published network moves the frames behind the longest text.
     `window`: every crop has as many frames, whatever its own length (see `Network.window`), and all are predicted.
 
-    Raises `ValueError` for a text without an embedding and for a crop without frames.
+    Raises `ValueError` for a text without an embedding.
     """
-    missing = [text for text in distinct_texts(plans) if text not in embeddings]
-    if missing:
-        raise ValueError(f"no embedding for {missing}; every text of the plans needs one, and the empty text too")
-    rows = _rows(plans, weight, window)
-    alike = [rows] if mixed else _by_words(rows, embeddings)
-    batches = [_Batch.of(call, embeddings) for group in alike for call in _calls(group, padding, budget)]
-    guided = torch.tensor([text != NULL for text in _crop_texts(plans)])
-    return _GuidedCrops(denoiser, schedule, crop_lengths(plans, window), batches, guided, weight, prediction)
-
-
-@dataclass(frozen=True)
-class _Batch:
-    """One call of the denoiser as tensors; a mask is None where nothing is padded."""
-
-    crops: Tensor
-    with_text: Tensor
-    frames: int
-    text: Tensor
-    text_mask: Tensor | None
-    mask: Tensor | None
-
-    @classmethod
-    def of(cls, rows: Sequence[_Row], embeddings: Mapping[str, Tensor]) -> _Batch:
-        text, words = pad([embeddings[row.text] for row in rows])
-        return cls(
-            crops=torch.tensor([row.crop for row in rows]),
-            with_text=torch.tensor([row.text != NULL for row in rows]).long(),
-            frames=rows[-1].frames,
-            text=text,
-            text_mask=_unless_full(mask(words)),
-            mask=_unless_full(mask(torch.tensor([row.frames for row in rows]))),
-        )
-
-    def to(self, x: Tensor) -> _Batch:
-        """On the device of `x`, with the text in its dtype."""
-        crops, with_text = self.crops.to(x.device), self.with_text.to(x.device)
-        masks = [None if each is None else each.to(x.device) for each in (self.text_mask, self.mask)]
-        return _Batch(crops, with_text, self.frames, self.text.to(x), *masks)
-
-
-def _unless_full(mask: Tensor) -> Tensor | None:
-    return None if bool(mask.all()) else mask
-
-
-class _GuidedCrops:
-    def __init__(
-        self,
-        denoiser: Denoiser,
-        schedule: Schedule,
-        lengths: tuple[int, ...],
-        batches: list[_Batch],
-        guided: Tensor,
-        weight: float,
-        prediction: Prediction,
-    ) -> None:
-        self._denoiser, self._schedule, self._prediction = denoiser, schedule, prediction
-        self._lengths, self._weight = lengths, weight
-        self._batches = Moved(lambda x: ([batch.to(x) for batch in batches], guided.to(x.device)))
-
-    def __call__(self, x: Float[Tensor, "crops frames features"], t: int) -> Float[Tensor, "crops frames features"]:
-        expected = (len(self._lengths), max(self._lengths))
-        assert x.shape[:2] == expected, f"crops of shape {tuple(x.shape[:2])}, but the plans have {expected}"
-        batches, guided = self._batches.at(x)
-        both = x.new_zeros(2, *x.shape)
-        for batch in batches:
-            noisy = x[batch.crops, : batch.frames]
-            step = torch.full((len(noisy),), t, device=x.device)
-            output = self._denoiser(noisy, step, batch.text, batch.text_mask, batch.mask).to(x)
-            x0 = self._schedule.to_x0(output, noisy, t, self._prediction)
-            x0 = x0 if batch.mask is None else x0.masked_fill(~batch.mask[..., None], 0)
-            both[batch.with_text, batch.crops, : batch.frames] = x0
-        null, text = both
-        return torch.where(guided[:, None, None], guide(text, null, self._weight), null)
+    check_embeddings(plans, embeddings)
+    crops = (crop for plan in plans for crop in plan.crops)
+    rows = [
+        Row(crop.frames, seen, embeddings[NULL], embeddings[crop.text] if crop.text else None)
+        for crop, seen in zip(crops, crop_lengths(plans, window), strict=True)
+    ]
+    return Guided(denoiser, schedule, rows, weight, prediction, padding, budget, mixed)
 
 
 # Stitching crops into timelines -------------------------------------------------------------------------------------

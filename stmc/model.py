@@ -21,8 +21,9 @@ from torch import Tensor
 from stmc.body_model import Skeleton
 from stmc.compose import canvas_lengths, collage, crop_lengths, crop_seeds, distinct_texts, guided_crops, lerp, sinc
 from stmc.denoisers import FlowMdm, Network
-from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, Spread, ddpm
+from stmc.diffusion import Noise, Prediction, Schedule, Seed, Spread, ddpm
 from stmc.motion import Motion
+from stmc.passes import Guided
 from stmc.planning import Plan, plan
 from stmc.representation import Representation
 from stmc.rules import handshake, multi_diffusion, second_take
@@ -105,7 +106,7 @@ class Model:
         words = self.text_statistics.normalise(words.float().cpu())
         return {text: row[:length] for text, row, length in zip(distinct, words, lengths.tolist(), strict=True)}
 
-    def guided(self, plans: Sequence[Plan], weight: float | int | None = None) -> Predict:
+    def guided(self, plans: Sequence[Plan], weight: float | int | None = None) -> Guided:
         """A predictor of the plans' crops with classifier-free guidance (None: the model's own): see
         `compose.guided_crops`."""
         weight = self.guidance if weight is None else weight
@@ -113,7 +114,7 @@ class Model:
         read = self._read(plans)
         return guided_crops(self._denoise, self.schedule, plans, read, weight, self.prediction, **settings)
 
-    def guided_sequences(self, plans: Sequence[Plan], weight: float | int | None = None) -> Predict:
+    def guided_sequences(self, plans: Sequence[Plan], weight: float | int | None = None) -> Guided:
         """A predictor of the body sequences of plans without overlap, with guidance: see
         `sequences.guided_sequences`. Raises `ValueError` for a denoiser that knows one text only."""
         if not isinstance(self.denoiser, FlowMdm):

@@ -4,8 +4,9 @@ import torch
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import distinct_texts
+from stmc.compose import distinct_texts, guided_crops
 from stmc.denoisers import MdmSmpl
+from stmc.diffusion import Schedule
 from stmc.planning import Plan, plan
 from stmc.timeline import Prompt, Timeline
 
@@ -56,6 +57,11 @@ def random_embeddings(plans: list[Plan], width: int = 4) -> dict[str, Tensor]:
     texts = distinct_texts(plans)
     values = torch.randn(len(texts), 1, width, generator=torch.Generator().manual_seed(1))
     return dict(zip(texts, values, strict=True))
+
+
+def padding_of(plans: list[Plan], **how) -> float:
+    """What `guided_crops` says of its padding for these plans."""
+    return guided_crops(Constant(), Schedule.cosine(100), plans, embeddings(plans), **how).padding
 
 
 def last(generator) -> Tensor:

@@ -18,7 +18,7 @@ TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob(
 TIERS = [
     {"arrays", "body", "files", "geometry", "statistics", "tensors"},
     {"body_model", "denoisers", "diffusion", "motion", "text", "timeline"},
-    {"inverse_kinematics"},
+    {"inverse_kinematics", "passes"},
     {"assignment", "export", "representation", "training"},
     {"data", "evaluators", "metrics", "mtt", "planning", "study", "viewing"},
     {"compose", "results", "rules"},

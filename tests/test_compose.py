@@ -15,6 +15,7 @@ from mosaic import (
     Constant,
     embeddings,
     last,
+    padding_of,
     plans_of,
     random_embeddings,
     small_network,
@@ -32,7 +33,6 @@ from stmc.compose import (
     distinct_texts,
     guided_crops,
     lerp,
-    padding_fraction,
     sinc,
 )
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
@@ -236,24 +236,27 @@ def test_what_the_network_predicts_makes_no_difference(prediction):
     torch.testing.assert_close(guided_crops(other, schedule, plans, table, prediction=prediction)(x, 40), expected)
 
 
-def test_the_padding_fraction_counts_what_the_denoiser_is_given():
+@pytest.mark.parametrize("window", [None, 80])
+@pytest.mark.parametrize("mixed", [True, False])
+def test_the_padding_counts_what_the_denoiser_is_given(mixed, window):
+    """Also where it always sees as many frames, and where texts of other numbers of words go apart."""
     plans = plans_of(*[WALK_WAVE, STAND_NOD, GAP] * 3)
-    denoiser = Constant()
-    lengths = crop_lengths(plans)
-    guided_crops(denoiser, Schedule.cosine(100), plans, embeddings(plans))(
-        torch.zeros(len(lengths), max(lengths), 10), 5
-    )
+    denoiser, lengths = Constant(), crop_lengths(plans, window)
+    table = {text: value.expand(1 + i, 1) for i, (text, value) in enumerate(embeddings(plans).items())}
+    crops = guided_crops(denoiser, Schedule.cosine(100), plans, table, mixed=mixed, window=window)
+    crops(torch.zeros(len(lengths), max(lengths), 10), 5)
     needed = sum(crop.frames * (2 if crop.text else 1) for each in plans for crop in each.crops)
     given_ = sum(rows * frames for rows, frames in denoiser.calls)
-    assert padding_fraction(plans) == pytest.approx(1 - needed / given_)
+    assert crops.padding == pytest.approx(1 - needed / given_)
+    assert (crops.padding > 0.4) == (window is not None)
 
 
 @given(st.lists(st.integers(1, 200), min_size=1, max_size=60), st.floats(0, 0.5))
 @settings(max_examples=100, deadline=None)
 def test_the_padding_stays_within_what_is_allowed(lengths, padding):
     plans = [Plan(n, (Crop("a", 0, n),), tuple(Tile(0, part, 0, n, 1) for part in BodyPart)) for n in lengths]
-    assert -1e-9 <= padding_fraction(plans, padding=padding) <= padding + 1e-9
-    assert padding_fraction(plans, padding=0.0) == 0
+    assert -1e-9 <= padding_of(plans, padding=padding) <= padding + 1e-9
+    assert padding_of(plans, padding=0.0) == 0
 
 
 def test_a_text_without_an_embedding_is_an_error_that_names_it():

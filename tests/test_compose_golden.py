@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 from conftest import golden, golden_sets
-from mosaic import last, plans_of, timeline
+from mosaic import last, padding_of, plans_of, timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import NULL, collage, crop_lengths, guided_crops, lerp, padding_fraction, sinc
+from stmc.compose import NULL, collage, crop_lengths, guided_crops, lerp, sinc
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule, ddpm
 from stmc.planning import Plan
@@ -172,7 +172,7 @@ def test_text_to_motion_is_that_of_the_published_code(folder):
 @pytest.mark.parametrize("folder", golden_sets("stmc"))
 def test_less_than_15_percent_of_the_frames_denoised_for_mtt_are_padding(folder):
     plans = plans_of(*mtt(folder).values())
-    assert padding_fraction(plans) < 0.15
+    assert padding_of(plans) < 0.15
     for batch in (1, 8, 32):
-        shares = [padding_fraction(plans[i : i + batch]) for i in range(0, len(plans), batch)]
+        shares = [padding_of(plans[i : i + batch]) for i in range(0, len(plans), batch)]
         assert max(shares) < 0.15

@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def guide(
-    text: Float[Tensor, "batch ..."], null: Float[Tensor, "batch ..."], weight: float
+    text: Float[Tensor, "batch ..."], null: Float[Tensor, "batch ..."], weight: float | int
 ) -> Float[Tensor, "batch ..."]:
     """The prediction without a text (`null`), moved `weight` times the way to the prediction with it (`text`).
 
