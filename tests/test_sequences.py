@@ -136,9 +136,10 @@ def test_a_timeline_without_a_text_is_denoised_once():
 
 @torch.no_grad()
 def test_it_is_a_denoiser_and_a_crop_is_a_sequence_of_one_segment():
-    network = small_network()
+    network, generator = small_network().double(), torch.Generator().manual_seed(0)
     assert isinstance(network, Denoiser)
-    x, t, text = torch.randn(3, 30, 10), torch.tensor([2, 10, 19]), torch.randn(3, 1, 4)
+    x, text = (torch.randn(shape, generator=generator, dtype=torch.float64) for shape in ((3, 30, 10), (3, 1, 4)))
+    t = torch.tensor([2, 10, 19])
     together = network(x, t, text)
     segmented = network(x, t, text.expand(-1, 2, -1), None, None, torch.zeros(3, 30, dtype=torch.int64))
     torch.testing.assert_close(together, segmented, atol=1e-5, rtol=0)
