@@ -5,26 +5,22 @@ Knows records and matplotlib's figures. No figure is known to pyplot: save it, o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stmc.results.intervals import Estimate, estimate, estimates
-from stmc.results.naming import HEADINGS, REAL, Measure, measures, method, place, variant
+from stmc.results.axes import Groups, dress, grid, legend, lines, real_line, shown, title, who
+from stmc.results.intervals import estimate, estimates
+from stmc.results.naming import HEADINGS, REAL, Measure, place, variant
 from stmc.results.records import Result, ResultError, Setting, by_setting, refuse_other_differences
 from stmc.viewing.colours import palette
-from stmc.viewing.tracks import FAINT, INK
+from stmc.viewing.tracks import INK
 
 SECONDS = "seconds"
 """The metric that says how long one motion took."""
-_GRID = "#e6e8ec"
 _SAMPLERS = {"ddpm": "DDPM", "ddim": "DDIM", "dpm_solver": "DPM-Solver++"}
-
-Groups = dict[Setting, list[Result]]
-Point = tuple[float, Estimate]
 
 
 def bars(results: Sequence[Result]) -> Figure:
@@ -35,18 +31,13 @@ def bars(results: Sequence[Result]) -> Figure:
     """
     groups = by_setting(results)
     made = {setting: runs for setting, runs in groups.items() if setting.method != REAL}
-    columns = _shown(made)
+    columns = shown(made)
     names = list(dict.fromkeys(variant(setting) for setting in sorted(made, key=place)))
-    plot, panels = _panels(len(columns), wide=max(2.4, 0.24 * len(made) + 1.3), tall=2.9)
+    plot, panels = grid(len(columns), wide=max(2.4, 0.24 * len(made) + 1.3), tall=2.9)
     for axes, measure in zip(panels, columns, strict=True):
         _bar_panel(axes, measure, made, dict(zip(names, palette(len(names)), strict=True)))
-        for setting, runs in groups.items():
-            found = estimates(runs)
-            if setting.method == REAL and measure.key in found:
-                axes.axhline(
-                    found[measure.key].mean, color=INK, linewidth=1, linestyle=(0, (4, 3)), label=method(REAL).label
-                )
-    _legend(plot, panels)
+        real_line(axes, measure, groups)
+    legend(plot, panels)
     return plot
 
 
@@ -59,39 +50,42 @@ def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("reca
     """
     groups = {setting: runs for setting, runs in by_setting(results).items() if setting.steps is not None}
     refuse_other_differences(groups, ("sampler", "spread", "steps"))
-    columns = _shown(groups, keys)
+    columns = shown(groups, keys)
     timed = all(SECONDS in result.metrics for runs in groups.values() for result in runs)
     plot = Figure(figsize=(4.4 * (1 + timed), 2.9 * len(columns)), layout="constrained")
-    grid = plot.subplots(len(columns), 1 + timed, squeeze=False, sharey="row")
-    for row, measure in zip(grid, columns, strict=True):
-        _lines(row[0], measure, groups, _sampler, lambda setting, runs: setting.steps, "steps")
+    rows = plot.subplots(len(columns), 1 + timed, squeeze=False, sharey="row")
+    for row, measure in zip(rows, columns, strict=True):
+        lines(row[0], measure, groups, _sampler, lambda setting, runs: setting.steps, "steps")
         if timed:
-            _lines(row[1], measure, groups, _sampler, _mean_seconds, "seconds per motion")
+            lines(row[1], measure, groups, _sampler, _mean_seconds, "seconds per motion")
             row[1].set_ylabel("")
     steps = sorted({setting.steps for setting in groups})
-    for axes in grid.flat:
+    for axes in rows.flat:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_locator(NullLocator())
-    for axes in grid[:, 0]:
+    for axes in rows[:, 0]:
         axes.set_xticks(steps, map(str, steps))
-    _legend(plot, list(grid.flat))
+    legend(plot, list(rows.flat))
     return plot
 
 
-def sweep(results: Sequence[Result], varied: str) -> Figure:
-    """A panel per metric against a setting that is a number, such as the overlap; a line per denoiser and method, with
-    95 % intervals. Raises `ResultError` for records without it, or that differ in other settings."""
+def sweep(results: Sequence[Result], varied: str, keys: Sequence[str] | None = None) -> Figure:
+    """A panel per metric (of `keys`, if given) against a setting that is a number, such as the overlap; a line per
+    denoiser and method, with 95 % intervals; real motion is a dashed line. Raises `ResultError` for records without it,
+    or that differ in other settings."""
+    real = {setting: runs for setting, runs in by_setting(results).items() if setting.method == REAL}
     groups = {setting: runs for setting, runs in by_setting(results).items() if getattr(setting, varied) is not None}
     if not groups:
         raise ResultError(f"no record has {varied}")
     refuse_other_differences(groups, (varied, "denoiser", "method"))
-    columns = _shown(groups)
-    plot, panels = _panels(len(columns), wide=3.0, tall=2.6)
+    columns = shown(groups, keys)
+    plot, panels = grid(len(columns), wide=3.0, tall=2.6)
     for axes, measure in zip(panels, columns, strict=True):
-        _lines(axes, measure, groups, _who, lambda setting, runs: getattr(setting, varied), HEADINGS[varied].lower())
-    _legend(plot, panels)
+        lines(axes, measure, groups, who, lambda setting, runs: getattr(setting, varied), HEADINGS[varied].lower())
+        real_line(axes, measure, real)
+    legend(plot, panels)
     return plot
 
 
@@ -112,76 +106,8 @@ def _bar_panel(axes: Axes, measure: Measure, groups: Groups, colours: dict[str, 
             position += 1
         position += 0.8
     axes.set_xticks([at for at, _ in ticks], [name for _, name in ticks])
-    axes.set_title(_title(measure), fontsize=9.5, color=INK)
-    _dress(axes, "y")
-
-
-def _lines(
-    axes: Axes,
-    measure: Measure,
-    groups: Groups,
-    name: Callable[[Setting], str],
-    cost: Callable[[Setting, list[Result]], float | int],
-    label: str,
-) -> None:
-    lines: dict[str, list[Point]] = {}
-    for setting, runs in groups.items():
-        found = estimates(runs).get(measure.key)
-        if found is not None:
-            lines.setdefault(name(setting), []).append((cost(setting, runs), found))
-    for colour, (line, points) in zip(palette(len(lines)), sorted(lines.items()), strict=True):
-        points = sorted(points, key=lambda point: point[0])
-        half = np.array([point.half or 0.0 for _, point in points])
-        axes.errorbar(
-            [at for at, _ in points], [point.mean for _, point in points], half if half.any() else None, color=colour,
-            marker="o", markersize=4, linewidth=1.6, elinewidth=1.1, capsize=2.5, label=line,
-        )  # fmt: skip
-    axes.set_xlabel(label, color=INK, fontsize=9)
-    axes.set_ylabel(_title(measure), color=INK, fontsize=9)
-    _dress(axes, "both")
-
-
-def _shown(groups: Groups, keys: Sequence[str] | None = None) -> tuple[Measure, ...]:
-    columns = measures(name for runs in groups.values() for name in estimates(runs) if keys is None or name in keys)
-    if not columns:
-        wanted = "" if keys is None else f" of {', '.join(keys)}"
-        raise ResultError(f"no record has a metric to draw{wanted}")
-    return columns
-
-
-def _panels(count: int, wide: float, tall: float) -> tuple[Figure, list[Axes]]:
-    """At most four panels in a row."""
-    columns = min(count, 4)
-    rows = -(-count // columns)
-    plot = Figure(figsize=(wide * columns, tall * rows + 0.4), layout="constrained")
-    panels = list(plot.subplots(rows, columns, squeeze=False).flat)
-    for spare in panels[count:]:
-        spare.remove()
-    return plot, panels[:count]
-
-
-def _dress(axes: Axes, grid: str) -> None:
-    axes.grid(axis=grid, color=_GRID, linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(FAINT)
-    axes.tick_params(labelsize=8.5, colors=INK, length=0)
-
-
-def _legend(plot: Figure, panels: Iterable[Axes]) -> None:
-    """One for all panels, each name once, where there is something to tell apart."""
-    named = {}
-    for axes in panels:
-        named |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    if len(named) > 1:
-        plot.legend(
-            named.values(),
-            named.keys(),
-            loc="outside lower center",
-            ncols=min(len(named), 6),
-            frameon=False,
-            fontsize=9,
-        )
+    axes.set_title(title(measure), fontsize=9.5, color=INK)
+    dress(axes, "y")
 
 
 def _mean_seconds(setting: Setting, runs: list[Result]) -> float:
@@ -191,12 +117,3 @@ def _mean_seconds(setting: Setting, runs: list[Result]) -> float:
 def _sampler(setting: Setting) -> str:
     name = _SAMPLERS.get(setting.sampler or "", setting.sampler or "–")
     return f"{name}, {setting.spread}" if setting.spread else name
-
-
-def _who(setting: Setting) -> str:
-    return ", ".join(filter(None, (setting.denoiser, method(setting.method).label)))
-
-
-def _title(measure: Measure) -> str:
-    unit = f", {measure.unit}" if measure.unit else ""
-    return f"{measure.heading}{unit} {measure.arrow}"

@@ -1,0 +1,79 @@
+"""Figures of compositions in time (Barquero et al. 2024): the jerk around transitions, and what absolute steps trade.
+
+Knows records and matplotlib's figures, as `charts` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stmc.results.axes import DASHED, Groups, dress, grid, legend
+from stmc.results.charts import sweep
+from stmc.results.intervals import Estimate, estimate
+from stmc.results.naming import REAL, method, place, variant
+from stmc.results.records import Result, ResultError, by_setting
+from stmc.viewing.colours import palette
+from stmc.viewing.tracks import INK
+
+JERK = "jerk"
+"""The curve that is drawn."""
+
+
+def jerk_curves(results: Sequence[Result]) -> Figure:
+    """The mean jerk in each frame around a transition (their Fig. 4): a line with its 95 % interval per method and
+    denoiser, real motion dashed.
+
+    Raises `ResultError` where no record has the curve "jerk", where curves are of several lengths, and for two settings
+    that the legend could not tell apart.
+    """
+    groups = by_setting(result for result in results if JERK in result.curves)
+    if not groups:
+        raise ResultError(f"no record has a curve {JERK!r}")
+    lengths = {len(run.curves[JERK]) for runs in groups.values() for run in runs}
+    if len(lengths) > 1:
+        raise ResultError(
+            f"curves {JERK!r} of {', '.join(map(str, sorted(lengths)))} frames; choose those of one length"
+        )
+    plot, [axes] = grid(1, wide=5.6, tall=3.4)
+    _draw_curves(axes, groups)
+    axes.axvline(0, color=INK, linewidth=0.6)
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("frames from the transition's middle", color=INK, fontsize=9)
+    axes.set_ylabel("largest jerk of a joint, m/frame³", color=INK, fontsize=9)
+    dress(axes, "both")
+    legend(plot, [axes])
+    return plot
+
+
+def trade_off(results: Sequence[Result]) -> Figure:
+    """What more steps with absolute positions do to subsequences and transitions (their Fig. 5): R-precision, FID of
+    transitions and area under the jerk against the share of these steps. Raises as `charts.sweep`."""
+    return sweep(results, "absolute", ("r_precision", "transition_fid", "area_under_jerk"))
+
+
+def _draw_curves(axes: Axes, groups: Groups) -> None:
+    made = sorted(
+        (setting for setting in groups if setting.method != REAL), key=lambda each: (each.denoiser, place(each))
+    )
+    labels = [", ".join(filter(None, (setting.denoiser, variant(setting)))) for setting in made]
+    if twice := [label for label in labels if labels.count(label) > 1]:
+        raise ResultError(f"{twice[0]} stands there with several settings; choose one")
+    for setting, label, colour in zip(made, labels, palette(len(made)), strict=True):
+        frames, found = _curve(groups[setting])
+        mean, half = np.array([each.mean for each in found]), np.array([each.half or 0.0 for each in found])
+        axes.plot(frames, mean, color=colour, linewidth=1.6, label=label)
+        axes.fill_between(frames, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
+    for setting in groups:
+        if setting.method == REAL:
+            frames, found = _curve(groups[setting])
+            axes.plot(frames, [each.mean for each in found], label=method(REAL).label, **DASHED)
+
+
+def _curve(runs: Sequence[Result]) -> tuple[np.ndarray, list[Estimate]]:
+    """Frames from the middle of the window, and the values there."""
+    values = [estimate(column) for column in zip(*(run.curves[JERK] for run in runs), strict=True)]
+    return np.arange(len(values)) - (len(values) - 1) / 2, values
