@@ -250,7 +250,7 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cache(source) -> Cache:
-    return bandai.gather(bandai.read_clips(source, FPS, workers=1), FPS, "inputs")
+    return bandai.gather(bandai.read_clips(source, FPS, workers=1), FPS)
 
 
 def test_every_readable_clip_is_in_the_cache_beside_its_mirror_image_in_the_same_part(cache):
@@ -261,7 +261,7 @@ def test_every_readable_clip_is_in_the_cache_beside_its_mirror_image_in_the_same
         assert parts[clip.name] == parts[clip.name.removeprefix("M/")]
     assert Counter(parts.values()) == {"train": 20, "val": 2, "test": 2}
     assert cache.texts["wave-left-hand/normal"] == describe("wave-left-hand", "normal")
-    assert (cache.fps, cache.representation, cache.fingerprint) == (FPS, "smpl", "inputs")
+    assert (cache.fps, cache.representation, cache.fingerprint) == (FPS, "smpl", "")
 
 
 def test_files_that_cannot_be_used_are_skipped_with_their_names_and_the_reasons(cache):
@@ -283,7 +283,7 @@ def test_an_archive_gives_the_same_cache_as_the_folder_it_unpacks_to(source, cac
     texts = dict(bandai.read_sources(packed(source, tmp_path / "dataset.tar.xz")))
     assert texts == dict(bandai.read_sources(source))
     clips = [(name, _converted(name, text)) for name, text in texts.items()]
-    other = bandai.gather(clips, FPS, "inputs")
+    other = bandai.gather(clips, FPS)
     assert other.clips == cache.clips
     assert torch.equal(other.features, cache.features)
     assert dict(other.skipped) == dict(cache.skipped)
@@ -317,11 +317,11 @@ def test_a_place_without_clips_is_an_error_that_says_what_should_be_there(tmp_pa
 
 def test_nothing_but_broken_clips_is_an_error_that_names_the_first():
     with pytest.raises(ValueError, match="not one clip could be read; the first: a: no MOTION"):
-        bandai.gather([("a", "no MOTION section"), ("b", "no MOTION section")], FPS, "")
+        bandai.gather([("a", "no MOTION section"), ("b", "no MOTION section")], FPS)
 
 
 def test_a_second_clip_of_one_name_is_skipped_and_named(rows):
-    cache = bandai.gather([(rows[0][0].name, rows)] * 2, FPS, "")
+    cache = bandai.gather([(rows[0][0].name, rows)] * 2, FPS)
     assert len(cache.clips) == 2
     assert cache.skipped == ((rows[0][0].name, "a second clip of this name"),)
 

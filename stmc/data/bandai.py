@@ -10,12 +10,9 @@ import dataclasses
 import hashlib
 import lzma
 import math
-import multiprocessing
 import re
 import tarfile
-from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +25,7 @@ from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
 from stmc.data.bvh import Bvh, BvhError, parse_bvh
 from stmc.data.cache import Cache, Clip, assemble
+from stmc.data.preparation import in_parallel
 from stmc.data.sentences import CONTENTS, STYLES, describe, mirrored_content
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
@@ -228,26 +226,12 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
 
 def read_clips(source: Path, fps: float | int, workers: int) -> Iterator[tuple[str, list | str]]:
     """Converts every clip, in parallel: its name, and its rows or the reason why it had to be skipped."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-        waiting: deque[tuple[str, Future]] = deque()
-        for name, text in read_sources(source):
-            waiting.append((name, pool.submit(convert, name, text, fps)))
-            if len(waiting) > 16 * workers:  # bounds the memory that texts and features wait in
-                yield _result(*waiting.popleft())
-        while waiting:
-            yield _result(*waiting.popleft())
+    return in_parallel(((name, (convert, name, text, fps)) for name, text in read_sources(source)), workers)
 
 
-def _result(name: str, future: Future) -> tuple[str, list | str]:
-    try:
-        return name, future.result()
-    except ValueError as error:
-        return name, str(error)
-
-
-def gather(clips: Iterable[tuple[str, list | str]], fps: float | int, fingerprint: str) -> Cache:
-    """The cache of all converted clips, in the order of their names. Raises `ValueError` where all were skipped."""
+def gather(clips: Iterable[tuple[str, list | str]], fps: float | int) -> Cache:
+    """The cache of all converted clips, in the order of their names, without a fingerprint. Raises `ValueError` where
+    all were skipped."""
     converted, skipped = {}, []
     for name, rows in clips:
         if isinstance(rows, str):
@@ -273,7 +257,6 @@ def gather(clips: Iterable[tuple[str, list | str]], fps: float | int, fingerprin
         clips=table,
         texts={UNSAID: ()} | {key: describe(content, style) for key, content, style in labels},
         skipped=tuple(skipped),
-        fingerprint=fingerprint,
     )
 
 

@@ -39,4 +39,4 @@ class BandaiClips:
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`."""
         total = bandai.CLIPS if self._source.is_file() else sum(1 for _ in self._source.rglob("*.bvh"))
-        return bandai.gather(watch(bandai.read_clips(self._source, self.fps, workers), total), self.fps, "")
+        return bandai.gather(watch(bandai.read_clips(self._source, self.fps, workers), total), self.fps)

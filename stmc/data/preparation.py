@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 
@@ -20,6 +20,9 @@ from stmc.data.cache import Cache, fingerprint, fresh, merged
 
 Watch = Callable[[Iterable, int], Iterable]
 """Shows progress: (what there is to do, how much) → the same, watched."""
+
+Job = tuple[Any, ...]
+"""A function and what it is given, for another process: all of it can be pickled."""
 
 
 class LayoutError(ValueError):
@@ -73,11 +76,16 @@ def converted(
     Raises `ValueError` where no clip is left.
     """
     caches, skipped = [], list(skipped)
-    for name, result in watch(_each(pieces, scratch, workers), len(pieces)):
-        if isinstance(result, Path):
-            caches.append(Cache.read(result))
+    folders = [scratch / piece.fingerprint[:32] for piece in pieces]
+    jobs = (
+        (piece.name, None if fresh(folder, piece.fingerprint) else (write_piece, piece, folder))
+        for piece, folder in zip(pieces, folders, strict=True)
+    )
+    for folder, (name, reason) in zip(folders, watch(in_parallel(jobs, workers), len(pieces)), strict=True):
+        if isinstance(reason, str):
+            skipped.append((name, reason))
         else:
-            skipped.append((name, result))
+            caches.append(Cache.read(folder))
     skipped += [row for cache in caches for row in cache.skipped]
     if not any(cache.clips for cache in caches):
         first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
@@ -85,16 +93,15 @@ def converted(
     return replace(merged(caches), skipped=tuple(skipped))
 
 
-def _each(pieces: Sequence[Piece], scratch: Path, workers: int) -> Iterator[tuple[str, Path | str]]:
-    """Every piece's name, and the folder of its cache or the reason why it could not be used."""
+def in_parallel(jobs: Iterable[tuple[str, Job | None]], workers: int) -> Iterator[tuple[str, Any]]:
+    """Every job's name, and what its function returned (no job: None) or the message of its `ValueError`, in their
+    order."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-        waiting: deque[tuple[str, Path, Future | None]] = deque()
-        for piece in pieces:
-            folder = scratch / piece.fingerprint[:32]
-            done = fresh(folder, piece.fingerprint)
-            waiting.append((piece.name, folder, None if done else pool.submit(write_piece, piece, folder)))
-            if len(waiting) > 16 * workers:
+        waiting: deque[tuple[str, Future | None]] = deque()
+        for name, job in jobs:
+            waiting.append((name, None if job is None else pool.submit(*job)))
+            if len(waiting) > 16 * workers:  # bounds the memory that what they are given and return waits in
                 yield _result(*waiting.popleft())
         while waiting:
             yield _result(*waiting.popleft())
@@ -105,10 +112,8 @@ def write_piece(piece: Piece, folder: Path) -> None:
     replace(piece.convert(), fingerprint=piece.fingerprint).write(folder)
 
 
-def _result(name: str, folder: Path, future: Future | None) -> tuple[str, Path | str]:
+def _result(name: str, future: Future | None) -> tuple[str, Any]:
     try:
-        if future is not None:
-            future.result()
+        return name, None if future is None else future.result()
     except ValueError as error:
         return name, str(error)
-    return name, folder
