@@ -1,4 +1,4 @@
-"""What others published, as models and evaluators of this library: STMC's, MDM's, MotionDiffuse's, TMR's and Guo's."""
+"""What others published, as models and evaluators: STMC's, MDM's, FlowMDM's, MotionDiffuse's, TMR's and Guo's."""
 
 from stmc.published.checkpoint import CheckpointError
 from stmc.published.conversion import convert, read

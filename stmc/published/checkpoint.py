@@ -146,6 +146,26 @@ def read_statistics(mean: Path, std: Path, width: int) -> Statistics:
         raise CheckpointError(f"{mean} and {std}: statistics must be finite, with std above 0") from error
 
 
+def read_tensor_statistics(mean: Path, std: Path, width: int) -> Statistics:
+    """As `read_statistics`, of two files that `torch.save` wrote; the deviation as in `nudged_statistics`."""
+    values = [read_tensor(path) for path in (mean, std)]
+    for path, value in zip((mean, std), values, strict=True):
+        if value.shape != (width,):
+            raise CheckpointError(f"{path} must hold {width} numbers, not {list(value.shape)}")
+    return nudged_statistics(*values, f"{mean} and {std}: statistics")
+
+
+def nudged_statistics(mean: Tensor, std: Tensor, place: str) -> Statistics:
+    """What the code of TMR and STMC, and FlowMDM's on BABEL, normalises by: the deviation plus 1e-12.
+
+    Raises `CheckpointError` where a mean or a deviation cannot be meant.
+    """
+    try:
+        return Statistics(mean.float(), std.float() + 1e-12)
+    except ValueError as error:
+        raise CheckpointError(f"{place} must be finite, with a std that is not negative") from error
+
+
 def identity(width: int) -> Statistics:
     """Statistics that change nothing: of texts that a network reads as they come."""
     return Statistics(torch.zeros(width), torch.ones(width))

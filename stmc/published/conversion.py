@@ -44,10 +44,12 @@ def convert(
 def read(source: str | Path, statistics: str | Path | None = None, text_model: str | None = None) -> Imported:
     """The model of a published checkpoint: its folder, or the file of its weights. TMR is an evaluator, not a model.
 
-    `statistics`: the folder of HumanML3D's `Mean.npy` and `Std.npy`, which MDM's and FlowMDM's weights come without, of
-    BABEL's `rfeats_mean.pt` and `rfeats_std.pt`, or of TMR's `mean.pt` and `std.pt`. `text_model`: where the text
-    encoder's weights are, a folder or a hub name (None: the published ones on the hub). Raises `CheckpointError` for a
-    source of no known format, and for whatever is wrong with it.
+    `statistics`: the folder of the mean and standard deviation that some weights come without (None: where the format
+    has them): `Mean.npy` and `Std.npy` for MDM and FlowMDM on HumanML3D, `rfeats_mean.pt` and `rfeats_std.pt` for
+    FlowMDM on BABEL, `mean.pt` and `std.pt` for TMR. `text_model`: where the text encoder's weights are, a folder or a
+    hub name (None: the published ones on the hub).
+
+    Raises `CheckpointError` for a source of no known format, and for whatever is wrong with it.
     """
     source = Path(source).expanduser()
     statistics = None if statistics is None else Path(statistics).expanduser()

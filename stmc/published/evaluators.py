@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from stmc.evaluators import Evaluator, GuoEvaluator, Tmr
@@ -16,22 +15,20 @@ from stmc.published.checkpoint import (
     CheckpointError,
     Imported,
     fill,
+    identity,
     read_checkpoint,
     read_json,
-    read_tensor,
+    read_tensor_statistics,
     size_of,
     state_dict,
 )
 from stmc.representation import HumanML3DRepresentation
-from stmc.statistics import Statistics
 from stmc.text import Tokens
 
 WEIGHTS, CHECKPOINT = Path("last_weights"), Path("logs/checkpoints/last.ckpt")
 PARTS = ("motion_encoder", "text_encoder", "motion_decoder")
 STATISTICS = Path("stats/humanml3d/guoh3dfeats")
 """Where they lie in TMR's own folder, two levels above a run: per dimension, unlike HumanML3D's `Std.npy`."""
-EPSILON = 1e-12
-"""What the published code adds to a standard deviation."""
 FPS, HEADS = 20, 4
 DISTILBERT = "distilbert/distilbert-base-uncased"
 SECTIONS = ("movement_encoder", "text_encoder", "motion_encoder")
@@ -56,6 +53,7 @@ def read_tmr(folder: Path, statistics: Path | None = None, text_model: str | Non
         "variational": size_of(weights, "motion_encoder.tokens", 0, place) == 2,
     }
     representation = HumanML3DRepresentation()
+    moments = statistics or folder.absolute().parent.parent / STATISTICS
     if sizes["features"] != representation.width:
         raise CheckpointError(f"{folder} was trained on {sizes['features']} features, not HumanML3D's 263")
     network = Tmr(**sizes)
@@ -65,8 +63,8 @@ def read_tmr(folder: Path, statistics: Path | None = None, text_model: str | Non
         network=network,
         text_encoder=Tokens(text["source"], text["width"]),
         representation=representation,
-        motion_statistics=_statistics(statistics or folder.absolute().parent.parent / STATISTICS, representation.width),
-        text_statistics=Statistics(torch.zeros(text["width"]), torch.ones(text["width"])),
+        motion_statistics=read_tensor_statistics(moments / "mean.pt", moments / "std.pt", representation.width),
+        text_statistics=identity(text["width"]),
         fps=FPS,
         config={
             "network": {"_target_": "stmc.evaluators.Tmr"} | sizes,
@@ -123,14 +121,3 @@ def _weights(folder: Path) -> Mapping[str, Tensor]:
     content = read_checkpoint(folder / CHECKPOINT)
     weights = state_dict(content.get("state_dict"), f"{folder / CHECKPOINT}: state_dict")
     return {name: value for name, value in weights.items() if name.startswith(PARTS)}
-
-
-def _statistics(folder: Path, width: int) -> Statistics:
-    mean, std = (read_tensor(folder / f"{moment}.pt") for moment in ("mean", "std"))
-    for name, value in (("mean", mean), ("std", std)):
-        if value.shape != (width,):
-            raise CheckpointError(f"{folder / name}.pt must hold {width} numbers, not {list(value.shape)}")
-    try:
-        return Statistics(mean.float(), std.float() + EPSILON)
-    except ValueError as error:
-        raise CheckpointError(f"{folder}: statistics must be finite, with a std that is not negative") from error

@@ -22,7 +22,7 @@ from stmc.published.checkpoint import (
     read_checkpoint,
     read_json,
     read_statistics,
-    read_tensor,
+    read_tensor_statistics,
     size_of,
     state_dict,
     without,
@@ -50,8 +50,6 @@ DEFAULTS = {"noise_schedule": "cosine", "diffusion_steps": 1000, "rpe_horizon": 
 TABLES = ("sequence_pos_encoder.pe", "embed_timestep.sequence_pos_encoder.pe", "t_pos_encoder.pe")
 ROTARY = "seqTransEncoder.attn_layers.rotary_pos_emb."
 FREQUENCIES = f"{ROTARY}relative.inv_freq"
-EPSILON = 1e-12
-"""What the published code adds to BABEL's standard deviation."""
 
 
 def is_flow_mdm(args: Path) -> bool:
@@ -157,10 +155,4 @@ def _check_frequencies(weights: Mapping[str, Tensor], path: Path) -> None:
 def _statistics(folder: Path, dataset: str, width: int) -> Statistics:
     if dataset == "humanml":
         return read_statistics(folder / "Mean.npy", folder / "Std.npy", width)
-    mean, std = (read_tensor(folder / f"rfeats_{moment}.pt") for moment in ("mean", "std"))
-    if mean.shape != (width,) or std.shape != (width,):
-        raise CheckpointError(f"{folder}: rfeats_mean.pt and rfeats_std.pt must hold {width} numbers each")
-    try:
-        return Statistics(mean.float(), std.float() + EPSILON)
-    except ValueError as error:
-        raise CheckpointError(f"{folder}: statistics must be finite, with a std that is not negative") from error
+    return read_tensor_statistics(folder / "rfeats_mean.pt", folder / "rfeats_std.pt", width)

@@ -14,6 +14,7 @@ from stmc.published.checkpoint import (
     Imported,
     built,
     fill,
+    nudged_statistics,
     read_checkpoint,
     read_json,
     size_of,
@@ -27,8 +28,6 @@ LONGEST = 10.0
 REPRESENTATIONS = {"smplrifke": "SmplRepresentation", "guoh3dfeats": "HumanML3DRepresentation"}
 PREDICTIONS = {"x": "x0", "x0": "x0", "eps": "eps", "epsilon": "eps", "v": "v", "score": "score"}
 CLIP = ("ViT-B/32", "clip", "openai/clip-vit-base-patch32")
-EPSILON = 1e-12
-"""What the published code adds to a standard deviation."""
 
 
 def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = None) -> Imported:
@@ -143,11 +142,8 @@ def _statistics(weights: Mapping[str, Tensor], side: str, width: int, path: Path
         name = f"{side}_normalizer.{moment}"
         if size_of(weights, name, 0, str(path)) != width or weights[name].ndim != 1:
             raise CheckpointError(f"{path}: {name} must hold {width} numbers, not {list(weights[name].shape)}")
-        values.append(weights[name].float())
-    try:
-        return Statistics(values[0], values[1] + EPSILON)
-    except ValueError as error:
-        raise CheckpointError(f"{path}: {side}_normalizer must be finite, with a std that is not negative") from error
+        values.append(weights[name])
+    return nudged_statistics(*values, f"{path}: {side}_normalizer")
 
 
 def _setting(settings: Mapping[str, Any], name: str, path: Path) -> Any:
