@@ -1,5 +1,6 @@
 """Trains a denoiser: `python scripts/train.py run=FOLDER data.folder=CACHE`; devices: `accelerate launch`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import hydra
@@ -41,15 +42,16 @@ def main(config: DictConfig) -> None:
     denoiser = instantiate(config.denoiser)
     if config.start:
         denoiser.load_state_dict(stmc.load(config.start).denoiser.state_dict())
+    model = record(config, denoiser, corpus)
     trainer = Trainer(
         denoiser,
-        Denoising(instantiate(config.schedule), fields=fields, derive=derive, **config.objective),
+        Denoising(model.schedule, fields=fields, derive=derive, **config.objective),
         ClipBatches(corpus, "train", sampling, settings.seed),
         Path(config.run).expanduser(),
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
         hooks=[
-            Hook(every, lambda step, network, do=do: do(config, record(config, network, corpus), step))
+            Hook(every, lambda step, network, do=do: do(config, replace(model, denoiser=network), step))
             for every, do in ((settings.checkpoint_every, export), (config.draw_every, draw))
         ],
         accelerator=accelerator,

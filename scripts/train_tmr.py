@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import hydra
@@ -43,16 +44,17 @@ def main(config: DictConfig) -> None:
     with open_dict(config):
         config.network.update(features=corpus.features_width, text_width=corpus.text_width)
     folder = Path(config.run).expanduser()
+    evaluator = record(config, instantiate(config.network), corpus)
     trainer = Trainer(
-        instantiate(config.network),
+        evaluator.network,
         instantiate(config.objective),
         training,
         folder,
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
         hooks=[
-            Hook(settings.validate_every, lambda step, network: watch(step, record(config, network, corpus))),
-            Hook(settings.checkpoint_every, lambda step, network: export(step, record(config, network, corpus))),
+            Hook(settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))),
+            Hook(settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))),
         ],
         accelerator=accelerator,
     )
