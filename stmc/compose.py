@@ -136,24 +136,24 @@ def lerp(
     meet, the later wins. The `plans` are those without overlap (`ValueError` for others).
     """
     smooth = features.clone()
-    left, right = overlap // 2, overlap - overlap // 2
     for i, plan in enumerate(plans):
         for part, owned in columns.items():
-            changes = seams(plan, part)
-            for seam in changes if overlap > 0 else ():
-                window = slice(max(0, seam - left), min(plan.frames, seam + right))
+            for window in seams(plan, part, overlap):
                 old = features[i, window][:, owned]
                 fade = torch.linspace(1, 0, len(old)).to(features)[:, None]
                 smooth[i, window, owned] = fade * old[0] + (1 - fade) * old[-1]
     return smooth
 
 
-def seams(plan: Plan, part: BodyPart) -> list[int]:
-    """The frames at which `part` changes from one crop to another, in a plan without overlap."""
+def seams(plan: Plan, part: BodyPart, overlap: int) -> list[slice]:
+    """The `overlap` frames around each change of `part` from one crop to another, half of them on each side, within the
+    timeline; none for 0. Raises `ValueError` for a plan with overlap."""
     tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
     if any(a.end > b.start for a, b in pairwise(tiles)):
         raise ValueError(f"the tiles of {part} overlap: seams are smoothed in plans made with overlap=0")
-    return [b.start for a, b in pairwise(tiles) if a.crop != b.crop]
+    changes = [b.start for a, b in pairwise(tiles) if a.crop != b.crop] if overlap > 0 else []
+    left, right = overlap // 2, overlap - overlap // 2
+    return [slice(max(0, change - left), min(plan.frames, change + right)) for change in changes]
 
 
 class _Cut:

@@ -66,12 +66,10 @@ def slerp(
     without overlap; `overlap` frames around each change are replaced.
     """
     smooth = lerp(raw, plans, layout.columns, overlap)
-    left, right = overlap // 2, overlap - overlap // 2
     for i, plan in enumerate(plans):
         for part in BodyPart:
             turned = _rotations(layout, part)
-            for seam in seams(plan, part) if overlap > 0 and turned else ():
-                window = slice(max(0, seam - left), min(plan.frames, seam + right))
+            for window in seams(plan, part, overlap) if turned else ():
                 old = rearrange(raw[i, window][[0, -1]][:, turned], "ends (joints six) -> ends joints six", six=6)
                 first, last = rows_to_matrix(old)
                 steps = torch.linspace(0, 1, window.stop - window.start).to(raw)
