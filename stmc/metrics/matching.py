@@ -51,7 +51,7 @@ def r_precision_of_distinct(
     shares are over those that are left. For comparison with its tables."""
     hits = []
     for batch in _batches(len(texts)):
-        rows = torch.arange(len(texts))[batch].tolist()
+        rows = range(len(texts))[batch]
         kept = list({captions[row]: row for row in reversed(rows)}.values())
         hits.append(_hits(texts[kept], motions[kept]))
     return _shares(hits)
