@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 import stmc
 from stmc.diffusion.samplers import Spread
 from stmc.files import write_whole
-from stmc.model import STITCHED, Method, Precision
+from stmc.model import Method, Precision, check_late
 from stmc.run import fingerprint
 
 CHOICES = {
@@ -39,6 +39,8 @@ def main(config: DictConfig) -> None:
     console = Console()
     check(config)
     try:
+        if config.late is not None:
+            check_late(config.late, config.method)
         source = Path(config.timeline or str(files("stmc") / "assets/timelines/walk_and_wave.json")).expanduser()
         timelines = list(named(stmc.Timeline.read_all(source), source.stem))
         made_by = fingerprint(config.model)
@@ -65,8 +67,6 @@ def check(config: DictConfig) -> None:
             raise SystemExit(f"{key}={config[key]}: choose from {', '.join(filter(None, choices))}")
     if not config.formats or set(config.formats) - set(FORMATS):
         raise SystemExit(f"formats={list(config.formats)}: choose from {', '.join(FORMATS)}")
-    if config.late is not None and (not 0 <= config.late < 1 or (config.late and config.method not in STITCHED)):
-        raise SystemExit(f"late={config.late}: from 0 to below 1, and 0 for SINC and FlowMDM")
     for key in ("samples", "batch", "steps"):
         if config[key] is not None and config[key] < 1:
             raise SystemExit(f"{key}={config[key]}: at least 1")

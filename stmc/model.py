@@ -21,7 +21,7 @@ from torch import Tensor
 from stmc.body_model import Skeleton
 from stmc.compose import canvas_lengths, collage, crop_lengths, crop_seeds, distinct_texts, guided_crops, lerp, sinc
 from stmc.denoisers import FlowMdm, Network
-from stmc.diffusion import Noise, Prediction, Schedule, Seed, Spread, ddpm
+from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, Spread, ddpm
 from stmc.motion import Motion
 from stmc.passes import Guided
 from stmc.planning import Plan, plan
@@ -172,10 +172,7 @@ class Model:
             raise ValueError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
         if late is None:
             late = self.late if method == "stmc" else 0.0
-        if not 0 <= late < 1 or (late and method not in STITCHED):
-            raise ValueError(
-                f"late={late}: the share of the steps before stitching is in [0, 1), and 0 for SINC and FlowMDM"
-            )
+        check_late(late, method)
         if not timelines:
             return []
         self.denoiser.eval()
@@ -190,7 +187,7 @@ class Model:
                 features = run.retaken(plans, features, int(overlap * self.fps) // 2)
         else:
             features = run.joined(run.apart(), method, int(overlap * self.fps))
-        return self.decode(features, [each.frames for each in run.plans])
+        return self.decode(features, [timeline.frames(self.fps) for timeline in timelines])
 
     def decode(self, features: Float[Tensor, "batch frames features"], lengths: Sequence[int]) -> list[Motion]:
         """Motions on the CPU from a batch of normalised features, each of its own length."""
@@ -199,6 +196,14 @@ class Model:
             self.representation.decode(row[:length], self.fps, self.skeleton)
             for row, length in zip(raw, lengths, strict=True)
         ]
+
+
+def check_late(late: float | int, method: Method) -> None:
+    """Raises `ValueError` unless `method` can begin to stitch after the share `late` of the steps."""
+    if not 0 <= late < 1 or (late and method not in STITCHED):
+        raise ValueError(
+            f"late={late}: the share of the steps before stitching is in [0, 1), and 0 for SINC and FlowMDM"
+        )
 
 
 def _baseline(timeline: Timeline, method: Method, model: Model) -> Timeline:
@@ -256,9 +261,7 @@ class _Run:
         times = model.schedule.spaced(self.steps)
         times = times[: max(1, len(times) - int(SKIPPED * len(times)))]
         draw = self._noise([(seed, 0) for seed in self.seeds], canvas_lengths(takes, window))
-        x = model.schedule.q_sample(content, times[-1], draw())
-        rest = self.sampler(lambda x, i: predict(x, times[i]), model.schedule.respaced(times), x, draw)
-        return _last(self.track(rest))
+        return self._rest(predict, model.schedule.q_sample(content, times[-1], draw()), draw, times)
 
     def stitched(self, plans: Sequence[Plan], late: float | int) -> Float[Tensor, "batch frames features"]:
         """STMC on `plans`, from the share `late` of the steps on."""
@@ -273,8 +276,12 @@ class _Run:
         x = model.schedule.q_sample(torch.zeros_like(noise := draw()), times[-1], noise)  # what lies behind the ends
         apart = sinc(self._crops(until=alone), self.plans, model.representation.columns)
         x[:, : apart.shape[1]] = torch.where(self._within(apart), apart, x[:, : apart.shape[1]])
-        rest = self.sampler(lambda x, i: predict(x, times[i]), model.schedule.respaced(times), x, draw)
-        return _last(self.track(rest))
+        return self._rest(predict, x, draw, times)
+
+    def _rest(self, predict: Predict, x: Tensor, draw: Noise, times: tuple[int, ...]) -> Tensor:
+        """Sampling in the steps `times` alone, from `x`, as noisy as at the last of them."""
+        schedule = self.model.schedule.respaced(times)
+        return _last(self.track(self.sampler(lambda x, i: predict(x, times[i]), schedule, x, draw)))
 
     def _crops(self, until: int | None = None) -> Float[Tensor, "crops frames features"]:
         """The crops, each sampled alone; or their noisy states after so many steps."""

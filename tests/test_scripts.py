@@ -315,6 +315,7 @@ def test_a_setting_that_cannot_be_meant_is_refused_before_anything_is_loaded(sam
         ("timeline={0}/bad.txt", r"bad\.txt, line 1"),
         ("model={0}/nowhere", "is not a run directory"),
         ("overlap=-1", "overlap -20 must be 0"),
+        ("late=1", "late=1: the share of the steps before stitching"),
     ],
 )
 def test_what_the_user_got_wrong_ends_in_a_sentence(sample, run, tmp_path, override, message):
