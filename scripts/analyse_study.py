@@ -4,13 +4,12 @@ Every setting is in configs/analyse_study.yaml.
 """
 
 import json
-from functools import partial
 from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig
 
-from stmc.files import write_whole
+from stmc.files import write_text
 from stmc.study import Analysis, Key, StudyError, analyse, read_answers
 
 
@@ -23,7 +22,7 @@ def main(config: DictConfig) -> None:
         raise SystemExit(str(error)) from error
     contents = {"txt": analysis.text(), "json": json.dumps(analysis.data(), indent=1, ensure_ascii=False) + "\n"}
     for kind, content in contents.items():
-        write_whole(folder / f"analysis.{kind}", partial(Path.write_text, data=content, encoding="utf-8"))
+        write_text(folder / f"analysis.{kind}", content)
     print(analysis.text(), end="")
 
 

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import stmc
 from stmc.diffusion.samplers import Spread
-from stmc.files import write_whole
+from stmc.files import write_text
 from stmc.model import Method, Precision, check_late
 from stmc.run import fingerprint
 
@@ -161,12 +161,11 @@ def save(motion: stmc.Motion, name: str, timeline: stmc.Timeline, seed: int, con
     (folder / f"{name}.json").unlink(missing_ok=True)
     for kind in config.formats:
         if kind == "html":
-            page = stmc.page(motion, timeline, title=name)
-            write_whole(folder / f"{name}.html", partial(Path.write_text, data=page, encoding="utf-8"))
+            write_text(folder / f"{name}.html", stmc.page(motion, timeline, title=name))
         else:
             stmc.write(motion, folder / f"{name}.{kind}")
     done = json.dumps(record(timeline, seed, config, made_by), indent=1, ensure_ascii=False) + "\n"
-    write_whole(folder / f"{name}.json", partial(Path.write_text, data=done, encoding="utf-8"))
+    write_text(folder / f"{name}.json", done)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 Every setting is in configs/study.yaml.
 """
 
-from functools import partial
 from pathlib import Path
 
 import hydra
@@ -11,7 +10,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 import stmc
-from stmc.files import write_whole
+from stmc.files import write_text
 from stmc.study import StudyError, design, read_pairs, survey_page
 
 
@@ -36,8 +35,7 @@ def made(config: DictConfig, folder: Path) -> int:
     names = (config.names[0] or first.name, config.names[1] or second.name)
     surveys, key = design(pairs, names, config.seed, config.size)
     for number, survey in enumerate(surveys, start=1):
-        path = folder / "surveys" / f"survey_{number:02d}.html"
-        write_whole(path, partial(Path.write_text, data=survey_page(survey), encoding="utf-8"))
+        write_text(folder / "surveys" / f"survey_{number:02d}.html", survey_page(survey))
     key.write(folder / "key.json")
     return len(surveys)
 

@@ -12,7 +12,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from stmc.files import write_whole
+from stmc.files import write_text
 
 FORMAT = "stmc study key 1"
 
@@ -72,7 +72,7 @@ class Key:
             for survey, entries in self.surveys.items()
         }
         content = json.dumps({"format": FORMAT, "methods": self.methods, "surveys": surveys}, indent=1) + "\n"
-        write_whole(Path(path), lambda temporary: temporary.write_text(content, encoding="utf-8"))
+        write_text(Path(path), content)
 
     @classmethod
     def read(cls, path: str | Path) -> Key:

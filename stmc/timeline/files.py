@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from stmc.body import BodyPart
-from stmc.files import write_whole
+from stmc.files import write_text
 
 
 class TimelineError(ValueError):
@@ -197,4 +197,4 @@ def read(path: Path) -> list[Draft]:
 def write(drafts: Sequence[Draft], path: Path) -> None:
     """Write by the suffix, under a temporary name first, so that the file appears whole or not at all."""
     content = choose(path, to_json, to_text)(drafts)
-    write_whole(path, lambda temporary: temporary.write_text(content, encoding="utf-8"))
+    write_text(path, content)
