@@ -8,7 +8,7 @@ compared with them. Knows no model.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -110,7 +110,7 @@ class Compositions:
         self._said = {key: dict(rows) for key, rows in cache.texts.items()}
         self._contents = _contents(cache, least, cyclic=repeats > 1)
         self._footage = _footage(cache, representation, judge.fps, self._contents)
-        self._places = self._windows_of()
+        self._long = self._long_enough()
         chance = np.random.default_rng([seed, ASKED])
         self.compositions = [self._composition(segments, chance) for _ in range(count)]
 
@@ -124,17 +124,20 @@ class Compositions:
         R-precision looks for each text's own motion, in batches of 32 drawn with `seed`, among those of other texts;
         motions of clips that the text is true of, too, are left out (contents repeat, and it is no mistake to find
         them; that one of them is found is no merit of the motion either). FID compares subsequences with the very clips
-        that were drawn, and transitions with as many windows from real clips of the same contents; the mean jerk of
-        these windows is what the area under the jerk is measured from, and each window is turned to begin with heading
-        zero. Raises `ValueError` unless there is a motion for each timeline, about as long.
+        that were drawn, and each transition has a window of a real clip of its second content to be compared with. The
+        mean jerk of these windows is what the area under the jerk is measured from; each window is turned to begin with
+        heading zero. Raises `ValueError` unless there is a motion for each timeline, about as long.
         """
-        takes = self._of_motions(motions)
-        return self._scores(takes, seed)
+        return self._scores(self._of_motions(motions), seed)
 
     def real(self, seed: int) -> Scores:
-        """Of other draws from the same clips: the least FID that can be hoped for."""
+        """Of other clips that the same sentences are true of, and of other windows: the least FID that can be hoped
+        for. Of a sentence that few clips show, some are the same."""
         chance = np.random.default_rng([seed, REAL])
-        drawn = [self._composition(len(each), chance) for each in self.compositions]
+        drawn = [
+            tuple(replace(segment, clip=_choice(self._shown_by(segment.text), chance)) for segment in composition)
+            for composition in self.compositions
+        ]
         return self._scores(self._of_clips(drawn, chance), seed)
 
     @cached_property
@@ -161,23 +164,24 @@ class Compositions:
             clip = _choice(_choice(list(self._contents.values()), chance), chance)
             shares = np.array(list(self._said[clip.texts].values()))
             text = list(self._said[clip.texts])[int(chance.choice(len(shares), p=shares / shares.sum()))]
-            fellows = [each for clips in self._contents.values() for each in clips if text in self._said[each.texts]]
-            shown = [clip, *(_choice(fellows, chance) for _ in range(self._repeats - 1))]
+            shown = [clip, *(_choice(self._shown_by(text), chance) for _ in range(self._repeats - 1))]
             drawn += [Segment(text, each, self._lasting(each)) for each in shown[: segments - len(drawn)]]
         return tuple(drawn)
+
+    def _shown_by(self, text: str) -> list[Clip]:
+        return [clip for clips in self._contents.values() for clip in clips if text in self._said[clip.texts]]
 
     def _lasting(self, clip: Clip) -> float:
         duration = self._footage[clip].frames / self.judge.fps
         return round(float(min(max(duration, self._shortest), self.longest)), 2)
 
-    def _windows_of(self) -> list[list[Clip]]:
-        """Of each content, the clips that hold a window."""
-        long = [[clip for clip in own if len(self._footage[clip]) >= self.window] for own in self._contents.values()]
-        long = [clips for clips in long if clips]
+    def _long_enough(self) -> dict[str, list[Clip]]:
+        """For each content the clips that hold a window, of all contents where it has none."""
+        long = [clip for clip, motion in self._footage.items() if len(motion) >= self.window]
         if not long:
             longest = max(len(motion) for motion in self._footage.values())
             raise CacheError(f"no test clip is as long as a window of {self.window} frames; the longest has {longest}")
-        return long
+        return {content: [clip for clip in long if clip.content == content] or long for content in self._contents}
 
     def _of_motions(self, motions: Sequence[Motion]) -> Takes:
         fps = self.judge.fps
@@ -199,15 +203,15 @@ class Compositions:
         return self._takes(segments, crops, windows, jerks)
 
     def _of_clips(self, compositions: Sequence[Sequence[Segment]], chance: np.random.Generator) -> Takes:
-        """The clips of the segments as subsequences, and as many windows, anywhere in clips, as there are transitions:
-        every content that has any as often as the others."""
+        """The clips of the segments as subsequences, and for each transition a window from anywhere in a clip of the
+        content that it leads to."""
         segments = tuple(segment for composition in compositions for segment in composition)
         longest = int(self.longest * self.judge.fps)
         features = {clip: self.judge.features(motion) for clip, motion in self._footage.items()}
         crops = [features[segment.clip][:longest] for segment in segments]
         windows, jerks = [], []
-        for _ in range(len(segments) - len(compositions)):
-            clip = _choice(_choice(self._places, chance), chance)
+        for segment in (segment for composition in compositions for segment in composition[1:]):
+            clip = _choice(self._long[segment.clip.content], chance)
             start = int(chance.integers(len(self._footage[clip]) - self.window + 1))
             end = start + self.window
             windows.append(features[clip][start:end])

@@ -1,0 +1,158 @@
+"""Measures time and memory against the length of a timeline, each length in a process of its own.
+
+`python scripts/benchmark_length.py` prints a table, and saves the figure and the numbers. On a CPU times are ratios: to
+the shortest timeline of the same run.
+"""
+
+import json
+import resource
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import hydra
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import stmc
+from stmc.files import write_whole
+from stmc.results.axes import DASHED, dress, grid, legend
+from stmc.results.naming import method
+from stmc.viewing.colours import palette
+from stmc.viewing.tracks import INK
+
+MEBIBYTE = 2**20
+
+
+class Measured(NamedTuple):
+    """Of one timeline: seconds that sampling took, and the peak of memory in bytes, before sampling and in all."""
+
+    time: float
+    loaded: int
+    peak: int
+    device: str
+
+
+@hydra.main(config_path="../configs", config_name="benchmark_length", version_base="1.3")
+def main(config: DictConfig) -> None:
+    jobs = [(run.method, run.model, seconds) for run in config.runs for seconds in sorted(config.seconds)]
+    settings = OmegaConf.to_container(config, resolve=True)
+    console = Console()
+    found = {}
+    for name, model, seconds in track(jobs, "Lengths", console=console):
+        with ProcessPoolExecutor(1, get_context("spawn")) as process:  # the maximum of memory is a process's own
+            found[name, model, seconds] = process.submit(measure, name, model, seconds, settings).result()
+    rows = records(found)
+    console.print(table(rows))
+    folder = Path(config.output).expanduser()
+    write_whole(folder / "length.json", lambda path: path.write_text(json.dumps(rows, indent=1) + "\n"))
+    write_whole(folder / "length.png", lambda path: drawn(rows).savefig(path, dpi=150, format="png"))
+    console.print(f"{folder / 'length.png'}, {folder / 'length.json'}")
+
+
+def timeline(seconds: float, prompt: float, texts: list[str]) -> stmc.Timeline:
+    """One track of prompts that follow each other, the last one perhaps shorter."""
+    starts = [number * prompt for number in range(-int(-seconds // prompt))]
+    return stmc.Timeline(
+        [
+            stmc.Prompt(texts[number % len(texts)], start, min(start + prompt, seconds))
+            for number, start in enumerate(starts)
+        ]
+    )
+
+
+def measure(name: str, folder: str | None, seconds: float, settings: dict) -> Measured:
+    """Samples a timeline of so many seconds in this process, after one of a single prompt that loads everything."""
+    if settings["threads"]:
+        torch.set_num_threads(settings["threads"])
+    model = stmc.load(folder, device=settings["device"])
+    prompt, texts = settings["prompt"], settings["texts"]
+    asked = timeline(seconds, prompt, texts)
+    model.generate(timeline(prompt, prompt, texts), steps=1, method=name)
+    model.embed(texts)
+    loaded = peak(model.device)
+    start = time.perf_counter()
+    model.generate(asked, steps=settings["steps"], method=name)
+    return Measured(time.perf_counter() - start, loaded, peak(model.device), str(model.device))
+
+
+def peak(device: torch.device) -> int:
+    """The most bytes that this process ever had: on the GPU, or else altogether."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else 1024 * most
+
+
+def records(found: dict[tuple[str, str | None, float], Measured]) -> list[dict]:
+    """A row for each length: time relative to the run's shortest, and in seconds on a GPU alone."""
+    shortest: dict[tuple[str, str | None], Measured] = {}
+    rows = []
+    for (name, model, seconds), measured in found.items():
+        first = shortest.setdefault((name, model), measured)
+        row = {"method": name, "model": model, "length": seconds, "relative_time": measured.time / first.time}
+        row |= {"peak_bytes": measured.peak, "sampling_bytes": measured.peak - measured.loaded}
+        rows.append(row | {"device": measured.device})
+        if measured.device != "cpu":
+            rows[-1]["seconds"] = measured.time
+    return rows
+
+
+def table(rows: list[dict]) -> Table:
+    """The rows as text."""
+    table = Table(
+        "method", "length", "time / shortest", "seconds", "peak memory", "of it for sampling", title="Lengths"
+    )
+    for row in rows:
+        seconds = f"{row['seconds']:.2f}" if "seconds" in row else "–"
+        memory = [f"{row[name] / MEBIBYTE:.0f} MiB" for name in ("peak_bytes", "sampling_bytes")]
+        table.add_row(
+            method(row["method"]).label, f"{row['length']:g} s", f"{row['relative_time']:.2f}", seconds, *memory
+        )
+    return table
+
+
+def drawn(rows: list[dict]) -> Figure:
+    """Time and memory of sampling against the length, a line per run; dashed, straight lines through the origin and the
+    longest, which on these logarithmic axes all have slope one."""
+    plot, panels = grid(2, wide=4.4, tall=3.2)
+    timed = all("seconds" in row for row in rows)
+    draw(panels[0], rows, "seconds" if timed else "relative_time", 1)
+    draw(panels[1], rows, "sampling_bytes", MEBIBYTE)
+    for axes, label in zip(panels, ("seconds" if timed else "time / shortest", "memory of sampling, MiB"), strict=True):
+        axes.set_ylabel(label, color=INK, fontsize=9)
+    legend(plot, panels)
+    return plot
+
+
+def draw(axes: Axes, rows: list[dict], key: str, unit: int) -> None:
+    """One panel. What is not above 0 (memory that loading had needed already) is left out."""
+    runs = list(dict.fromkeys((row["method"], row["model"]) for row in rows))
+    for colour, run in zip(palette(len(runs)), runs, strict=True):
+        own = [row for row in rows if (row["method"], row["model"]) == run and row[key] > 0]
+        lengths, values = [row["length"] for row in own], [row[key] / unit for row in own]
+        named = [other for other, _ in runs].count(run[0]) > 1
+        label = f"{method(run[0]).label}, {Path(run[1] or 'bundled').name}" if named else method(run[0]).label
+        axes.plot(lengths, values, color=colour, marker="o", markersize=4, linewidth=1.6, label=label)
+        if own:
+            straight = [values[-1] / lengths[-1] * length for length in lengths]
+            axes.plot(lengths, straight, zorder=1, label="straight line", **DASHED)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    lengths = sorted({row["length"] for row in rows})
+    axes.set_xticks(lengths, [f"{length / 60:g} min" if length >= 60 else f"{length:g} s" for length in lengths])
+    axes.minorticks_off()
+    axes.set_xlabel("length of the timeline", color=INK, fontsize=9)
+    dress(axes, "both")
+
+
+if __name__ == "__main__":
+    main()
