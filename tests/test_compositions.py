@@ -110,6 +110,13 @@ def test_motions_that_show_what_is_asked_match_their_texts_and_the_real_clips(tw
     assert two.real(0).metrics["r_precision"] == 1
 
 
+def test_motions_of_another_frame_rate_are_measured_at_the_judge_s(two):
+    slower = [shown(timeline).resampled(20) for timeline in two.timelines("stmc")]
+    metrics, curves = two.measured("stmc", slower, seed=0)
+    assert metrics["r_precision"] == 1
+    assert len(curves["jerk"]) == WINDOW - 3
+
+
 def test_motions_that_show_something_else_match_no_text(two):
     wrong = [shown(timeline, {"left": "right", "right": "left"}) for timeline in two.timelines("stmc")]
     assert two.measured("stmc", wrong, seed=0).metrics["r_precision"] == 0

@@ -41,9 +41,6 @@ JERKED = 22
 ASKED, REFERENCE, REAL = range(3)
 """What a seed is used for; each has a random stream of its own."""
 
-LOST = 2
-"""Frames that a motion may be shorter than its timeline: what rounding and resampling can take."""
-
 
 @dataclass(frozen=True)
 class Segment:
@@ -190,9 +187,10 @@ class Compositions:
         check_joints([motion.joints for motion in motions])
         crops, windows, jerks = [], [], []
         for timeline, motion in zip(self._timelines, motions, strict=True):
+            lost = 1 + fps / motion.fps  # at most, by rounding to frames of either rate
             motion = motion if motion.fps == fps else motion.resampled(fps)
             spans = timeline.spans(fps)
-            if len(motion) < spans[-1][1] - LOST:
+            if len(motion) < spans[-1][1] - lost:
                 raise ValueError(f"the motion of timeline {timeline.name} has {len(motion)} frames, not {spans[-1][1]}")
             features = self.judge.features(motion)
             crops += [features[start:end] for start, end in spans]
