@@ -30,7 +30,7 @@ from stmc.files import write_whole
 from stmc.model import Model, Precision
 from stmc.statistics import Statistics
 
-BUNDLED = "mdm_smpl_bandai"
+BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_bandai", "tmr_bandai"
 CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
 PARTS = {
     "denoiser": "stmc.denoisers",
@@ -53,9 +53,9 @@ class RunError(ValueError):
     """A folder that is no run directory, or a damaged one; the message names the file and what is wrong with it."""
 
 
-def bundled() -> Path:
-    """Where the model lies that comes with the library."""
-    return Path(str(files("stmc") / "assets" / BUNDLED))
+def bundled(name: str = BUNDLED) -> Path:
+    """Where the model, or the evaluator, lies that comes with the library."""
+    return Path(str(files("stmc") / "assets" / name))
 
 
 def fingerprint(folder: str | Path | None = None) -> str:
@@ -101,9 +101,10 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
     return model.to(_found(device))
 
 
-def load_evaluator(folder: str | Path, device: torch.device | str = "cpu") -> Evaluator:
-    """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to. Raises as `load` does."""
-    folder = Path(folder).expanduser()
+def load_evaluator(folder: str | Path | None = None, device: torch.device | str = "cpu") -> Evaluator:
+    """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to; without `folder`, the
+    bundled one. Raises as `load` does."""
+    folder = bundled(BUNDLED_EVALUATOR) if folder is None else Path(folder).expanduser()
     config, parts = _opened(folder, EVALUATOR_PARTS, ("fps",))
     _fill(parts["network"], folder / WEIGHTS, "network")
     numbers = _numbers(folder / STATISTICS, _shapes(parts))

@@ -7,22 +7,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import torch
 
 from stmc.benchmarks.protocol import Scores, TextJudge
-from stmc.data.footage import Footage
+from stmc.data.cache import Cache, CacheError, Clip
+from stmc.data.footage import Footage, amass_footage, cache_footage
 from stmc.metrics.kinematics import local_joints
 from stmc.metrics.realism import fid
 from stmc.metrics.smoothness import quarter_points, transition_distance
-from stmc.metrics.timelines import GroundTruth, Span, TimelineScores, semantics, timeline_scores
+from stmc.metrics.timelines import (
+    GroundTruth,
+    Span,
+    TimelineScores,
+    published_timeline_scores,
+    semantics,
+    timeline_scores,
+)
 from stmc.motion import Motion
-from stmc.mtt import AtomicPrompt
+from stmc.mtt import AtomicPrompt, read_atoms
+from stmc.representation import SmplRepresentation
 from stmc.timeline import Prompt, Timeline, TimelineError
 
 INDEPENDENT = "independent"
 """Each prompt as a motion of its own: what composing could at best keep (appendix E)."""
+
+PER_TEXT = 12
+"""Real clips of each text that FID compares with in the open benchmark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,3 +124,44 @@ class MultiTrack:
             [(start, min(end, len(each)), numbers[text]) for (start, end), text in zip(span, texts, strict=True)]
             for span, texts, each in zip(frames, texts_of, whole, strict=True)
         ]
+
+
+def open_mtt(judge: TextJudge, cache: str | Path, first: int | None = None) -> MultiTrack:
+    """The benchmark that anybody can run: bundled timelines, and real motion from the test split of the Bandai Namco
+    data set, prepared in the folder `cache`.
+
+    FID compares with as many real clips of every text, drawn from those that it describes. `first`: only so many of the
+    timelines. Raises `CacheError` for a cache of other data.
+    """
+    folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), Cache.read(Path(cache).expanduser())
+    atoms, asked = read_atoms(folder / "prompts.json"), Timeline.read_all(folder / "timelines.json")[:first]
+    footage, random, others = cache_footage(prepared, SmplRepresentation()), np.random.default_rng(0), []
+    for atom in atoms:
+        clips = [clip for clip in prepared.clips if clip.split == "test" and _describes(prepared, atom.text, clip)]
+        if not clips:
+            raise CacheError(
+                f"{cache}: no clip of the test split shows {atom.text!r}; prepare the Bandai Namco data set"
+            )
+        drawn = [clips[index] for index in random.integers(len(clips), size=PER_TEXT)]
+        others += [footage(clip.name, 0.0, (clip.end - clip.start) / prepared.fps) for clip in drawn]
+    return MultiTrack.of(asked, atoms, judge, footage, others)
+
+
+def published_mtt(
+    judge: TextJudge,
+    folder: str | Path,
+    amass: str | Path,
+    body: str | Path | None = None,
+    first: int | None = None,
+) -> MultiTrack:
+    """The paper's benchmark, measured as published: `folder` holds its MTT.txt, texts.txt and motions.txt; see
+    `amass_footage` for the rest."""
+    folder = Path(folder).expanduser()
+    atoms = read_atoms(folder / "texts.txt", folder / "motions.txt")
+    footage = amass_footage(amass, judge.fps, body)
+    asked = Timeline.read_all(folder / "MTT.txt")[:first]
+    return MultiTrack.of(asked, atoms, judge, footage, scored=published_timeline_scores)
+
+
+def _describes(cache: Cache, text: str, clip: Clip) -> bool:
+    return any(text == sentence for sentence, _ in cache.texts[clip.texts])

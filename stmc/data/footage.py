@@ -15,14 +15,13 @@ Footage = Callable[[str, float, float], Motion]
 """(recording, start, end) → what it shows in between; seconds."""
 
 
-def cache_footage(folder: str | Path, representation: Representation) -> Footage:
-    """The clips of a prepared data set. Raises `CacheError` for a clip that is not there, or ends before `end`."""
-    cache = Cache.read(Path(folder).expanduser())
+def cache_footage(cache: Cache, representation: Representation) -> Footage:
+    """The clips of a prepared data set. Raises `CacheError` for a clip that is not there."""
     clips = {clip.name: clip for clip in cache.clips}
 
     def shown(name: str, start: float, end: float) -> Motion:
         if name not in clips:
-            raise CacheError(f"{folder}: no clip {name!r} among {len(clips)}, such as {next(iter(clips))!r}")
+            raise CacheError(f"no clip {name!r} among {len(clips)}, such as {next(iter(clips), None)!r}")
         clip = clips[name]
         motion = representation.decode(cache.features[clip.start : clip.end], cache.fps, cache.skeleton)
         return _between(motion, name, start, end)

@@ -1,0 +1,223 @@
+"""Compares methods, samplers and settings on a benchmark: `python scripts/evaluate.py experiment=comparison`.
+
+Every setting is in configs/evaluate.yaml. The output holds `results.jsonl` (a record per run), `about.json` (what all
+of them were made with), the table as text and LaTeX, and the figure.
+"""
+
+import itertools
+import json
+import platform
+import re
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from shutil import rmtree
+
+import hydra
+import torch
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from safetensors.torch import load_file, save_file
+
+import stmc
+from stmc.benchmarks import Benchmark
+from stmc.denoisers import FlowMdm
+from stmc.files import write_whole
+from stmc.results import Result, read_results, write_results
+from stmc.results.naming import ALONE, REAL
+from stmc.results.records import Setting
+from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
+
+
+@hydra.main(config_path="../configs", config_name="evaluate", version_base="1.3")
+def main(config: DictConfig) -> None:
+    console, folder = Console(), Path(config.output).expanduser()
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    try:
+        evaluator = stmc.load_evaluator(config.evaluator, device=config.device)
+        models = {
+            name: stmc.load(place, device=config.device, precision=config.precision)
+            for name, place in config.models.items()
+        }
+        settings = list(dict.fromkeys(chosen(config.experiment, models)))
+        benchmark = instantiate(config.benchmark)(judge=evaluator)
+        results = begun(folder, about(config))
+        with Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+            TimeRemainingColumn(), console=console,
+        ) as progress:  # fmt: skip
+            runs = [(setting, seed) for seed in config.seeds for setting in settings]
+            task = progress.add_task("Runs", total=len(runs))
+            for setting, seed in runs:
+                if not any(result.setting == setting and result.seed == seed for result in results):
+                    results.append(run(benchmark, models, setting, seed, config, progress))
+                    write_results(results, folder / "results.jsonl")
+                progress.advance(task)
+        report([result for result in results if (result.setting, result.seed) in runs], config, console)
+    except InstantiationException as error:
+        raise SystemExit(str(error.__cause__ or error)) from error
+    except (ValueError, OSError) as error:
+        raise SystemExit(str(error)) from error
+
+
+def chosen(experiment: DictConfig, models: dict[str, stmc.Model]) -> Iterator[Setting]:
+    """All combinations of an experiment, each with what does not apply to it left out, and the model's own where the
+    experiment leaves it open. FlowMDM's own method is of its networks alone."""
+    if experiment.real:
+        yield Setting(REAL, "", *[None] * (len(Setting._fields) - 2))
+    grid = itertools.product(*experiment.settings.values())
+    combinations = [dict(zip(experiment.settings, values, strict=True)) for values in grid]
+    for (name, model), method, values in itertools.product(models.items(), experiment.methods, combinations):
+        flow = isinstance(model.denoiser, FlowMdm)
+        if method == "flow_mdm" and not flow:
+            continue
+        own = {
+            "steps": model.schedule.steps,
+            "guidance": model.guidance,
+            "spread": model.spread,
+            "late": model.late,
+            "absolute": 1 - model.denoiser.absolute_from / model.schedule.steps if flow else None,
+        }
+        values = {key: own.get(key) if value is None else value for key, value in values.items()}
+        if values["sampler"] != "ddpm":
+            values["spread"] = None
+        if method != "stmc":
+            values["late"] = None
+        if not flow:
+            values["absolute"] = None
+        if method in (ALONE, "one_text", "sinc", "flow_mdm"):
+            values["overlap"] = None
+        yield Setting(method, name, **values)
+
+
+def about(config: DictConfig) -> dict:
+    """What every run of an output shares, beside its settings."""
+    return {
+        "models": {name: fingerprint(place) for name, place in config.models.items()},
+        "evaluator": fingerprint(config.evaluator or bundled(BUNDLED_EVALUATOR)),
+        "benchmark": OmegaConf.to_container(config.benchmark, resolve=True),
+        "precision": config.precision,
+        "versions": {"stmc": stmc.__version__, "torch": torch.__version__, "python": platform.python_version()},
+    }
+
+
+def begun(folder: Path, told: dict) -> list[Result]:
+    """The results that are there. Raises `ValueError` where they were made with something else: they do not compare."""
+    path = folder / "about.json"
+    if path.exists():
+        before = json.loads(path.read_text(encoding="utf-8"))
+        known = {name: value for name, value in told["models"].items() if name in before["models"]}
+        if different := [
+            key
+            for key in told
+            if (known.items() - before[key].items() if key == "models" else before.get(key) != told[key])
+        ]:
+            raise ValueError(f"{folder} holds results with another {different[0]} ({path}); choose another output")
+        told = told | {"models": before["models"] | told["models"]}
+    write_whole(path, partial(Path.write_text, data=json.dumps(told, indent=1) + "\n", encoding="utf-8"))
+    return read_results(folder / "results.jsonl") if (folder / "results.jsonl").exists() else []
+
+
+def run(
+    benchmark: Benchmark,
+    models: dict[str, stmc.Model],
+    setting: Setting,
+    seed: int,
+    config: DictConfig,
+    progress: Progress,
+) -> Result:
+    """One record: sampled and measured. Seconds per motion are recorded on an accelerator alone: those of a CPU say
+    more of its other work."""
+    if setting.method == REAL:
+        scores, seconds = benchmark.real(seed), {}
+    else:
+        motions, spent = sampled(benchmark, models[setting.denoiser], setting, seed, config, progress)
+        scores = benchmark.measured(setting.method, motions, seed)
+        seconds = {} if models[setting.denoiser].device.type == "cpu" else {"seconds": spent / len(motions)}
+        rmtree(unfinished(setting, seed, config))
+    return Result(seed=seed, metrics=scores.metrics | seconds, curves=scores.curves, **setting._asdict())
+
+
+def sampled(
+    benchmark: Benchmark,
+    model: stmc.Model,
+    setting: Setting,
+    seed: int,
+    config: DictConfig,
+    progress: Progress,
+) -> tuple[list[stmc.Motion], float]:
+    """A motion for each of the benchmark's timelines, and the seconds it took to make those that were not there yet."""
+    timelines = benchmark.timelines(setting.method)
+    order = sorted(range(len(timelines)), key=lambda number: -timelines[number].duration)
+    parts = unfinished(setting, seed, config)
+    motions, began = {}, time.perf_counter()
+    task = progress.add_task(f"{setting.denoiser}, {setting.method}, seed {seed}", total=len(order))
+    for start in range(0, len(order), config.batch):
+        numbers = order[start : start + config.batch]
+        path = parts / f"{config.batch}_{start}.safetensors"
+        if not path.exists():
+            chosen = [timelines[number] for number in numbers]
+            made = generated(model, setting, chosen, [seed * len(timelines) + number for number in numbers])
+            write_whole(path, partial(save_file, packed(made)))
+        motions |= dict(zip(numbers, unpacked(load_file(path), model.fps), strict=True))
+        progress.advance(task, len(numbers))
+    progress.remove_task(task)
+    return [motions[number] for number in range(len(timelines))], time.perf_counter() - began
+
+
+def unfinished(setting: Setting, seed: int, config: DictConfig) -> Path:
+    """Where the motions of a run wait for the others."""
+    name = "_".join(str(value) for value in (*setting, seed))
+    return Path(config.output).expanduser() / "unfinished" / re.sub(r"[^\w.-]+", "_", name)
+
+
+def generated(
+    model: stmc.Model, setting: Setting, timelines: list[stmc.Timeline], seeds: list[int]
+) -> list[stmc.Motion]:
+    sampler = getattr(stmc, setting.sampler)
+    if setting.absolute is not None:
+        model.denoiser.absolute_from = round((1 - setting.absolute) * model.schedule.steps)
+    return model.generate(
+        timelines,
+        seed=seeds,
+        guidance=setting.guidance,
+        overlap=setting.overlap or 0.0,
+        steps=setting.steps,
+        sampler=partial(sampler, spread=setting.spread) if setting.spread else sampler,
+        method="stmc" if setting.method == ALONE else setting.method,
+        late=setting.late or 0.0,
+    )
+
+
+PACKED = ("rotations", "translation", "joints")
+
+
+def packed(motions: list[stmc.Motion]) -> dict[str, torch.Tensor]:
+    return {f"{n}.{name}": getattr(each, name).contiguous() for n, each in enumerate(motions) for name in PACKED}
+
+
+def unpacked(values: dict[str, torch.Tensor], fps: float) -> list[stmc.Motion]:
+    count = len(values) // len(PACKED)
+    return [stmc.Motion(*(values[f"{number}.{name}"] for name in PACKED), fps) for number in range(count)]
+
+
+def report(results: list[Result], config: DictConfig, console: Console) -> None:
+    """The table as text and LaTeX, and the figure, beside the records."""
+    folder = Path(config.output).expanduser()
+    table = instantiate(config.experiment.table)(results)
+    for name, content in (("table.txt", table.text()), ("table.tex", table.latex())):
+        write_whole(folder / name, partial(Path.write_text, data=content, encoding="utf-8"))
+    if config.experiment.figure:
+        figure = instantiate(config.experiment.figure)(results)
+        write_whole(folder / "figure.png", partial(figure.savefig, format="png", dpi=150))
+    console.print(table.text(), highlight=False, markup=False, soft_wrap=True)
+    console.print(f"records, table and figure in {folder.resolve()}")
+
+
+if __name__ == "__main__":
+    main()
