@@ -1,7 +1,7 @@
 """Compares methods, samplers and settings on a benchmark: `python scripts/evaluate.py experiment=comparison`.
 
 Every setting is in configs/evaluate.yaml. The output holds `results.jsonl` (a record per run), `about.json` (what all
-of them were made with), the table as text and LaTeX, and the figure.
+of them were made with), and every experiment's table as text and LaTeX, and its figure.
 """
 
 import itertools
@@ -26,7 +26,7 @@ from safetensors.torch import load_file, save_file
 import stmc
 from stmc.benchmarks import Benchmark
 from stmc.denoisers import FlowMdm
-from stmc.files import write_whole
+from stmc.files import write_text, write_whole
 from stmc.results import Result, read_results, write_results
 from stmc.results.naming import ALONE, REAL
 from stmc.results.records import Setting
@@ -35,6 +35,11 @@ from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
 
 @hydra.main(config_path="../configs", config_name="evaluate", version_base="1.3")
 def main(config: DictConfig) -> None:
+    evaluate(config)
+
+
+def evaluate(config: DictConfig) -> None:
+    """Runs whatever is not in the output yet, then writes the tables and the figure of all that was asked for."""
     console, folder = Console(), Path(config.output).expanduser()
     if config.threads:
         torch.set_num_threads(config.threads)
@@ -119,7 +124,7 @@ def begun(folder: Path, told: dict) -> list[Result]:
         ]:
             raise ValueError(f"{folder} holds results with another {different[0]} ({path}); choose another output")
         told = told | {"models": before["models"] | told["models"]}
-    write_whole(path, partial(Path.write_text, data=json.dumps(told, indent=1) + "\n", encoding="utf-8"))
+    write_text(path, json.dumps(told, indent=1) + "\n")
     return read_results(folder / "results.jsonl") if (folder / "results.jsonl").exists() else []
 
 
@@ -210,11 +215,12 @@ def report(results: list[Result], config: DictConfig, console: Console) -> None:
     """The table as text and LaTeX, and the figure, beside the records."""
     folder = Path(config.output).expanduser()
     table = instantiate(config.experiment.table)(results)
-    for name, content in (("table.txt", table.text()), ("table.tex", table.latex())):
-        write_whole(folder / name, partial(Path.write_text, data=content, encoding="utf-8"))
+    name = config.experiment.name
+    for kind, content in (("txt", table.text()), ("tex", table.latex())):
+        write_text(folder / f"{name}.{kind}", content)
     if config.experiment.figure:
         figure = instantiate(config.experiment.figure)(results)
-        write_whole(folder / "figure.png", partial(figure.savefig, format="png", dpi=150))
+        write_whole(folder / f"{name}.png", partial(figure.savefig, format="png", dpi=150))
     console.print(table.text(), highlight=False, markup=False, soft_wrap=True)
     console.print(f"records, table and figure in {folder.resolve()}")
 

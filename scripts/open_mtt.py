@@ -51,15 +51,14 @@ def main(config: DictConfig) -> None:
 
 
 def possible(cache: Cache) -> list[Atom]:
-    """The contents of the test split, each plain and in every style of which it has at least two clips; of contents that
-    are told in the same words the first by name."""
+    """The contents of the test split, each plain and in every style of which it has at least two clips; of contents
+    that are told in the same words the first by name."""
     clips = [clip for clip in cache.clips if clip.split == "test" and not clip.mirrored]
     names = sorted({clip.content for clip in clips}, reverse=True)
     contents = {text((name, PLAIN)): name for name in names}.values()
     styled = [(clip.content, clip.style) for clip in clips if clip.style != PLAIN]
-    return [(content, PLAIN) for content in reversed(contents)] + [
-        atom for atom in sorted(set(styled)) if styled.count(atom) > 1
-    ]
+    often = [atom for atom in sorted(set(styled)) if styled.count(atom) > 1]
+    return [(content, PLAIN) for content in reversed(contents)] + often
 
 
 def text(atom: Atom) -> str:

@@ -41,7 +41,7 @@ FORBIDDEN = {
     "study": {"diffusion", "denoisers", "compose", "viewing"},
     "viewing": {"diffusion", "denoisers", "compose"},
     "results": {"diffusion", "denoisers", "compose", "metrics"},
-    "benchmarks": {"compose", "denoisers", "diffusion"},
+    "benchmarks": {"compose", "evaluators"},
     "training": {"data", "representation", "timeline", "motion"},
 }
 """What a package must not even import through others."""

@@ -56,6 +56,9 @@ def test_every_config_describes_what_can_be_built(name):
     for node in described(config):
         build = instantiate(node, _partial_=True)
         parameters = inspect.signature(build.func).parameters
+        if node.get("_partial_"):  # what a script completes, with what only a run has
+            assert set(build.keywords) <= set(parameters), node
+            continue
         built = build(**{key: value for key, value in FROM_THE_DATA.items() if key in parameters})
         assert built is not None
 

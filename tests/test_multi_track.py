@@ -1,0 +1,307 @@
+"""The multi-track benchmark: which frames should show which text, by every method; its bundled files; its scripts."""
+
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from mocap import about, posed
+from test_evaluators import evaluator
+from tiny import tiny
+from torch import Tensor
+
+import stmc
+from stmc.benchmarks import Benchmark, MultiTrack
+from stmc.benchmarks.multi_track import open_mtt, published_mtt
+from stmc.body import BodyPart
+from stmc.data.cache import Cache, CacheError, Clip
+from stmc.data.footage import amass_footage, cache_footage
+from stmc.metrics.timelines import published_timeline_scores
+from stmc.model import Method
+from stmc.motion import Motion
+from stmc.mtt import AtomicPrompt, construct, read_atoms
+from stmc.representation import SmplRepresentation
+from stmc.results import read_results
+from stmc.results.naming import ALONE, METHODS, REAL
+from stmc.run import save, save_evaluator
+from stmc.timeline import Prompt, Timeline, TimelineError
+
+ROOT = Path(__file__).parents[1]
+BUNDLED = Path(str(files("stmc") / "assets" / "open_mtt"))
+FPS = 20.0
+REPRESENTATION = SmplRepresentation()
+ANGLES = {
+    "raise the left arm": ("left_shoulder", 1.2),
+    "raise the right arm": ("right_shoulder", -1.2),
+    "bow": ("spine1", 0.4),
+}
+PARTS = {"raise the left arm": ["left arm"], "raise the right arm": ["right arm"], "bow": ["spine"]}
+
+
+def still(text: str, frames: int = 60) -> Motion:
+    """A pose that says which text it shows, held."""
+    joint, angle = ANGLES[text]
+    pelvis = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).repeat(frames, 1)
+    motion = posed({joint: about("z", torch.full((frames,), angle, dtype=torch.float64))}, pelvis, pelvis[:, 0])
+    return Motion(motion.rotations, motion.translation, motion.joints, FPS)
+
+
+def joined(*motions: Motion) -> Motion:
+    return Motion(
+        *(torch.cat([getattr(each, name) for each in motions]) for name in ("rotations", "translation", "joints")), FPS
+    )
+
+
+class Oracle:
+    """Sees the mean pose; knows the pose of every text."""
+
+    fps = FPS
+
+    def features(self, motion: Motion) -> Tensor:
+        return REPRESENTATION.encode(motion).float()
+
+    def motions(self, features: Sequence[Tensor]) -> Tensor:
+        rotations = REPRESENTATION.layout["rotations"]
+        return torch.stack([rows[:, rotations].mean(dim=0) for rows in features])
+
+    def texts(self, texts: Sequence[str]) -> Tensor:
+        return self.motions([self.features(still(text, 9)) for text in texts])
+
+
+ATOMS = [AtomicPrompt(text, frozenset(map(BodyPart, PARTS[text])), text, 0.0, 3.0) for text in ANGLES]
+ASKED = [
+    Timeline((Prompt("raise the left arm", 0, 3, PARTS["raise the left arm"]), Prompt("bow", 3, 6, PARTS["bow"]))),
+    Timeline((Prompt("bow", 0, 2, PARTS["bow"]), Prompt("raise the right arm", 2, 6, PARTS["raise the right arm"]))),
+]
+SHOWN = [joined(still("raise the left arm"), still("bow")), joined(still("bow", 40), still("raise the right arm", 80))]
+
+
+def benchmark(**settings) -> MultiTrack:
+    return MultiTrack.of(ASKED, ATOMS, Oracle(), lambda clip, start, end: still(clip), **settings)
+
+
+def test_motions_that_show_every_prompt_in_its_span_are_as_good_as_real_ones():
+    assert isinstance(benchmark(), Benchmark)
+    scores = benchmark().measured("stmc", SHOWN, seed=0).metrics
+    assert scores["recall_1"] == scores["recall_3"] == 100
+    assert scores["m2t"] == pytest.approx(1, abs=1e-5)
+    assert scores["m2m"] == pytest.approx(1, abs=1e-5)
+
+
+def test_motions_that_show_the_prompts_in_each_others_spans_are_not_found():
+    swapped = [
+        joined(still("bow"), still("raise the left arm")),
+        joined(still("raise the right arm", 40), still("bow", 80)),
+    ]
+    assert benchmark().measured("stmc", swapped, seed=0).metrics["recall_1"] == 0
+
+
+def test_one_text_is_measured_over_its_whole_motion_for_each_prompt():
+    one = [still("bow", 60), still("bow", 60)]
+    assert benchmark().measured("one_text", one, seed=0).metrics["recall_1"] == 50
+
+
+def test_prompts_alone_are_timelines_of_their_own_and_only_their_crops_are_measured():
+    alone = benchmark().timelines("independent")
+    assert [(each.prompts[0].text, each.duration) for each in alone] == [
+        ("raise the left arm", 3), ("bow", 3), ("bow", 2), ("raise the right arm", 4)
+    ]  # fmt: skip
+    motions = [still(each.prompts[0].text, int(each.duration * FPS)) for each in alone]
+    scores = benchmark().measured("independent", motions, seed=0).metrics
+    assert scores["recall_1"] == 100
+    assert set(scores) == {"recall_1", "recall_3", "m2t", "m2m", "fid"}
+
+
+def test_the_transition_distance_is_that_of_the_jump_between_two_poses():
+    jump = (still("raise the left arm", 1).joints - still("bow", 1).joints)[0]
+    expected = 100 * float((jump - jump[:1]).norm(dim=-1).mean())
+    scores = benchmark().measured("stmc", [SHOWN[0], SHOWN[0]], seed=0).metrics
+    assert scores["transition"] == pytest.approx(expected / 2, rel=1e-4)  # the second one's prompts change elsewhere
+
+
+def test_real_motion_finds_itself_and_is_compared_with_as_much_of_itself():
+    scores = benchmark().real(0).metrics
+    assert scores["recall_1"] == 100
+    assert scores["fid"] == scores["transition"] == 0
+    others = [still(text, frames) for text in ANGLES for frames in (30, 40, 50, 60)]
+    measured = benchmark(others=others)
+    assert measured.real(0).metrics["fid"] > 0
+    assert measured.real(0) == measured.real(0) != measured.real(1)
+
+
+def test_a_text_that_no_atom_has_is_named():
+    strange = Timeline((Prompt("fly", 0, 2),), "0007")
+    with pytest.raises(TimelineError, match="timeline 0007: 'fly' is none of the 3 texts"):
+        MultiTrack.of([strange], ATOMS, Oracle(), lambda clip, start, end: still(clip))
+
+
+# What is bundled ----------------------------------------------------------------------------------------------------
+
+
+def test_the_bundled_timelines_are_those_that_the_bundled_prompts_make():
+    atoms, timelines = read_atoms(BUNDLED / "prompts.json"), Timeline.read_all(BUNDLED / "timelines.json")
+    assert len(timelines) == 500
+    assert construct(atoms, 500, seed=0) == timelines
+    assert {prompt.text for timeline in timelines for prompt in timeline.prompts} == {atom.text for atom in atoms}
+
+
+def prepared(texts: Sequence[str]) -> Cache:
+    """A data set whose test split shows each text twice, in clips that the bundled atoms name."""
+    named = {atom.text: atom.clip for atom in read_atoms(BUNDLED / "prompts.json")}
+    features, clips = [], []
+    for text in texts:
+        for copy in range(2):
+            start = 190 * len(clips)
+            features.append(REPRESENTATION.encode(still("bow", 190)).float())
+            name = named[text] if copy == 0 else f"{text} again"
+            clips.append(Clip(name, text, "", text, (), True, False, "test", start, start + 190))
+    return Cache(20, "smpl", torch.cat(features), tuple(clips), {text: ((text, 1.0),) for text in texts})
+
+
+class AnyText(Oracle):
+    def texts(self, texts: Sequence[str]) -> Tensor:
+        return torch.ones(len(texts), 132)
+
+
+def test_the_open_benchmark_takes_its_real_motion_from_the_test_split(tmp_path):
+    texts = [atom.text for atom in read_atoms(BUNDLED / "prompts.json")]
+    prepared(texts).write(tmp_path / "cache")
+    opened = open_mtt(AnyText(), tmp_path / "cache", first=3)
+    assert len(opened.asked) == 3
+    assert len(opened.truth.real) == 12 * len(texts)
+    prepared(texts[1:]).write(tmp_path / "other")
+    with pytest.raises(CacheError, match=f"no clip of the test split shows '{texts[0]}'"):
+        open_mtt(AnyText(), tmp_path / "other")
+
+
+def test_the_papers_own_files_are_read_and_measured_as_published(tmp_path):
+    (tmp_path / "texts.txt").write_text("raise the left arm # left arm\nbow # spine\n")
+    (tmp_path / "motions.txt").write_text("KIT/3/raise_poses # 0.0 # 1.5\nKIT/3/bow_poses # 0.5 # 2.0\n")
+    (tmp_path / "MTT.txt").write_text("bow # 0.0 # 2.0 # spine\nraise the left arm # 2.0 # 4.0 # left arm\n")
+    for name, text in (("raise", "raise the left arm"), ("bow", "bow")):
+        stmc.write(still(text), tmp_path / f"{name}.npz")
+        moved = tmp_path / "AMASS" / "KIT" / "3" / f"{name}_poses.npz"
+        moved.parent.mkdir(parents=True, exist_ok=True)
+        with_hands(tmp_path / f"{name}.npz", moved)
+    opened = published_mtt(Oracle(), tmp_path, tmp_path / "AMASS")
+    assert opened.scored is published_timeline_scores
+    assert [len(motion) for motion in opened.footage] == [30, 30]
+    assert opened.real(0).metrics["recall_1"] == 100
+    with pytest.raises(ValueError, match="no recording 'KIT/3/jump_poses'"):
+        amass_footage(tmp_path / "AMASS", 20)("KIT/3/jump_poses", 0.0, 1.0)
+
+
+def with_hands(source: Path, target: Path) -> None:
+    """The file as AMASS has it: SMPL-H's 156 columns, and no joints."""
+    arrays = dict(np.load(source))
+    poses = np.concatenate([arrays["poses"], np.zeros((len(arrays["poses"]), 90))], axis=1)
+    np.savez(target, poses=poses, trans=arrays["trans"], mocap_framerate=arrays["mocap_framerate"])
+
+
+def test_footage_says_what_it_does_not_have():
+    shown = cache_footage(prepared(["bow"]), REPRESENTATION)
+    assert len(shown("dataset-1_bow_normal_001", 1.0, 2.0)) == 20
+    with pytest.raises(CacheError, match="no clip 'jump' among 2"):
+        shown("jump", 0.0, 1.0)
+    with pytest.raises(ValueError, match=r"dataset-1_bow_normal_001: seconds 2 to 20 of a motion of 9\.5 seconds"):
+        shown("dataset-1_bow_normal_001", 2.0, 20.0)
+
+
+# The script ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("evaluation")
+    save(tiny(), folder / "model", "card")
+    save_evaluator(evaluator(), folder / "tmr", "card")
+    prepared([atom.text for atom in read_atoms(BUNDLED / "prompts.json")]).write(folder / "cache")
+    return folder
+
+
+def evaluated(work: Path, *settings: str) -> None:
+    """The script's main job, in this process."""
+    spec = spec_from_file_location("evaluate", ROOT / "scripts" / "evaluate.py")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        config = compose(
+            "evaluate",
+            overrides=[
+                f"models.MDM-SMPL={work / 'model'}",
+                f"evaluator={work / 'tmr'}",
+                f"benchmark.cache={work / 'cache'}",
+                "benchmark.first=2",
+                "device=cpu",
+                "precision=fp32",
+                "batch=1",
+                *settings,
+            ],
+        )
+    module.evaluate(config)
+
+
+def test_the_script_compares_goes_on_and_refuses_what_does_not_compare(work, capsys):
+    output = f"output={work / 'out'}"
+    few = (
+        "experiment.settings.steps=[2]",
+        "experiment.methods=[one_text, sinc, stmc, independent]",
+        "experiment.settings.late=[0, 0.5]",
+    )
+    evaluated(work, output, "seeds=[0]", *few)
+    results = read_results(work / "out" / "results.jsonl")
+    assert [(each.method, each.late) for each in results] == [
+        ("ground_truth", None), ("one_text", None), ("sinc", None), ("stmc", 0), ("stmc", 0.5), ("independent", None)
+    ]  # fmt: skip
+    assert not list((work / "out" / "unfinished").iterdir())
+    assert {"about.json", "comparison.txt", "comparison.tex", "comparison.png"} <= {
+        path.name for path in (work / "out").iterdir()
+    }
+    table = (work / "out" / "comparison.txt").read_text()
+    assert "STMC, from 50% on" in table
+    evaluated(work, output, "seeds=[0, 1]", *few)
+    again = read_results(work / "out" / "results.jsonl")
+    assert again[: len(results)] == results
+    assert [each.seed for each in again] == [0] * 6 + [1] * 6
+    assert "means over 2 seeds" in (work / "out" / "comparison.txt").read_text()
+    with pytest.raises(SystemExit, match="holds results with another benchmark"):
+        evaluated(work, output, "seeds=[0]", *few, "benchmark.first=1")
+    about = json.loads((work / "out" / "about.json").read_text())
+    assert about["versions"]["stmc"] == stmc.__version__
+
+
+def test_a_killed_run_keeps_the_motions_it_had_made(work, monkeypatch):
+    settings = (
+        f"output={work / 'killed'}",
+        "seeds=[3]",
+        "experiment.settings.steps=[2]",
+        "experiment.methods=[stmc]",
+        "experiment.settings.late=[0]",
+    )
+    generate, calls = stmc.Model.generate, []
+
+    def dying(self, timelines, *others, **settings):
+        calls.append(timelines)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return generate(self, timelines, *others, **settings)
+
+    monkeypatch.setattr(stmc.Model, "generate", dying)
+    with pytest.raises(KeyboardInterrupt):
+        evaluated(work, *settings)
+    evaluated(work, *settings)
+    assert len(calls) == 3
+    monkeypatch.setattr(stmc.Model, "generate", generate)
+    evaluated(work, f"output={work / 'whole'}", *settings[1:])
+    killed, whole = (read_results(work / name / "results.jsonl") for name in ("killed", "whole"))
+    assert killed == whole
+
+
+def test_every_method_of_the_tables_is_one_that_can_be_run():
+    assert set(METHODS) == {*get_args(Method), REAL, ALONE}
