@@ -50,9 +50,8 @@ def check_keywords(node: DictConfig) -> None:
     """All of them are parameters, also of the parts within."""
     known = inspect.signature(get_object(node["_target_"])).parameters
     assert {key for key in node if not key.startswith("_")} <= set(known), node
-    for value in node.values():
-        if OmegaConf.is_dict(value) and "_target_" in value:
-            check_keywords(value)
+    for inner in (found for key in node if not OmegaConf.is_missing(node, key) for found in described(node[key])):
+        check_keywords(inner)
 
 
 @pytest.mark.parametrize("name", NAMES)
