@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -31,6 +32,10 @@ SEAM = 6
 
 WHOLE_WALKS = 1 / 3
 """The share of the compositions that are the host's whole stretch, under its text."""
+
+
+Hosts = Literal["walking", "any"]
+"""Whose bodies compositions are put on: see `Sampling.composed`."""
 
 
 class Corpus:
@@ -194,15 +199,17 @@ class Stretches:
 @dataclass(frozen=True)
 class Draws:
     """Rows to be: the stretch that each is, and the place of its sentence; for a composition the `guest` whose claimed
-    parts it takes over from its frame `offset` on (else a stretch of no frames): see `Sampling.composed`."""
+    parts it takes over from its frame `offset` on (else a stretch of no frames), and the sentence of the `other` of the
+    two (else the row's own): see `Sampling.composed`."""
 
     body: Stretches
     sentence: np.ndarray
     guest: Stretches
     offset: np.ndarray
+    other: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> Draws:
-        return Draws(self.body[rows], self.sentence[rows], self.guest[rows], self.offset[rows])
+        return Draws(self.body[rows], self.sentence[rows], self.guest[rows], self.offset[rows], self.other[rows])
 
 
 @dataclass(frozen=True)
@@ -214,9 +221,10 @@ class Sampling:
     lose at most `trim` of their length at either end; nothing is longer than `longest`. A share `crops` of the rows is
     cut anywhere out of any clip, `crop_shortest` to `crop_longest`, and has no text: transitions. A share `silent` of
     the others loses its text. Of the rows whose content claims no legs, a share `composed` is put on the body of
-    another row whose content is cyclic and claims legs alone, as in a collage: an arm is raised while walking. Two of
-    three last as long as the arm's clip and keep its text; the third is the whole walk, under its own text, and
-    somewhere in it the arm is raised. (Networks that never saw an arm raised on walking legs lower it in a collage.)
+    another row, as in a collage: an arm is raised while walking. With `hosts` "walking" its content is cyclic and
+    claims legs alone; with "any" it claims other parts. Two of three last as long as the arm's clip and keep its text;
+    the third is the whole walk, under its own text, and somewhere in it the arm is raised; hosts that are not cyclic
+    stay whole. (Networks that never saw an arm raised on walking legs lower it in a collage.)
     `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
     of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
     lengths, so more contents, in every batch.
@@ -232,6 +240,7 @@ class Sampling:
     crop_longest: float = 3.0
     silent: float = 0.1
     composed: float = 0.0
+    hosts: Hosts = "walking"
     slowest: float = 1.0
     fastest: float = 1.0
     pool: int = 16
@@ -247,6 +256,8 @@ class Sampling:
                 f"trim {self.trim} must be in [0, 0.5), crops {self.crops}, silent {self.silent} and composed "
                 f"{self.composed} in [0, 1]"
             )
+        if self.hosts not in get_args(Hosts):
+            raise ValueError(f"unknown hosts {self.hosts!r}; choose from {', '.join(get_args(Hosts))}")
         if not 0 < self.slowest <= self.fastest:
             raise ValueError(f"slowest {self.slowest} must be above 0 and at most fastest {self.fastest}")
         if not (0 < self.shortest <= self.longest and 0 < self.crop_shortest <= self.crop_longest <= self.longest):
@@ -302,7 +313,9 @@ class ClipBatches:
         claims = self.corpus.claims[drawn.clip]
         moved = (random.random(len(claims)) < self.sampling.composed) & claims.any(axis=1)
         moved &= ~claims[:, self.corpus.legs]
-        carrying = self._cyclic[drawn.clip] & claims[:, self.corpus.legs] & (claims.sum(axis=1) == 1)
+        cyclic = self._cyclic[drawn.clip]
+        walking = cyclic & claims[:, self.corpus.legs] & (claims.sum(axis=1) == 1)
+        others = claims.any(axis=1)
         host, whole, offset = (
             np.arange(len(claims)),
             np.zeros(len(claims), dtype=bool),
@@ -310,14 +323,16 @@ class ClipBatches:
         )
         for row in np.flatnonzero(moved):
             room = drawn.frames - drawn.frames[row]
+            carrying = walking if self.sampling.hosts == "walking" else others & ~claims[:, claims[row]].any(axis=1)
             hosts = np.flatnonzero(carrying & (room >= 0))
             if len(hosts):
                 host[row] = random.choice(hosts)
-                whole[row] = random.random() < WHOLE_WALKS
+                whole[row] = random.random() < WHOLE_WALKS or not cyclic[host[row]]
                 offset[row] = whole[row] * random.integers(room[host[row]] + 1)
         frames = np.where(whole, drawn.frames[host], drawn.frames)
         guest = replace(drawn, frames=np.where(host == np.arange(len(host)), 0, drawn.frames))
-        return Draws(replace(drawn[host], frames=frames), np.where(whole, sentence[host], sentence), guest, offset)
+        told, other = np.where(whole, sentence[host], sentence), np.where(whole, sentence, sentence[host])
+        return Draws(replace(drawn[host], frames=frames), told, guest, offset, other)
 
     def _draw(self, count: int, random: np.random.Generator) -> Draws:
         """So many rows, without compositions."""
@@ -346,7 +361,7 @@ class ClipBatches:
         # Neither the last pose nor the velocity after it may lie beyond the stretch; 10 / 1.25 is 8, also in floats.
         frames = np.floor(np.minimum(source / speed, (source - 1) / speed + 1) + 1e-9).astype(int)
         body, none = Stretches(clip, begin + offset, begin + length, frames, speed), np.zeros(count, dtype=int)
-        return Draws(body, sentence, replace(body, frames=none), none)
+        return Draws(body, sentence, replace(body, frames=none), none, sentence)
 
 
 def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:

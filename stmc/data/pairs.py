@@ -5,6 +5,8 @@ Knows draws of a corpus and the sentences of its clips; knows no network and no 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -20,8 +22,9 @@ class PairBatches:
     """`batches(step, process)`: those of a `ClipBatches`, every row with a text, and what else each text is true of.
 
     A text is true of all clips that have it among their sentences; of a composition's motion, what is true of either
-    clip. With an encoder of whole `sentences`, texts that it finds `similar` by more than `threshold` are taken to be
-    true of each other's motions, too: the filter of TMR, for data where one clip's sentences are not another's.
+    clip, and half of the compositions have the text of the `other` clip: both are to be heard. With an encoder of whole
+    `sentences`, texts that it finds `similar` by more than `threshold` are taken to be true of each other's motions,
+    too: the filter of TMR, for data where one clip's sentences are not another's.
 
     Raises `ValueError` for sampling that leaves rows without a text.
     """
@@ -41,9 +44,11 @@ class PairBatches:
         self._embedded = None if sentences is None else sentences.encode(corpus.sentences)[0][:, 0].float()
 
     def __call__(self, step: int, process: int = 0) -> list[Pairs]:
-        corpus = self.batches.corpus
-        pieces = []
+        corpus, pieces = self.batches.corpus, []
+        random = np.random.default_rng([self.batches.seed, step, process])
         for draws in self.batches.draws(step, process):
+            swapped = random.random(len(draws.sentence)) < 0.5
+            draws = replace(draws, sentence=np.where(swapped, draws.other, draws.sentence))
             batch = corpus.batch(draws)
             alike = self.alike(draws).to(batch.motion.device)
             pieces.append(Pairs(batch.motion, batch.mask, batch.text, batch.text_mask, batch.frames, alike))
