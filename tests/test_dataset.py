@@ -1,6 +1,7 @@
 """Batches: reproducible, balanced, never empty, and of real frames only."""
 
 import dataclasses
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -331,6 +332,28 @@ def test_a_guest_within_a_walk_comes_and_goes_under_the_text_of_the_walk() -> No
             expected[first + frame] += min(come, go, 1.0)
         torch.testing.assert_close(shown, expected)
         assert (raw[row, : len(shown), SmplRepresentation().layout["root_velocity"]] == 1).all()
+
+
+def test_any_body_with_other_parts_can_be_a_host_and_stays_whole_where_a_cut_would_lose_what_it_shows() -> None:
+    clips, start = [], 0
+    for number in range(36):
+        name, part, frames = [("turn", "legs", 60), ("left", "left arm", 50), ("right", "right arm", 40)][number % 3]
+        clips.append(Clip(f"{name}-{number}", name, "", name, (part,), False, False, "train", start, start + frames))
+        start += frames
+    texts = {name: ((name, 1.0),) for name in ("turn", "left", "right")}
+    data = Cache(20.0, "smpl", torch.zeros(start, 205), tuple(clips), texts)
+    corpus = Corpus(data, LetterCounts(), SmplRepresentation().layout)
+    settings = {"crops": 0.0, "silent": 0.0, "trim": 0.0, "pool": 1, "pieces": 1, "composed": 1.0}
+    [walking] = ClipBatches(corpus, "train", Sampling(rows=96, **settings)).draws(0)
+    assert not walking.guest.frames.any()  # nobody walks
+    [draws] = ClipBatches(corpus, "train", Sampling(rows=96, hosts="any", **settings)).draws(0)
+    pairs = Counter()
+    for row in np.flatnonzero(draws.guest.frames):
+        host, guest = corpus.clips[draws.body.clip[row]], corpus.clips[draws.guest.clip[row]]
+        pairs[host.content, guest.content] += 1
+        assert draws.body.frames[row] == host.end - host.start
+        assert [corpus.sentences[each[row]] for each in (draws.sentence, draws.other)] == [host.content, guest.content]
+    assert set(pairs) == {("turn", "left"), ("turn", "right"), ("left", "right")}
 
 
 def test_without_compositions_no_row_has_a_guest() -> None:

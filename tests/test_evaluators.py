@@ -203,7 +203,8 @@ def test_texts_that_an_encoder_finds_similar_are_no_wrong_answers_either():
     assert torch.equal(strict.alike, pair_batches()(0)[0].alike)
 
 
-def test_a_composition_shows_what_both_of_its_clips_show():
+def composing() -> PairBatches:
+    """Walks, and raises of the left arm that are put on walks."""
     table = cache()
     raising = [
         Clip(**(vars(clip) | {"parts": ("left arm",)})) if clip.content == "raise" else clip for clip in table.clips
@@ -212,13 +213,35 @@ def test_a_composition_shows_what_both_of_its_clips_show():
         Cache(table.fps, "toy", table.features, tuple(raising), table.texts), LetterCounts(), LAYOUT, least=3
     )
     sampling = Sampling(rows=32, pool=2, pieces=1, crops=0.0, silent=0.0, composed=1.0, shortest=4.0)
-    batches = PairBatches(ClipBatches(corpus, "train", sampling))
+    return PairBatches(ClipBatches(corpus, "train", sampling))
+
+
+def test_a_composition_shows_what_both_of_its_clips_show():
+    batches = composing()
     [draws] = batches.batches.draws(0)
     composed = draws.guest.frames > 0
     assert composed.any() and not composed.all()
     alike = batches.alike(draws)
     assert alike[:, torch.from_numpy(composed)].all()  # walks and raises: true of both texts
     assert not alike[:, torch.from_numpy(~composed)].all()
+
+
+def test_half_of_the_compositions_have_the_text_of_the_other_clip(monkeypatch):
+    batches, told = composing(), []
+    batch = batches.batches.corpus.batch
+    monkeypatch.setattr(batches.batches.corpus, "batch", lambda draws: told.append(draws) or batch(draws))
+    for step in range(12):
+        batches(step)
+    asked = [draws for step in range(12) for draws in batches.batches.draws(step)]
+    rows = [
+        (own, was, other)
+        for new, old in zip(told, asked, strict=True)
+        for own, was, other in zip(new.sentence, old.sentence, old.other, strict=True)
+        if was != other
+    ]
+    assert len(rows) > 50
+    assert all(own in (was, other) for own, was, other in rows)
+    assert 0.3 < sum(own == other for own, _, other in rows) / len(rows) < 0.7
 
 
 def test_rows_without_texts_make_no_pairs():
