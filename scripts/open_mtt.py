@@ -1,7 +1,8 @@
 """Makes the open benchmark anew: `python scripts/open_mtt.py cache=cache/bandai evaluator=runs/tmr`.
 
-Every content of the test split is an atomic prompt; a content in a style is one where the evaluator finds the style by
-ear in the *validation* split, so that nothing is chosen by what the test split looks like.
+Every content of the test split is an atomic prompt; a content in a style is one where the evaluator tells the style
+while other body parts do something else. That is judged by compositions of *validation* clips, so that nothing is
+chosen by what the test split looks like.
 """
 
 import json
@@ -9,19 +10,24 @@ from functools import partial
 from pathlib import Path
 
 import hydra
+import numpy as np
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
 
 import stmc
+from stmc.body import BodyPart
 from stmc.data.cache import Cache, Clip
 from stmc.data.sentences import CONTENTS, STYLES
 from stmc.evaluators import Evaluator
 from stmc.files import write_whole
 from stmc.metrics.retrieval import cosines, ranks
 from stmc.mtt import AtomicPrompt, construct
+from stmc.representation import SmplRepresentation
 
 PLAIN = "normal"
+PARTNERS = 8
+"""Compositions of each validation clip."""
 Atom = tuple[str, str]
 """Content and style."""
 
@@ -68,20 +74,36 @@ def text(atom: Atom) -> str:
 
 
 def found(cache: Cache, evaluator: Evaluator, atoms: list[Atom]) -> dict[Atom, float]:
-    """Of each atom, the share of its validation clips whose best text is its own, among the texts of all."""
-    shown: dict[Atom, list[Clip]] = {atom: [] for atom in atoms}
-    for clip in cache.clips:
-        if clip.split == "val" and (clip.content, clip.style) in shown:
-            shown[clip.content, clip.style].append(clip)
-    texts, heard = evaluator.texts([text(atom) for atom in atoms]), {}
-    for number, (atom, clips) in enumerate(shown.items()):
-        heard[atom] = 0.0
-        if clips:
-            motions = evaluator.motions([cache.features[clip.start : clip.end] for clip in clips])
-            right = torch.zeros(len(clips), len(atoms), dtype=torch.bool)
-            right[:, number] = True
-            heard[atom] = float((ranks(cosines(motions, texts), right) < 1).double().mean())
+    """Of each atom, the share of the compositions with its validation clips in which its text is the best among those
+    of its content; 1 where the content has no other."""
+    clips = [clip for clip in cache.clips if clip.split == "val" and clip.parts]
+    texts, random, heard = evaluator.texts([text(atom) for atom in atoms]), np.random.default_rng(0), {}
+    for atom in atoms:
+        rivals = [number for number, other in enumerate(atoms) if other[0] == atom[0]]
+        own = [clip for clip in clips if (clip.content, clip.style) == atom]
+        partners = [clip for clip in clips if not set(clip.parts) & CONTENTS[atom[0]].parts]
+        if len(rivals) == 1 or not own:
+            heard[atom] = float(len(rivals) == 1)
+            continue
+        composed = [
+            composition(cache, clip, partners[partner])
+            for clip in own
+            for partner in random.integers(len(partners), size=PARTNERS)
+        ]
+        right = torch.tensor([[atoms[number] == atom for number in rivals]]).expand(len(composed), -1)
+        heard[atom] = float((ranks(cosines(evaluator.motions(composed), texts[rivals]), right) < 1).double().mean())
     return heard
+
+
+def composition(cache: Cache, clip: Clip, partner: Clip) -> torch.Tensor:
+    """Features of what `clip` shows, for as long as it lasts, while the partner's parts do what the partner shows."""
+    own, other = (cache.features[each.start : each.end] for each in (clip, partner))
+    body, guest, parts = (own, other, partner.parts) if BodyPart.LEGS in clip.parts else (other, own, clip.parts)
+    body = body[: len(own)].clone()
+    columns = [column for part in parts for column in SmplRepresentation.layout.columns[BodyPart(part)]]
+    shared = min(len(body), len(guest))
+    body[:shared, columns] = guest[:shared, columns]
+    return body
 
 
 def prompt(cache: Cache, atom: Atom) -> AtomicPrompt:

@@ -125,6 +125,14 @@ def test_the_transition_distance_is_that_of_the_jump_between_two_poses():
     assert scores["transition"] == pytest.approx(expected / 2, rel=1e-4)  # the second one's prompts change elsewhere
 
 
+def test_what_geometry_can_tell_is_asked_of_the_crops_that_should_show_it():
+    asked = {"raise the left arm": lambda motion: len(motion) == 60, "bow": lambda motion: len(motion) == 40}
+    assert "shown" not in benchmark().measured("stmc", SHOWN, seed=0).metrics
+    measured = benchmark(questions=asked)
+    assert measured.measured("stmc", SHOWN, seed=0).metrics["shown"] == pytest.approx(200 / 3)  # one bow lasts 60
+    assert measured.real(0).metrics["shown"] == 50
+
+
 def test_real_motion_finds_itself_and_is_compared_with_as_much_of_itself():
     scores = benchmark().real(0).metrics
     assert scores["recall_1"] == 100

@@ -5,10 +5,11 @@ Knows which frames of a motion should show which text; how that is measured is `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ import torch
 from stmc.benchmarks.protocol import Scores, TextJudge
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.data.footage import Footage, amass_footage, cache_footage
+from stmc.metrics.ability import Question, questions
 from stmc.metrics.kinematics import local_joints
 from stmc.metrics.realism import fid
 from stmc.metrics.smoothness import quarter_points, transition_distance
@@ -44,7 +46,8 @@ class MultiTrack:
     """A `Benchmark` of `asked` timelines whose texts are those of `atoms`.
 
     `truth` are the judge's latents of the atoms in their order, `footage` the motions that show them. `scored` says
-    how to measure: `timeline_scores`, or `published_timeline_scores` to compare with the paper's tables.
+    how to measure: `timeline_scores`, or `published_timeline_scores` to compare with the paper's tables. `questions`
+    are those that geometry can answer about a motion, for some of the texts: no learned judge is asked.
     """
 
     asked: Sequence[Timeline]
@@ -53,6 +56,7 @@ class MultiTrack:
     truth: GroundTruth
     footage: Sequence[Motion]
     scored: Callable[..., TimelineScores] = timeline_scores
+    questions: Mapping[str, Question] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         known = {atom.text for atom in self.atoms}
@@ -70,6 +74,7 @@ class MultiTrack:
         footage: Footage,
         others: Sequence[Motion] = (),
         scored: Callable[..., TimelineScores] = timeline_scores,
+        questions: Mapping[str, Question] = MappingProxyType({}),
     ) -> MultiTrack:
         """The benchmark with the latents of its atoms, shown by `footage`, and of the `others` that FID compares with
         (none: as published, the atoms' own)."""
@@ -80,7 +85,7 @@ class MultiTrack:
             motions=latents[: len(atoms)],
             others=latents[len(atoms) :] if others else None,
         )
-        return cls(asked, atoms, judge, truth, shown, scored)
+        return cls(asked, atoms, judge, truth, shown, scored, questions)
 
     def timelines(self, method: str) -> list[Timeline]:
         """Those of the benchmark; for "independent" each of their prompts as a timeline."""
@@ -90,11 +95,14 @@ class MultiTrack:
         return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """See `timeline_scores`. One text stands for its whole motion, which is measured as every prompt's, as in the
-        paper; "independent" motions have no transitions and are not whole, so only their crops are measured."""
+        """See `timeline_scores`; "shown" is the share, in percent, of the crops with a question that answer it.
+
+        One text stands for its whole motion, which is measured as every prompt's, as in the paper; "independent"
+        motions have no transitions and are not whole, so only their crops are measured.
+        """
         spans = self._spans(method, motions)
         scores = self.scored(motions, spans, self.judge, self.truth, seed)
-        metrics = asdict(scores.semantics) | {"fid": scores.fid}
+        metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
         if method != INDEPENDENT:
             metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
         return Scores(metrics)
@@ -109,7 +117,21 @@ class MultiTrack:
         if self.truth.others is not None:
             order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
             least = fid(*(self.truth.real[half] for half in order.tensor_split(2)))
-        return Scores(asdict(found) | {"fid": least, "fid_plus": least, "transition": 100 * distance})
+        whole = [[(0, int(motion.duration * self.judge.fps), number)] for number, motion in enumerate(self.footage)]
+        return Scores(
+            self._shown(self.footage, whole)
+            | asdict(found)
+            | {"fid": least, "fid_plus": least, "transition": 100 * distance}
+        )
+
+    def _shown(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> dict[str, float]:
+        answers = []
+        for motion, each in zip(motions, spans, strict=True):
+            motion = motion if motion.fps == self.judge.fps else motion.resampled(self.judge.fps)
+            for start, end, number in each:
+                if question := self.questions.get(self.atoms[number].text):
+                    answers.append(question(motion.trimmed(start, min(end, len(motion)))))
+        return {"shown": 100 * sum(answers) / len(answers)} if answers else {}
 
     def _spans(self, method: str, motions: Sequence[Motion]) -> list[list[Span]]:
         whole = [range(int(motion.duration * self.judge.fps + 1e-6)) for motion in motions]
@@ -144,7 +166,10 @@ def open_mtt(judge: TextJudge, cache: str | Path, first: int | None = None) -> M
             )
         drawn = [clips[index] for index in random.integers(len(clips), size=PER_TEXT)]
         others += [footage(clip.name, 0.0, (clip.end - clip.start) / prepared.fps) for clip in drawn]
-    return MultiTrack.of(asked, atoms, judge, footage, others)
+    contents = {clip.name: clip.content for clip in prepared.clips}
+    known = questions()
+    asked_of = {atom.text: known[contents[atom.clip]] for atom in atoms if contents[atom.clip] in known}
+    return MultiTrack.of(asked, atoms, judge, footage, others, questions=asked_of)
 
 
 def published_mtt(

@@ -6,7 +6,7 @@ Each ability is a timeline and a yes-or-no question about one motion's geometry:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from stmc.metrics.kinematics import forward_speed, swings, turn, wrist_height
@@ -20,13 +20,19 @@ SLACK = 0.75
 """Seconds by which a raised arm may come early or stay late: half a transition and the time an arm takes."""
 
 
+NEAR = 0.15
+"""Metres below the shoulder at which a wrist still counts as raised, where other parts may do something else."""
+
+Question = Callable[[Motion], bool]
+
+
 @dataclass(frozen=True)
 class Ability:
     """`shown(motion)` says whether a motion of `timeline` shows it; `expected` is the share of samples that should."""
 
     name: str
     timeline: Timeline
-    shown: Callable[[Motion], bool]
+    shown: Question
     expected: float | int
 
 
@@ -57,6 +63,33 @@ def raises_while_walking(motion: Motion) -> bool:
     speed = forward_speed(motion)
     walking = all(0.5 <= float(part.mean()) <= 2 for part in (speed[:first], speed[first:last], speed[last:]))
     return timely and walking and not other
+
+
+def questions() -> Mapping[str, Question]:
+    """By the label of a content, whether a motion shows it, whatever its other body parts do: of those contents that
+    geometry can tell. A wrist that comes near the shoulder's height is raised, since some of the data set's actors
+    raise it no higher."""
+    sides = {"left": ("left",), "right": ("right",), "both": ("left", "right")}
+    return {
+        "walk": lambda motion: 0.4 <= mean_speed(motion) <= 2,
+        "walk-back": lambda motion: mean_speed(motion) < -0.2,
+        "run": lambda motion: mean_speed(motion) > 1.5,
+        "dash": lambda motion: mean_speed(motion) > 1.5,
+        "walk-turn-left": lambda motion: turn(motion) > math.pi / 4,
+        "walk-turn-right": lambda motion: turn(motion) < -math.pi / 4,
+        **{
+            f"raise-up-{side}-hand{'s' * (side == 'both')}": lambda motion, which=sides[side]: _lifts(motion, which)
+            for side in sides
+        },
+        **{
+            f"wave-{side}-hand{'s' * (side == 'both')}": lambda motion, which=sides[side]: waves(motion, which)
+            for side in sides
+        },
+    }
+
+
+def _lifts(motion: Motion, sides: Sequence[str]) -> bool:
+    return all(bool((wrist_height(motion, side, "shoulder") > -NEAR).any()) for side in sides)
 
 
 def abilities() -> tuple[Ability, ...]:
@@ -92,7 +125,5 @@ def abilities() -> tuple[Ability, ...]:
     )
 
 
-def _ability(
-    text: str, seconds: float | int, parts: str, shown: Callable[[Motion], bool], expected: float | int
-) -> Ability:
+def _ability(text: str, seconds: float | int, parts: str, shown: Question, expected: float | int) -> Ability:
     return Ability(text, Timeline.parse(f"{text} # 0 # {seconds} # {parts}"), shown, expected)

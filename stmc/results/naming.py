@@ -48,6 +48,7 @@ class Measure:
 
 
 MEASURES = (
+    Measure("shown", "Shown", "higher", 0, "%"),
     Measure("recall_1", "R@1", "higher", 1, "%"),
     Measure("recall_3", "R@3", "higher", 1, "%"),
     Measure("m2t", "TMR-Score M2T", "higher", 3),
@@ -64,8 +65,8 @@ MEASURES = (
     Measure("peak_jerk", "PJ", "real", 4),
     Measure("area_under_jerk", "AUJ", "lower", 2),
 )
-"""The columns of STMC's Table 1 and A.1 (section 4.2), FID of crops and FID+ of whole motions; then of FlowMDM's
-Table 1 (section 4.1). "real": the nearer to real motion's, the better."""
+"""What geometry alone can see; the columns of STMC's Table 1 and A.1 (section 4.2), FID of crops and FID+ of whole
+motions; then those of FlowMDM's Table 1 (section 4.1). "real": the nearer to real motion's, the better."""
 
 
 @dataclass(frozen=True)
