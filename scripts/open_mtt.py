@@ -42,6 +42,8 @@ def main(config: DictConfig) -> None:
         chosen = [atom for atom, share in heard.items() if atom[1] == PLAIN or share >= config.least]
         atoms = [prompt(cache, atom) for atom in chosen]
         timelines = construct(atoms, config.count, config.seed)
+        random = np.random.default_rng(0)
+        places = [standing(cache, evaluator, "test", atom, chosen, random) for atom in chosen]
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error
     rows = [
@@ -53,6 +55,8 @@ def main(config: DictConfig) -> None:
     stmc.Timeline.write_all(timelines, folder / "timelines.json")
     for (content, style), share in heard.items():
         console.print(f"{share:4.0%} {text((content, style))}{'' if (content, style) in chosen else ' (left out)'}")
+    shares = [100 * float(np.mean([float((each < count).double().mean()) for each in places])) for count in (1, 3)]
+    console.print(f"compositions of test clips, mean of all prompts: R@1 {shares[0]:.1f}%, R@3 {shares[1]:.1f}%")
     console.print(f"{len(atoms)} atomic prompts, {len(timelines)} timelines in {folder.resolve()}")
 
 
@@ -76,23 +80,30 @@ def text(atom: Atom) -> str:
 def found(cache: Cache, evaluator: Evaluator, atoms: list[Atom]) -> dict[Atom, float]:
     """Of each atom, the share of the compositions with its validation clips in which its text is the best among those
     of its content; 1 where the content has no other."""
-    clips = [clip for clip in cache.clips if clip.split == "val" and clip.parts]
-    texts, random, heard = evaluator.texts([text(atom) for atom in atoms]), np.random.default_rng(0), {}
+    heard, random = {}, np.random.default_rng(0)
     for atom in atoms:
-        rivals = [number for number, other in enumerate(atoms) if other[0] == atom[0]]
-        own = [clip for clip in clips if (clip.content, clip.style) == atom]
-        partners = [clip for clip in clips if not set(clip.parts) & CONTENTS[atom[0]].parts]
-        if len(rivals) == 1 or not own:
-            heard[atom] = float(len(rivals) == 1)
-            continue
-        composed = [
-            composition(cache, clip, partners[partner])
-            for clip in own
-            for partner in random.integers(len(partners), size=PARTNERS)
-        ]
-        right = torch.tensor([[atoms[number] == atom for number in rivals]]).expand(len(composed), -1)
-        heard[atom] = float((ranks(cosines(evaluator.motions(composed), texts[rivals]), right) < 1).double().mean())
+        rivals = [other for other in atoms if other[0] == atom[0]]
+        places = standing(cache, evaluator, "val", atom, rivals, random) if len(rivals) > 1 else torch.zeros(1)
+        heard[atom] = float((places < 1).double().mean()) if len(places) else 0.0
     return heard
+
+
+def standing(
+    cache: Cache, evaluator: Evaluator, split: str, atom: Atom, rivals: list[Atom], random: np.random.Generator
+) -> torch.Tensor:
+    """Where the atom's text stands (0 is best) among its rivals' for each composition with one of its clips."""
+    clips = [clip for clip in cache.clips if clip.split == split and clip.parts]
+    own = [clip for clip in clips if (clip.content, clip.style) == atom]
+    partners = [clip for clip in clips if not set(clip.parts) & CONTENTS[atom[0]].parts]
+    composed = [
+        composition(cache, clip, partners[partner])
+        for clip in own
+        for partner in random.integers(len(partners), size=PARTNERS)
+    ]
+    if not composed:
+        return torch.zeros(0)
+    scores = cosines(evaluator.motions(composed), evaluator.texts([text(rival) for rival in rivals]))
+    return ranks(scores, torch.tensor([[rival == atom for rival in rivals]]).expand(len(composed), -1))
 
 
 def composition(cache: Cache, clip: Clip, partner: Clip) -> torch.Tensor:
