@@ -15,6 +15,7 @@ from mocap import about, posed
 from test_evaluators import evaluator
 from tiny import tiny
 from torch import Tensor
+from walker import walking
 
 import stmc
 from stmc.benchmarks import Benchmark, MultiTrack
@@ -22,6 +23,7 @@ from stmc.benchmarks.multi_track import open_mtt, published_mtt
 from stmc.body import BodyPart
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.data.footage import amass_footage, cache_footage
+from stmc.metrics.retrieval import cosines
 from stmc.metrics.timelines import published_timeline_scores
 from stmc.model import Method
 from stmc.motion import Motion
@@ -157,6 +159,17 @@ def test_the_bundled_timelines_are_those_that_the_bundled_prompts_make():
     assert len(timelines) == 500
     assert construct(atoms, 500, seed=0) == timelines
     assert {prompt.text for timeline in timelines for prompt in timeline.prompts} == {atom.text for atom in atoms}
+
+
+def test_the_bundled_evaluator_hears_a_walk_with_a_raised_arm_as_both():
+    atoms, ear, motion = read_atoms(BUNDLED / "prompts.json"), stmc.load_evaluator(), walking(6.0, turn=0.0)
+    texts = [atom.text for atom in atoms]
+    parts = [motion.trimmed(0, 40), motion.trimmed(40, 80)]  # the right arm is up in the second of them
+    table = cosines(ear.motions([ear.features(part) for part in parts]), ear.texts(texts))
+    first, second = (dict(zip(texts, row.tolist(), strict=True)) for row in table)
+    assert max(first, key=first.get) in ("walk", "run", "dash")  # a made-up walk
+    assert second["raise the right arm"] > first["raise the right arm"]
+    assert second["raise the right arm"] > second["raise the left arm"]
 
 
 def prepared(texts: Sequence[str]) -> Cache:
