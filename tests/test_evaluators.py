@@ -2,6 +2,7 @@
 training from a cache to a table of what it can find."""
 
 import csv
+import dataclasses
 import json
 import math
 
@@ -224,6 +225,17 @@ def test_a_composition_shows_what_both_of_its_clips_show():
     alike = batches.alike(draws)
     assert alike[:, torch.from_numpy(composed)].all()  # walks and raises: true of both texts
     assert not alike[:, torch.from_numpy(~composed)].all()
+
+
+def test_what_a_cut_has_lost_is_no_answer():
+    batches = composing()
+    [draws] = batches.batches.draws(0)
+    cut = dataclasses.replace(draws, other=draws.sentence)
+    composed = torch.from_numpy(draws.guest.frames > 0)
+    says = [batches.batches.corpus.sentences[sentence] for sentence in draws.sentence]
+    walks = torch.tensor(["walk" in text for text in says])
+    assert walks.any() and not batches.alike(cut)[walks][:, composed].any()
+    assert batches.alike(cut)[~walks][:, composed].all()
 
 
 def test_half_of_the_compositions_have_the_text_of_the_other_clip(monkeypatch):

@@ -200,7 +200,7 @@ class Stretches:
 class Draws:
     """Rows to be: the stretch that each is, and the place of its sentence; for a composition the `guest` whose claimed
     parts it takes over from its frame `offset` on (else a stretch of no frames), and the sentence of the `other` of the
-    two (else the row's own): see `Sampling.composed`."""
+    two where the row shows it, too (else the row's own): see `Sampling.composed`."""
 
     body: Stretches
     sentence: np.ndarray
@@ -223,8 +223,8 @@ class Sampling:
     the others loses its text. Of the rows whose content claims no legs, a share `composed` is put on the body of
     another row, as in a collage: an arm is raised while walking. With `hosts` "walking" its content is cyclic and
     claims legs alone; with "any" it claims other parts. Two of three last as long as the arm's clip and keep its text;
-    the third is the whole walk, under its own text, and somewhere in it the arm is raised; hosts that are not cyclic
-    stay whole. (Networks that never saw an arm raised on walking legs lower it in a collage.)
+    the third is the whole walk, under its own text, and somewhere in it the arm is raised. (Networks that never saw an
+    arm raised on walking legs lower it in a collage.)
     `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
     of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
     lengths, so more contents, in every batch.
@@ -327,11 +327,12 @@ class ClipBatches:
             hosts = np.flatnonzero(carrying & (room >= 0))
             if len(hosts):
                 host[row] = random.choice(hosts)
-                whole[row] = random.random() < WHOLE_WALKS or not cyclic[host[row]]
+                whole[row] = random.random() < WHOLE_WALKS
                 offset[row] = whole[row] * random.integers(room[host[row]] + 1)
         frames = np.where(whole, drawn.frames[host], drawn.frames)
         guest = replace(drawn, frames=np.where(host == np.arange(len(host)), 0, drawn.frames))
-        told, other = np.where(whole, sentence[host], sentence), np.where(whole, sentence, sentence[host])
+        told = np.where(whole, sentence[host], sentence)
+        other = np.where(~whole & cyclic[host], sentence[host], sentence)
         return Draws(replace(drawn[host], frames=frames), told, guest, offset, other)
 
     def _draw(self, count: int, random: np.random.Generator) -> Draws:

@@ -48,7 +48,8 @@ class PairBatches:
         random = np.random.default_rng([self.batches.seed, step, process])
         for draws in self.batches.draws(step, process):
             swapped = random.random(len(draws.sentence)) < 0.5
-            draws = replace(draws, sentence=np.where(swapped, draws.other, draws.sentence))
+            texts = draws.sentence, draws.other
+            draws = replace(draws, sentence=np.where(swapped, *texts[::-1]), other=np.where(swapped, *texts))
             batch = corpus.batch(draws)
             alike = self.alike(draws).to(batch.motion.device)
             pieces.append(Pairs(batch.motion, batch.mask, batch.text, batch.text_mask, batch.frames, alike))
@@ -56,9 +57,10 @@ class PairBatches:
 
     def alike(self, draws: Draws) -> Bool[Tensor, "batch batch"]:
         """Which row's text is true of which row's motion: see `Pairs`."""
-        composed = torch.from_numpy(draws.guest.frames > 0)
-        alike = self.true_of(draws.sentence, draws.body.clip) | (
-            self.true_of(draws.sentence, draws.guest.clip) & composed
+        composed = draws.guest.frames > 0
+        cut = composed & (draws.other == draws.sentence)  # what the body would show has been cut off
+        alike = (self.true_of(draws.sentence, draws.body.clip) & torch.from_numpy(~cut)) | (
+            self.true_of(draws.sentence, draws.guest.clip) & torch.from_numpy(composed)
         )
         if self._embedded is None:
             return alike
