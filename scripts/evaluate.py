@@ -28,9 +28,11 @@ from stmc.benchmarks import Benchmark
 from stmc.denoisers import FlowMdm
 from stmc.files import write_text, write_whole
 from stmc.results import Result, read_results, write_results
-from stmc.results.naming import ALONE, REAL
+from stmc.results.naming import ALONE, METHODS, REAL
 from stmc.results.records import Setting
 from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
+
+SAMPLERS = ("ddpm", "ddim", "dpm_solver")
 
 
 @hydra.main(config_path="../configs", config_name="evaluate", version_base="1.3")
@@ -72,7 +74,13 @@ def evaluate(config: DictConfig) -> None:
 
 def chosen(experiment: DictConfig, models: dict[str, stmc.Model]) -> Iterator[Setting]:
     """All combinations of an experiment, each with what does not apply to it left out, and the model's own where the
-    experiment leaves it open. FlowMDM's own method is of its networks alone."""
+    experiment leaves it open. FlowMDM's own method is of its networks alone. Raises `ValueError` for unknown names."""
+    for name, given, choices in (
+        ("methods", experiment.methods, [name for name in METHODS if name != REAL]),
+        ("settings.sampler", experiment.settings.sampler, SAMPLERS),
+    ):
+        if unknown := [each for each in given if each not in choices]:
+            raise ValueError(f"experiment.{name}: unknown {unknown[0]!r}; choose from {', '.join(choices)}")
     if experiment.real:
         yield Setting(REAL, "", *[None] * (len(Setting._fields) - 2))
     grid = itertools.product(*experiment.settings.values())
@@ -86,7 +94,7 @@ def chosen(experiment: DictConfig, models: dict[str, stmc.Model]) -> Iterator[Se
             "guidance": model.guidance,
             "spread": model.spread,
             "late": model.late,
-            "absolute": 1 - model.denoiser.absolute_from / model.schedule.steps if flow else None,
+            "absolute": round(1 - model.denoiser.absolute_from / model.schedule.steps, 6) if flow else None,
         }
         values = {key: own.get(key) if value is None else value for key, value in values.items()}
         if values["sampler"] != "ddpm":
@@ -141,9 +149,8 @@ def run(
     if setting.method == REAL:
         scores, seconds = benchmark.real(seed), {}
     else:
-        motions, spent = sampled(benchmark, models[setting.denoiser], setting, seed, config, progress)
+        motions, seconds = sampled(benchmark, models[setting.denoiser], setting, seed, config, progress)
         scores = benchmark.measured(setting.method, motions, seed)
-        seconds = {} if models[setting.denoiser].device.type == "cpu" else {"seconds": spent / len(motions)}
         rmtree(unfinished(setting, seed, config))
     return Result(seed=seed, metrics=scores.metrics | seconds, curves=scores.curves, **setting._asdict())
 
@@ -155,24 +162,28 @@ def sampled(
     seed: int,
     config: DictConfig,
     progress: Progress,
-) -> tuple[list[stmc.Motion], float]:
-    """A motion for each of the benchmark's timelines, and the seconds it took to make those that were not there yet."""
+) -> tuple[list[stmc.Motion], dict[str, float]]:
+    """A motion for each of the benchmark's timelines, and on an accelerator the seconds that one took, of those that
+    were not there yet."""
     timelines = benchmark.timelines(setting.method)
     order = sorted(range(len(timelines)), key=lambda number: -timelines[number].duration)
     parts = unfinished(setting, seed, config)
-    motions, began = {}, time.perf_counter()
+    motions, spent, made = {}, 0.0, 0
     task = progress.add_task(f"{setting.denoiser}, {setting.method}, seed {seed}", total=len(order))
     for start in range(0, len(order), config.batch):
         numbers = order[start : start + config.batch]
         path = parts / f"{config.batch}_{start}.safetensors"
         if not path.exists():
-            chosen = [timelines[number] for number in numbers]
-            made = generated(model, setting, chosen, [seed * len(timelines) + number for number in numbers])
-            write_whole(path, partial(save_file, packed(made)))
+            seeds = [seed * len(timelines) + number for number in numbers]
+            began = time.perf_counter()
+            batch = generated(model, setting, [timelines[number] for number in numbers], seeds)
+            spent, made = spent + time.perf_counter() - began, made + len(batch)
+            write_whole(path, partial(save_file, packed(batch)))
         motions |= dict(zip(numbers, unpacked(load_file(path), model.fps), strict=True))
         progress.advance(task, len(numbers))
     progress.remove_task(task)
-    return [motions[number] for number in range(len(timelines))], time.perf_counter() - began
+    timed = made and model.device.type != "cpu"
+    return [motions[number] for number in range(len(timelines))], {"seconds": spent / made} if timed else {}
 
 
 def unfinished(setting: Setting, seed: int, config: DictConfig) -> Path:

@@ -32,10 +32,8 @@ from stmc.metrics.timelines import (
 from stmc.motion import Motion
 from stmc.mtt import AtomicPrompt, read_atoms
 from stmc.representation import SmplRepresentation
+from stmc.results.naming import ALONE
 from stmc.timeline import Prompt, Timeline, TimelineError
-
-INDEPENDENT = "independent"
-"""Each prompt as a motion of its own: what composing could at best keep (appendix E)."""
 
 PER_TEXT = 12
 """Real clips of each text that FID compares with in the open benchmark."""
@@ -89,7 +87,7 @@ class MultiTrack:
 
     def timelines(self, method: str) -> list[Timeline]:
         """Those of the benchmark; for "independent" each of their prompts as a timeline."""
-        if method != INDEPENDENT:
+        if method != ALONE:
             return list(self.asked)
         prompts = [prompt for timeline in self.asked for prompt in timeline.prompts]
         return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
@@ -103,7 +101,7 @@ class MultiTrack:
         spans = self._spans(method, motions)
         scores = self.scored(motions, spans, self.judge, self.truth, seed)
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
-        if method != INDEPENDENT:
+        if method != ALONE:
             metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
         return Scores(metrics)
 
@@ -136,7 +134,7 @@ class MultiTrack:
     def _spans(self, method: str, motions: Sequence[Motion]) -> list[list[Span]]:
         whole = [range(int(motion.duration * self.judge.fps + 1e-6)) for motion in motions]
         asked = self.timelines(method)
-        if method in ("one_text", INDEPENDENT):
+        if method in ("one_text", ALONE):
             frames = [[(0, len(each))] * len(timeline.prompts) for timeline, each in zip(asked, whole, strict=True)]
         else:
             frames = [timeline.spans(self.judge.fps) for timeline in asked]
