@@ -265,7 +265,13 @@ def evaluated(work: Path, *settings: str) -> None:
     module.evaluate(config)
 
 
-def test_the_script_compares_goes_on_and_refuses_what_does_not_compare(work, capsys):
+@pytest.fixture
+def quick(monkeypatch) -> None:
+    """FID compares with few real clips: it is not what is tested."""
+    monkeypatch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
+
+
+def test_the_script_compares_goes_on_and_refuses_what_does_not_compare(work, quick):
     output = f"output={work / 'out'}"
     few = (
         "experiment.settings.steps=[2]",
@@ -296,7 +302,7 @@ def test_the_script_compares_goes_on_and_refuses_what_does_not_compare(work, cap
     assert about["versions"]["stmc"] == stmc.__version__
 
 
-def test_a_killed_run_keeps_the_motions_it_had_made(work, monkeypatch):
+def test_a_killed_run_keeps_the_motions_it_had_made(work, quick, monkeypatch):
     settings = (
         f"output={work / 'killed'}",
         "seeds=[3]",
