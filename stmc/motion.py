@@ -110,12 +110,15 @@ class Motion:
         )
 
     def resampled(self, fps: float | int) -> Motion:
-        """The same movement at another frame rate: rotations on the sphere, positions on straight lines.
+        """The same movement at another frame rate: rotations on the sphere, positions on straight lines. At its own
+        rate it is the motion itself.
 
         Joints and rotations are resampled each for itself, so the bones of fast movements may shorten a little: pose
         the skeleton again (`Motion.posed`) where that matters. Raises `ValueError` where not one frame remains.
         """
         _check_fps(fps)
+        if fps == self.fps:
+            return self
         return Motion(
             resample_rotations(self.rotations, self.fps, fps),
             resample_positions(self.translation, self.fps, fps),

@@ -188,7 +188,7 @@ class Compositions:
         crops, windows, jerks = [], [], []
         for timeline, motion in zip(self._timelines, motions, strict=True):
             lost = 1 + fps / motion.fps  # at most, by rounding to frames of either rate
-            motion = motion if motion.fps == fps else motion.resampled(fps)
+            motion = motion.resampled(fps)
             spans = timeline.spans(fps)
             if len(motion) < spans[-1][1] - lost:
                 raise ValueError(f"the motion of timeline {timeline.name} has {len(motion)} frames, not {spans[-1][1]}")
@@ -290,7 +290,7 @@ def _footage(
     footage = {}
     for clip in (clip for clips in contents.values() for clip in clips):
         motion = representation.decode(cache.features[clip.start : clip.end], cache.fps, cache.skeleton)
-        footage[clip] = motion if motion.fps == fps else motion.resampled(fps)
+        footage[clip] = motion.resampled(fps)
     check_joints([motion.joints for motion in footage.values()])
     return footage
 

@@ -43,9 +43,10 @@ PER_TEXT = 12
 class MultiTrack:
     """A `Benchmark` of `asked` timelines whose texts are those of `atoms`.
 
-    `truth` are the judge's latents of the atoms in their order, `footage` the motions that show them. `scored` says
-    how to measure: `timeline_scores`, or `published_timeline_scores` to compare with the paper's tables. `questions`
-    are those that geometry can answer about a motion, for some of the texts: no learned judge is asked.
+    `truth` are the judge's latents of the atoms in their order, `footage` the motions that show them, at its frame
+    rate. `scored` says how to measure: `timeline_scores`, or `published_timeline_scores` to compare with the paper's
+    tables. `questions` are those that geometry can answer about a motion, for some of the texts: no learned judge is
+    asked.
     """
 
     asked: Sequence[Timeline]
@@ -76,7 +77,7 @@ class MultiTrack:
     ) -> MultiTrack:
         """The benchmark with the latents of its atoms, shown by `footage`, and of the `others` that FID compares with
         (none: as published, the atoms' own)."""
-        shown = [footage(atom.clip, atom.start, atom.end) for atom in atoms]
+        shown = [footage(atom.clip, atom.start, atom.end).resampled(judge.fps) for atom in atoms]
         latents = judge.motions([judge.features(motion) for motion in [*shown, *others]])
         truth = GroundTruth(
             texts=judge.texts([atom.text for atom in atoms]),
@@ -98,7 +99,8 @@ class MultiTrack:
         One text stands for its whole motion, which is measured as every prompt's, as in the paper; "independent"
         motions have no transitions and are not whole, so only their crops are measured.
         """
-        spans = self._spans(method, motions)
+        motions = [motion.resampled(self.judge.fps) for motion in motions]
+        spans = self._spans(method, [len(motion) for motion in motions])
         scores = self.scored(motions, spans, self.judge, self.truth, seed)
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
         if method != ALONE:
@@ -109,13 +111,13 @@ class MultiTrack:
         """Of the atoms' real motions. FID is that of two random halves of what FID compares with: the least that can be
         hoped for; 0 where that is the atoms' own motions, as published."""
         found = semantics(self.truth.motions, range(len(self.atoms)), self.truth)
-        poses = [local_joints(motion.resampled(self.judge.fps)) for motion in self.footage]
+        poses = [local_joints(motion) for motion in self.footage]
         distance = transition_distance(poses, [quarter_points(len(pose)) for pose in poses])
         least = 0.0
         if self.truth.others is not None:
             order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
             least = fid(*(self.truth.real[half] for half in order.tensor_split(2)))
-        whole = [[(0, int(motion.duration * self.judge.fps), number)] for number, motion in enumerate(self.footage)]
+        whole = [[(0, len(motion), number)] for number, motion in enumerate(self.footage)]
         return Scores(
             self._shown(self.footage, whole)
             | asdict(found)
@@ -125,25 +127,20 @@ class MultiTrack:
     def _shown(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> dict[str, float]:
         answers = []
         for motion, each in zip(motions, spans, strict=True):
-            motion = motion if motion.fps == self.judge.fps else motion.resampled(self.judge.fps)
             for start, end, number in each:
                 if question := self.questions.get(self.atoms[number].text):
-                    answers.append(question(motion.trimmed(start, min(end, len(motion)))))
+                    answers.append(question(motion.trimmed(start, end)))
         return {"shown": 100 * sum(answers) / len(answers)} if answers else {}
 
-    def _spans(self, method: str, motions: Sequence[Motion]) -> list[list[Span]]:
-        whole = [range(int(motion.duration * self.judge.fps + 1e-6)) for motion in motions]
-        asked = self.timelines(method)
-        if method in ("one_text", ALONE):
-            frames = [[(0, len(each))] * len(timeline.prompts) for timeline, each in zip(asked, whole, strict=True)]
-        else:
-            frames = [timeline.spans(self.judge.fps) for timeline in asked]
-        texts_of = [[prompt.text for prompt in timeline.prompts] for timeline in asked]
-        numbers = {atom.text: number for number, atom in enumerate(self.atoms)}
-        return [
-            [(start, min(end, len(each)), numbers[text]) for (start, end), text in zip(span, texts, strict=True)]
-            for span, texts, each in zip(frames, texts_of, whole, strict=True)
-        ]
+    def _spans(self, method: str, lengths: Sequence[int]) -> list[list[Span]]:
+        """Of every motion, which frames should show which text; none goes on beyond its end."""
+        numbers, spans = {atom.text: number for number, atom in enumerate(self.atoms)}, []
+        for timeline, length in zip(self.timelines(method), lengths, strict=True):
+            whole = [(0, length)] * len(timeline.prompts)
+            asked = whole if method in ("one_text", ALONE) else timeline.spans(self.judge.fps)
+            named = zip(asked, timeline.prompts, strict=True)
+            spans.append([(start, min(end, length), numbers[prompt.text]) for (start, end), prompt in named])
+        return spans
 
 
 def open_mtt(judge: TextJudge, cache: str | Path, first: int | None = None) -> MultiTrack:

@@ -48,8 +48,7 @@ class Evaluator:
 
     def features(self, motion: Motion) -> Float[Tensor, "_ features"]:
         """What `motions` wants to know of a motion of any frame rate: raw features at `fps`."""
-        motion = motion if motion.fps == self.fps else motion.resampled(self.fps)
-        return self.representation.encode(motion).float()
+        return self.representation.encode(motion.resampled(self.fps)).float()
 
     def motions(self, features: Sequence[Float[Tensor, "_ features"]]) -> Float[Tensor, "batch width"]:
         """The latents of raw feature sequences of any lengths, on the CPU; a latent does not depend on the others.

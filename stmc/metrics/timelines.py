@@ -148,7 +148,7 @@ def published_timeline_scores(
 
 def _at(motions: Sequence[Motion], fps: float | int) -> list[Motion]:
     check_joints([motion.joints for motion in motions])
-    return [motion if motion.fps == fps else motion.resampled(fps) for motion in motions]
+    return [motion.resampled(fps) for motion in motions]
 
 
 def _edges(spans: Sequence[Span]) -> list[tuple[int, int]]:
