@@ -37,10 +37,6 @@ SAMPLERS = ("ddpm", "ddim", "dpm_solver")
 
 @hydra.main(config_path="../configs", config_name="evaluate", version_base="1.3")
 def main(config: DictConfig) -> None:
-    evaluate(config)
-
-
-def evaluate(config: DictConfig) -> None:
     """Runs whatever is not in the output yet, then writes the tables and the figure of all that was asked for."""
     console, folder = Console(), Path(config.output).expanduser()
     if config.threads:

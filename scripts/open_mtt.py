@@ -5,8 +5,6 @@ while other body parts do something else. That is judged by compositions of *val
 chosen by what the test split looks like.
 """
 
-import json
-from functools import partial
 from pathlib import Path
 
 import hydra
@@ -20,9 +18,8 @@ from stmc.body import BodyPart
 from stmc.data.cache import Cache, Clip
 from stmc.data.sentences import CONTENTS, STYLES
 from stmc.evaluators import Evaluator
-from stmc.files import write_whole
 from stmc.metrics.retrieval import cosines, ranks
-from stmc.mtt import AtomicPrompt, construct
+from stmc.mtt import AtomicPrompt, construct, write_atoms
 from stmc.representation import SmplRepresentation
 
 PLAIN = "normal"
@@ -46,12 +43,7 @@ def main(config: DictConfig) -> None:
         places = [standing(cache, evaluator, "test", atom, chosen, random) for atom in chosen]
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error
-    rows = [
-        {"text": each.text, "body_parts": sorted(each.parts), "clip": each.clip, "start": each.start, "end": each.end}
-        for each in atoms
-    ]
-    lines = "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
-    write_whole(folder / "prompts.json", partial(Path.write_text, data=lines, encoding="utf-8"))
+    write_atoms(atoms, folder / "prompts.json")
     stmc.Timeline.write_all(timelines, folder / "timelines.json")
     for (content, style), share in heard.items():
         console.print(f"{share:4.0%} {text((content, style))}{'' if (content, style) in chosen else ' (left out)'}")

@@ -13,10 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stmc.body import BodyPart
+from stmc.files import write_text
 from stmc.timeline import Prompt, Timeline, TimelineError
 
 SHORTEST = 2.0
 """Seconds: the least that an atomic prompt lasts, as in the published timelines."""
+
+_KEYS = ("text", "body_parts", "clip", "start", "end")
+"""Of an atomic prompt in JSON."""
 
 
 @dataclass(frozen=True)
@@ -56,23 +60,29 @@ def read_atoms(path: str | Path, motions: str | Path | None = None) -> list[Atom
     return atoms
 
 
+def write_atoms(atoms: Sequence[AtomicPrompt], path: str | Path) -> None:
+    """The atomic prompts as a JSON list, a line each; the file appears whole or not at all."""
+    rows = [(each.text, sorted(each.parts), each.clip, each.start, each.end) for each in atoms]
+    lines = ",\n".join(json.dumps(dict(zip(_KEYS, row, strict=True))) for row in rows)
+    write_text(Path(path), f"[\n{lines}\n]\n")
+
+
 def _fields(path: Path) -> list[tuple[int, list[str]]]:
     lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
     return [(number, [field.strip() for field in line.split("#")]) for number, line in lines if line.strip()]
 
 
 def _of_json(path: Path) -> list[AtomicPrompt]:
-    keys = ("text", "body_parts", "clip", "start", "end")
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise TimelineError(f"{path}: not JSON ({error})") from None
     if not isinstance(rows, list):
-        raise TimelineError(f"{path}: not a list of prompts, each with {', '.join(keys)}")
+        raise TimelineError(f"{path}: not a list of prompts, each with {', '.join(_KEYS)}")
     for index, row in enumerate(rows):
-        if not isinstance(row, dict) or set(row) != set(keys):
-            raise TimelineError(f"{path}, [{index}]: {json.dumps(row)[:60]} is not a prompt with {', '.join(keys)}")
-    return [_atom(*(row[key] for key in keys), place=f"{path}, [{index}]") for index, row in enumerate(rows)]
+        if not isinstance(row, dict) or set(row) != set(_KEYS):
+            raise TimelineError(f"{path}, [{index}]: {json.dumps(row)[:60]} is not a prompt with {', '.join(_KEYS)}")
+    return [_atom(*(row[key] for key in _KEYS), place=f"{path}, [{index}]") for index, row in enumerate(rows)]
 
 
 def _atom(text: str, parts: Sequence[str], *motion: str | float, place: str) -> AtomicPrompt:

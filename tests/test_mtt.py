@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stmc.body import BodyPart
-from stmc.mtt import SHORTEST, AtomicPrompt, construct, read_atoms
+from stmc.mtt import SHORTEST, AtomicPrompt, construct, read_atoms, write_atoms
 from stmc.timeline import Timeline, TimelineError
 
 PUBLISHED = Path(__file__).parents[1] / ".." / "shared" / "data" / "mtt"
@@ -55,6 +55,12 @@ def test_durations_have_the_mean_and_the_deviation_asked_for():
 def test_a_seed_gives_the_same_timelines_and_another_seed_others():
     assert construct(ATOMS, 5, seed=3) == construct(ATOMS, 5, seed=3) != construct(ATOMS, 5, seed=4)
     assert construct(ATOMS, 9, seed=3)[:5] == construct(ATOMS, 5, seed=3)
+
+
+def test_atomic_prompts_survive_their_file(tmp_path):
+    write_atoms(ATOMS, tmp_path / "prompts.json")
+    assert read_atoms(tmp_path / "prompts.json") == ATOMS
+    assert len((tmp_path / "prompts.json").read_text(encoding="utf-8").splitlines()) == len(ATOMS) + 2
 
 
 def test_names_are_in_order_and_the_timelines_survive_their_file(tmp_path):

@@ -30,7 +30,7 @@ NULL = 0
 SEAM = 6
 """Frames over which a composition's guest comes and goes within a row."""
 
-WHOLE_WALKS = 1 / 3
+WHOLE_HOSTS = 1 / 3
 """The share of the compositions that are the host's whole stretch, under its text."""
 
 
@@ -327,7 +327,7 @@ class ClipBatches:
             hosts = np.flatnonzero(carrying & (room >= 0))
             if len(hosts):
                 host[row] = random.choice(hosts)
-                whole[row] = random.random() < WHOLE_WALKS
+                whole[row] = random.random() < WHOLE_HOSTS
                 offset[row] = whole[row] * random.integers(room[host[row]] + 1)
         frames = np.where(whole, drawn.frames[host], drawn.frames)
         guest = replace(drawn, frames=np.where(host == np.arange(len(host)), 0, drawn.frames))
