@@ -4,16 +4,15 @@ import json
 import math
 from collections import Counter
 from collections.abc import Sequence
-from importlib.util import module_from_spec, spec_from_file_location
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 from mocap import about, posed, skeleton
 from omegaconf import OmegaConf
+from oracle import Oracle
+from scripting import configured, loaded
 from tiny import tiny
 from torch import Tensor
 
@@ -26,7 +25,6 @@ from stmc.representation import SmplRepresentation
 from stmc.results import Result, ResultError, comparison_table, sweep_table
 from stmc.results.composition_charts import jerk_curves, trade_off
 
-ROOT = Path(__file__).parents[1]
 FPS, WINDOW = 30.0, 60
 REPRESENTATION = SmplRepresentation()
 POSES = {"left": ("left_shoulder", 1.2), "right": ("right_shoulder", -1.2), "both": ("spine1", 0.4)}
@@ -58,24 +56,12 @@ def data(
     return Cache(FPS, "smpl", torch.cat(features), tuple(clips), texts)
 
 
-class Oracle:
-    """Sees the mean pose; a text's last word names it."""
-
-    fps = FPS
-
-    def features(self, motion: Motion) -> Tensor:
-        return REPRESENTATION.encode(motion).float()
-
-    def motions(self, features: Sequence[Tensor]) -> Tensor:
-        rotations = REPRESENTATION.layout["rotations"]
-        return torch.stack([rows[:, rotations].mean(dim=0) for rows in features])
-
-    def texts(self, texts: Sequence[str]) -> Tensor:
-        return self.motions([self.features(still(text.split()[-1], 9)) for text in texts])
+ORACLE = Oracle(FPS, lambda text: still(text.split()[-1], 9))
+"""A text's last word names its pose."""
 
 
 def benchmark(contents: dict[str, int] | None = None, **settings) -> Compositions:
-    return Compositions(data(contents or {"left": 3, "right": 3}), REPRESENTATION, Oracle(), **(SHORTER | settings))
+    return Compositions(data(contents or {"left": 3, "right": 3}), REPRESENTATION, ORACLE, **(SHORTER | settings))
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +114,7 @@ def test_fid_of_what_is_always_the_same_has_its_closed_form_and_no_diversity(two
     one = two.measured("stmc", [shown(timeline, {"right": "left"}) for timeline in asked], seed=0).metrics
     names = [prompt.text.split()[-1] for timeline in asked for prompt in timeline.prompts]
     share, count = names.count("right") / len(names), len(names)
-    left, right = torch.nn.functional.normalize(Oracle().texts(["left", "right"]), dim=-1)
+    left, right = torch.nn.functional.normalize(ORACLE.texts(["left", "right"]), dim=-1)
     apart = float((left - right).square().sum())
     wanted = apart * (share**2 + share * (1 - share) * count / (count - 1))
     assert one["subsequence_fid"] == pytest.approx(wanted, rel=1e-3)
@@ -190,7 +176,7 @@ def test_what_is_asked_is_a_function_of_the_seed_the_same_for_every_method(two):
 def test_a_segment_lasts_as_long_as_its_clip_within_bounds():
     for frames, settings, seconds in ((90, {}, 3.0), (30, {"window": 20}, 2.0), (90, {"longest": 2.5}, 2.5)):
         asked = Compositions(
-            data({"left": 1, "right": 1}, frames), REPRESENTATION, Oracle(), **(SHORTER | settings)
+            data({"left": 1, "right": 1}, frames), REPRESENTATION, ORACLE, **(SHORTER | settings)
         ).timelines("stmc")
         assert {round(prompt.end - prompt.start, 2) for each in asked for prompt in each.prompts} == {seconds}
 
@@ -204,12 +190,12 @@ def test_contents_are_drawn_alike_however_many_clips_they_have():
 def test_repeats_hold_an_action_for_as_many_segments_and_only_cyclic_ones():
     cache = data({"left": 2, "right": 2, "both": 2}, cyclic=("left", "right"))
     settings = {"count": 8, "segments": 8, "least": 1}
-    whole = Compositions(cache, REPRESENTATION, Oracle(), repeats=8, **settings)
+    whole = Compositions(cache, REPRESENTATION, ORACLE, repeats=8, **settings)
     for timeline in whole.timelines("stmc"):
         assert len({prompt.text for prompt in timeline.prompts}) == 1
     said = {prompt.text.split()[-1] for each in whole.timelines("stmc") for prompt in each.prompts}
     assert said == {"left", "right"}
-    pairs = Compositions(cache, REPRESENTATION, Oracle(), repeats=2, **settings).timelines("stmc")
+    pairs = Compositions(cache, REPRESENTATION, ORACLE, repeats=2, **settings).timelines("stmc")
     assert all(len({p.text for p in each.prompts[at : at + 2]}) == 1 for each in pairs for at in range(0, 8, 2))
     assert whole.measured("stmc", [shown(each) for each in whole.timelines("stmc")], 0).metrics["r_precision"] == 1
 
@@ -230,7 +216,7 @@ def test_numbers_that_cannot_be_meant_are_named(settings, complaint):
 
 def test_a_test_split_that_holds_too_little_says_what_it_has():
     def make(cache: Cache, **settings) -> Compositions:
-        return Compositions(cache, REPRESENTATION, Oracle(), **(SHORTER | settings))
+        return Compositions(cache, REPRESENTATION, ORACLE, **(SHORTER | settings))
 
     with pytest.raises(CacheError, match=r"two contents of at least 5 clips .* it has left \(3\), right \(8\)"):
         make(data({"left": 3, "right": 8}), least=5)
@@ -330,10 +316,7 @@ def test_the_tables_of_all_benchmarks_serve_compositions():
 
 @pytest.fixture(scope="module")
 def script():
-    spec = spec_from_file_location("benchmark_length", ROOT / "scripts" / "benchmark_length.py")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded("benchmark_length")
 
 
 def test_the_timeline_of_a_length_is_one_track_of_prompts_the_last_one_shorter(script):
@@ -348,8 +331,7 @@ def test_the_timeline_of_a_length_is_one_track_of_prompts_the_last_one_shorter(s
 
 def test_sampling_is_measured_with_the_settings_of_the_config(script, monkeypatch):
     monkeypatch.setattr(stmc, "load", lambda folder, device: tiny())
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        settings = OmegaConf.to_container(compose("benchmark_length", overrides=["prompt=1", "steps=2"]))
+    settings = OmegaConf.to_container(configured("benchmark_length", "prompt=1", "steps=2"))
     measured = script.measure("stmc", None, 2, settings)
     assert measured.time > 0
     assert measured.peak >= measured.loaded > 2**20

@@ -3,7 +3,8 @@
 import json
 
 import pytest
-from test_scripts import ROOT, script
+from scripting import loaded
+from test_scripts import script
 from test_text import packaged
 
 from stmc.text import Cached, MiniLM
@@ -21,11 +22,7 @@ ANNOTATIONS = {"000001": {"path": "a/b", "duration": 3.0, "annotations": [{"seg_
 
 @pytest.fixture(scope="module")
 def found():
-    from importlib.util import module_from_spec, spec_from_file_location
-
-    spec = spec_from_file_location("embed", ROOT / "scripts" / "embed.py")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = loaded("embed")
     return lambda path: list(module.texts_in(path))
 
 

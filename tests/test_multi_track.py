@@ -3,15 +3,15 @@
 import json
 from collections.abc import Sequence
 from importlib.resources import files
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 from mocap import about, posed
+from oracle import REPRESENTATION, Oracle
+from scripting import run
 from test_evaluators import evaluator
 from tiny import tiny
 from torch import Tensor
@@ -27,16 +27,13 @@ from stmc.metrics.timelines import published_timeline_scores
 from stmc.model import Method
 from stmc.motion import Motion
 from stmc.mtt import AtomicPrompt, construct, read_atoms
-from stmc.representation import SmplRepresentation
 from stmc.results import read_results
 from stmc.results.naming import ALONE, METHODS, REAL
 from stmc.run import save, save_evaluator
 from stmc.timeline import Prompt, Timeline, TimelineError
 
-ROOT = Path(__file__).parents[1]
 BUNDLED = Path(str(files("stmc") / "assets" / "open_mtt"))
 FPS = 20.0
-REPRESENTATION = SmplRepresentation()
 ANGLES = {
     "raise the left arm": ("left_shoulder", 1.2),
     "raise the right arm": ("right_shoulder", -1.2),
@@ -59,22 +56,7 @@ def joined(*motions: Motion) -> Motion:
     )
 
 
-class Oracle:
-    """Sees the mean pose; knows the pose of every text."""
-
-    fps = FPS
-
-    def features(self, motion: Motion) -> Tensor:
-        return REPRESENTATION.encode(motion).float()
-
-    def motions(self, features: Sequence[Tensor]) -> Tensor:
-        rotations = REPRESENTATION.layout["rotations"]
-        return torch.stack([rows[:, rotations].mean(dim=0) for rows in features])
-
-    def texts(self, texts: Sequence[str]) -> Tensor:
-        return self.motions([self.features(still(text, 9)) for text in texts])
-
-
+ORACLE = Oracle(FPS, lambda text: still(text, 9))
 ATOMS = [AtomicPrompt(text, frozenset(map(BodyPart, PARTS[text])), text, 0.0, 3.0) for text in ANGLES]
 ASKED = [
     Timeline((Prompt("raise the left arm", 0, 3, PARTS["raise the left arm"]), Prompt("bow", 3, 6, PARTS["bow"]))),
@@ -84,7 +66,7 @@ SHOWN = [joined(still("raise the left arm"), still("bow")), joined(still("bow", 
 
 
 def benchmark(**settings) -> MultiTrack:
-    return MultiTrack.of(ASKED, ATOMS, Oracle(), lambda clip, start, end: still(clip), **settings)
+    return MultiTrack.of(ASKED, ATOMS, ORACLE, lambda clip, start, end: still(clip), **settings)
 
 
 def test_motions_that_show_every_prompt_in_its_span_are_as_good_as_real_ones():
@@ -147,7 +129,7 @@ def test_real_motion_finds_itself_and_is_compared_with_as_much_of_itself():
 def test_a_text_that_no_atom_has_is_named():
     strange = Timeline((Prompt("fly", 0, 2),), "0007")
     with pytest.raises(TimelineError, match="timeline 0007: 'fly' is none of the 3 texts"):
-        MultiTrack.of([strange], ATOMS, Oracle(), lambda clip, start, end: still(clip))
+        MultiTrack.of([strange], ATOMS, ORACLE, lambda clip, start, end: still(clip))
 
 
 # What is bundled ----------------------------------------------------------------------------------------------------
@@ -183,6 +165,9 @@ def prepared(texts: Sequence[str]) -> Cache:
 
 
 class AnyText(Oracle):
+    def __init__(self) -> None:
+        super().__init__(FPS, still)
+
     def texts(self, texts: Sequence[str]) -> Tensor:
         return torch.ones(len(texts), 132)
 
@@ -207,7 +192,7 @@ def test_the_papers_own_files_are_read_and_measured_as_published(tmp_path):
         moved = tmp_path / "AMASS" / "KIT" / "3" / f"{name}_poses.npz"
         moved.parent.mkdir(parents=True, exist_ok=True)
         with_hands(tmp_path / f"{name}.npz", moved)
-    opened = published_mtt(Oracle(), tmp_path, tmp_path / "AMASS")
+    opened = published_mtt(ORACLE, tmp_path, tmp_path / "AMASS")
     assert opened.scored is published_timeline_scores
     assert [len(motion) for motion in opened.footage] == [30, 30]
     assert opened.real(0).metrics["recall_1"] == 100
@@ -245,24 +230,18 @@ def work(tmp_path_factory) -> Path:
 
 def evaluated(work: Path, *settings: str) -> None:
     """The script's main job, in this process."""
-    spec = spec_from_file_location("evaluate", ROOT / "scripts" / "evaluate.py")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        config = compose(
-            "evaluate",
-            overrides=[
-                f"models.MDM-SMPL={work / 'model'}",
-                f"evaluator={work / 'tmr'}",
-                f"benchmark.cache={work / 'cache'}",
-                "benchmark.first=2",
-                "device=cpu",
-                "precision=fp32",
-                "batch=1",
-                *settings,
-            ],
-        )
-    module.evaluate(config)
+    run(
+        "evaluate",
+        "evaluate",
+        f"models.MDM-SMPL={work / 'model'}",
+        f"evaluator={work / 'tmr'}",
+        f"benchmark.cache={work / 'cache'}",
+        "benchmark.first=2",
+        "device=cpu",
+        "precision=fp32",
+        "batch=1",
+        *settings,
+    )
 
 
 @pytest.fixture

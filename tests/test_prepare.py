@@ -3,12 +3,11 @@
 import json
 import os
 from concurrent.futures.process import BrokenProcessPool
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
+from scripting import run
 from studio import Threads, amass, babel, humanml3d, published
 from test_body_model import write_body
 
@@ -16,8 +15,6 @@ import stmc
 from stmc.data import preparation
 from stmc.data.cache import FEATURES, TABLE, Cache
 from stmc.data.report import NUMBERS, TEXT
-
-ROOT = Path(__file__).parents[1]
 
 TIMELINE = "walk # 0 # 2 # legs\nraise the right arm # 0.5 # 1.5 # right arm\n"
 
@@ -27,16 +24,6 @@ TINY = (
     *("training.checkpoint_every=4", "training.precision=fp32", "data.sampling.rows=4", "data.sampling.pool=2"),
     *("validation=1", "draw_every=4", "draw=[]", "device=cpu", "threads=1"),
 )
-
-
-def run(script: str, config_name: str, *overrides: object) -> None:
-    """A script's main function, in this process."""
-    spec = spec_from_file_location(f"{script}_script", ROOT / "scripts" / f"{script}.py")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        config = compose(config_name, overrides=[str(override) for override in overrides])
-    module.main.__wrapped__(config)
 
 
 @pytest.fixture

@@ -5,21 +5,18 @@ import json
 import os
 import subprocess
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 from mocap import about, bvh_text, posed
+from scripting import ROOT, configured, loaded
 from tiny import tiny
 
 import stmc
 from stmc.data.cache import Cache
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, fingerprint
-
-ROOT = Path(__file__).parents[1]
 
 TIMELINES = """\
 walk forwards # 0 # 2 # legs
@@ -184,15 +181,11 @@ def test_sampling_again_makes_nothing_but_what_is_missing(sampled, work, timelin
 
 @pytest.fixture(scope="module")
 def sample():
-    spec = spec_from_file_location("sample_script", ROOT / "scripts" / "sample.py")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded("sample")
 
 
 def settings(*overrides: str):
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        return compose("sample", overrides=list(overrides))
+    return configured("sample", *overrides)
 
 
 @pytest.fixture
