@@ -26,13 +26,12 @@ from safetensors.torch import load_file, save_file
 import stmc
 from stmc.benchmarks import Benchmark
 from stmc.denoisers import FlowMdm
+from stmc.diffusion import SAMPLERS
 from stmc.files import write_text, write_whole
 from stmc.results import Result, read_results, write_results
 from stmc.results.naming import ALONE, METHODS, REAL
 from stmc.results.records import Setting
 from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
-
-SAMPLERS = ("ddpm", "ddim", "dpm_solver")
 
 
 @hydra.main(config_path="../configs", config_name="evaluate", version_base="1.3")
@@ -191,7 +190,7 @@ def unfinished(setting: Setting, seed: int, config: DictConfig) -> Path:
 def generated(
     model: stmc.Model, setting: Setting, timelines: list[stmc.Timeline], seeds: list[int]
 ) -> list[stmc.Motion]:
-    sampler = getattr(stmc, setting.sampler)
+    sampler = SAMPLERS[setting.sampler]
     if setting.absolute is not None:
         model.denoiser.absolute_from = round((1 - setting.absolute) * model.schedule.steps)
     return model.generate(

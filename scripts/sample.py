@@ -16,13 +16,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import stmc
-from stmc.diffusion.samplers import Spread
+from stmc.diffusion import SAMPLERS, Spread
 from stmc.files import write_text
 from stmc.model import Method, Precision, check_late
 from stmc.run import fingerprint
 
 CHOICES = {
-    "sampler": ("ddpm", "ddim", "dpm_solver"),
+    "sampler": tuple(SAMPLERS),
     "method": get_args(Method),
     "spread": (None, *get_args(Spread)),
     "precision": get_args(Precision),
@@ -135,7 +135,7 @@ def sampled(
 
 
 def generate(model: stmc.Model, jobs: list[Job], config: DictConfig, progress: Progress) -> list[stmc.Motion]:
-    sampler = getattr(stmc, config.sampler)
+    sampler = SAMPLERS[config.sampler]
     steps = config.steps or model.schedule.steps
     task = progress.add_task(f"Denoising {len(jobs)}", total=steps)
     try:

@@ -2,10 +2,11 @@
 
 from stmc.diffusion.guidance import guide
 from stmc.diffusion.noise import Noise, Seed
-from stmc.diffusion.samplers import Draw, Predict, Spread, ddim, ddpm, dpm_solver
+from stmc.diffusion.samplers import SAMPLERS, Draw, Predict, Spread, ddim, ddpm, dpm_solver
 from stmc.diffusion.schedule import Prediction, Schedule
 
 __all__ = [
+    "SAMPLERS",
     "Draw",
     "Noise",
     "Predict",

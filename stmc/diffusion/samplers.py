@@ -104,3 +104,7 @@ def dpm_solver(
         slope = 0 if before is None else (x0 - before) * (gain / (2 * (log_snr[i] - log_snr[i + 1]))).to(x)
         x = (noise[i - 1] / noise[i]).to(x) * x - (signal[i - 1] * torch.expm1(-gain)).to(x) * (x0 + slope)
         before = x0
+
+
+SAMPLERS = {"ddpm": ddpm, "ddim": ddim, "dpm_solver": dpm_solver}
+"""By the names that configurations use."""
