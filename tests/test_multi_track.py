@@ -108,6 +108,18 @@ def test_the_transition_distance_is_that_of_the_jump_between_two_poses():
     assert scores["transition"] == pytest.approx(expected / 2, rel=1e-4)  # the second one's prompts change elsewhere
 
 
+def test_the_jerk_around_transitions_is_that_of_the_jump_beside_real_motions():
+    steps = still("bow", 1).joints[0, :22] - still("raise the left arm", 1).joints[0, :22]
+    jump = float(steps.abs().sum(dim=-1).amax())
+    scores, real = benchmark().measured("stmc", [SHOWN[0]] * 2, seed=0), benchmark().real(0)
+    assert len(scores.curves["jerk"]) == 17  # a second but three frames, of which the middle ones see the jump
+    half = jump / 2  # the second timeline's prompts change elsewhere
+    assert scores.curves["jerk"] == pytest.approx([0] * 7 + [half, 2 * half, half] + [0] * 7, rel=1e-4, abs=1e-6)
+    assert scores.metrics["peak_jerk"] == pytest.approx(2 * half, rel=1e-4)
+    assert scores.metrics["area_under_jerk"] == pytest.approx(4 * half, rel=1e-4)
+    assert real.metrics["peak_jerk"] == pytest.approx(0, abs=1e-6)
+
+
 def test_what_geometry_can_tell_is_asked_of_the_crops_that_should_show_it():
     asked = {"raise the left arm": lambda motion: len(motion) == 60, "bow": lambda motion: len(motion) == 40}
     assert "shown" not in benchmark().measured("stmc", SHOWN, seed=0).metrics

@@ -19,14 +19,13 @@ from torch import Tensor
 
 from stmc.benchmarks.protocol import Scores, TextJudge
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.geometry import rotation_z
+from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.matching import BATCH, embedding_diversity, matching_score, r_precision
 from stmc.metrics.plausibility import check_joints
 from stmc.metrics.realism import fid
 from stmc.metrics.smoothness import (
     HUMANML3D_WINDOW,
     area_under_jerk,
-    jerk,
     jerk_curve,
     peak_jerk,
     transition_window,
@@ -34,9 +33,6 @@ from stmc.metrics.smoothness import (
 from stmc.motion import Motion
 from stmc.representation import Representation
 from stmc.timeline import Prompt, Timeline
-
-JERKED = 22
-"""Joints whose jerk counts: SMPL's without the hands, those that HumanML3D has."""
 
 ASKED, REFERENCE, REAL = range(3)
 """What a seed is used for; each has a random stream of its own."""
@@ -254,14 +250,6 @@ class Compositions:
     def _true(self, segments: Sequence[Segment]) -> Bool[Tensor, "segments segments"]:
         """Of which segments' clips the text of each segment is true."""
         return torch.tensor([[one.text in self._said[other.clip.texts] for other in segments] for one in segments])
-
-
-def window_jerk(window: Motion, frames: int) -> Float[Tensor, " _"]:
-    """The jerk of a window, turned to begin with heading zero, in `frames - 3` values; where a motion ends within the
-    window, its last one goes on."""
-    joints = window.joints[:, :JERKED] @ rotation_z(-window.heading[0]).mT
-    values = jerk(joints)
-    return torch.cat([values, values[-1:].expand(frames - 3 - len(values))])
 
 
 def _contents(cache: Cache, least: int, cyclic: bool) -> dict[str, list[Clip]]:

@@ -7,20 +7,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from stmc.benchmarks.protocol import Scores, TextJudge
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.data.footage import Footage, amass_footage, cache_footage
 from stmc.metrics.ability import Question, questions
-from stmc.metrics.kinematics import local_joints
+from stmc.metrics.kinematics import local_joints, window_jerk
 from stmc.metrics.realism import fid
-from stmc.metrics.smoothness import quarter_points, transition_distance
+from stmc.metrics.smoothness import (
+    area_under_jerk,
+    jerk_curve,
+    peak_jerk,
+    quarter_points,
+    transition_distance,
+    transition_points,
+    transition_window,
+)
 from stmc.metrics.timelines import (
     GroundTruth,
     Span,
@@ -37,6 +48,9 @@ from stmc.timeline import Prompt, Timeline, TimelineError
 
 PER_TEXT = 12
 """Real clips of each text that FID compares with in the open benchmark."""
+
+JERKED_SECONDS = 1
+"""Of a transition whose jerk is measured, as of BABEL's (FlowMDM, section 4.1): prompts follow too soon for more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +108,9 @@ class MultiTrack:
         return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """See `timeline_scores`; "shown" is the share, in percent, of the crops with a question that answer it.
+        """See `timeline_scores`; "shown" is the share, in percent, of the crops with a question that answer it. The
+        peak jerk, the area under the jerk and the curve "jerk" are of windows around the transitions, compared with
+        those around the quarters of real motion.
 
         One text stands for its whole motion, which is measured as every prompt's, as in the paper; "independent"
         motions have no transitions and are not whole, so only their crops are measured.
@@ -103,9 +119,12 @@ class MultiTrack:
         spans = self._spans(method, [len(motion) for motion in motions])
         scores = self.scored(motions, spans, self.judge, self.truth, seed)
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
-        if method != ALONE:
-            metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
-        return Scores(metrics)
+        if method == ALONE:
+            return Scores(metrics)
+        metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
+        edges = [[(start, end) for start, end, _ in each] for each in spans]
+        points = [transition_points(each, len(motion)) for each, motion in zip(edges, motions, strict=True)]
+        return self._with_jerk(metrics, self._jerks(motions, points))
 
     def real(self, seed: int) -> Scores:
         """Of the atoms' real motions. FID is that of two random halves of what FID compares with: the least that can be
@@ -118,11 +137,30 @@ class MultiTrack:
             order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
             least = fid(*(self.truth.real[half] for half in order.tensor_split(2)))
         whole = [[(0, len(motion), number)] for number, motion in enumerate(self.footage)]
-        return Scores(
-            self._shown(self.footage, whole)
-            | asdict(found)
-            | {"fid": least, "fid_plus": least, "transition": 100 * distance}
-        )
+        metrics = self._shown(self.footage, whole) | asdict(found)
+        metrics |= {"fid": least, "fid_plus": least, "transition": 100 * distance}
+        return self._with_jerk(metrics, self._real_jerks)
+
+    @cached_property
+    def _real_jerks(self) -> Float[Tensor, "windows frames"]:
+        return self._jerks(self.footage, [()] * len(self.footage))
+
+    def _jerks(self, motions: Sequence[Motion], points: Sequence[Sequence[int]]) -> Float[Tensor, "windows frames"]:
+        """Of windows that lie within their motion, around its points or, where it has none, its quarters."""
+        length, jerks = round(JERKED_SECONDS * self.judge.fps), []
+        for motion, chosen in zip(motions, points, strict=True):
+            for point in chosen or quarter_points(len(motion)):
+                start, end = transition_window(point, length)
+                if start >= 0 and end <= len(motion):
+                    jerks.append(window_jerk(motion.trimmed(start, end), length))
+        return torch.stack(jerks) if jerks else torch.zeros(0, length - 3)
+
+    def _with_jerk(self, metrics: dict[str, float], jerks: Float[Tensor, "windows frames"]) -> Scores:
+        if not len(jerks) or not len(self._real_jerks):
+            return Scores(metrics)
+        curve, average = jerk_curve(jerks), float(self._real_jerks.mean())
+        jerky = {"peak_jerk": peak_jerk(curve), "area_under_jerk": area_under_jerk(curve, average)}
+        return Scores(metrics | jerky, {"jerk": curve.tolist()})
 
     def _shown(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> dict[str, float]:
         answers = []
