@@ -1,6 +1,7 @@
-"""Measures sampling: time per timeline in a batch against alone, padding, STMC against SINC. No absolute claims."""
+"""Measures sampling: time per timeline in a batch against alone, padding, STMC against others. No absolute claims."""
 
 import time
+from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -11,11 +12,13 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
+from stmc.results.naming import method
 
 
 @hydra.main(config_path="../configs", config_name="benchmark", version_base="1.3")
 def main(config: DictConfig) -> None:
     model = stmc.load(config.model, device=config.device)
+    rivals = {(rival.method, rival.model): stmc.load(rival.model, device=config.device) for rival in config.rivals}
     timelines = stmc.Timeline.read_all(Path(config.timelines).expanduser())
     chosen = timelines[: config.batch]
     rows = []
@@ -24,13 +27,17 @@ def main(config: DictConfig) -> None:
             lambda: [model.generate(one, seed=i, steps=config.steps)[0] for i, one in enumerate(chosen)]
         )
         batch, together = clock(lambda: model.generate(chosen, seed=0, steps=config.steps))
-        sinc, _ = clock(lambda: model.generate(chosen, seed=0, steps=config.steps, method="sinc"))
-        rows.append((alone / batch, batch / sinc))
+        spent = [
+            clock(partial(rival.generate, chosen, seed=0, steps=config.steps, method=name))[0]
+            for (name, _), rival in rivals.items()
+        ]
+        rows.append((alone / batch, *(batch / seconds for seconds in spent)))
     difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
     plans = model.plans(timelines)
     table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {model.device}")
-    table.add_row("time per timeline, alone / in the batch", f"{median(row[0] for row in rows):.2f}")
-    table.add_row("time of STMC / SINC", f"{median(row[1] for row in rows):.2f}")
+    names = [f"time of STMC / {method(name).label}, {place or 'the bundled model'}" for name, place in rivals]
+    for name, ratios in zip(["time per timeline, alone / in the batch", *names], zip(*rows, strict=True), strict=True):
+        table.add_row(name, f"{median(ratios):.2f}")
     table.add_row("largest difference of a joint, batch against alone", f"{difference:.1e} m")
     table.add_row(f"padding, all {len(timelines)} timelines at once", f"{model.guided(plans).padding:.1%}")
     table.add_row(f"padding, batches of {config.batch}", f"{batched_padding(model, plans, config.batch):.1%}")
