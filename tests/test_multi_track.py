@@ -1,5 +1,6 @@
 """The multi-track benchmark: which frames should show which text, by every method; its bundled files; its scripts."""
 
+import dataclasses
 import json
 from collections.abc import Sequence
 from importlib.resources import files
@@ -9,9 +10,10 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
+from hydra.utils import instantiate
 from mocap import about, posed
 from oracle import REPRESENTATION, Oracle
-from scripting import run
+from scripting import ROOT, configured, loaded, run
 from test_evaluators import evaluator
 from tiny import tiny
 from torch import Tensor
@@ -22,13 +24,14 @@ from stmc.benchmarks.multi_track import open_mtt, published_mtt
 from stmc.body import BodyPart
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.data.footage import amass_footage, cache_footage
+from stmc.denoisers import FlowMdm
 from stmc.metrics.retrieval import cosines
 from stmc.metrics.timelines import published_timeline_scores
 from stmc.model import Method
 from stmc.motion import Motion
 from stmc.mtt import AtomicPrompt, construct, read_atoms
-from stmc.results import read_results
-from stmc.results.naming import ALONE, METHODS, REAL
+from stmc.results import Result, read_results
+from stmc.results.naming import ALONE, MEASURES, METHODS, REAL
 from stmc.run import save, save_evaluator
 from stmc.timeline import Prompt, Timeline, TimelineError
 
@@ -318,6 +321,29 @@ def test_a_killed_run_keeps_the_motions_it_had_made(work, quick, monkeypatch):
     evaluated(work, f"output={work / 'whole'}", *settings[1:])
     killed, whole = (read_results(work / name / "results.jsonl") for name in ("killed", "whole"))
     assert killed == whole
+
+
+EXPERIMENTS = sorted({path.stem for path in (ROOT / "configs" / "experiment").glob("*.yaml")} - {"base"})
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_whatever_an_experiment_asks_for_can_be_shown(name):
+    """Its table and its figure, of records without any sampling: nobody should learn at the end that they cannot."""
+    experiment = configured("evaluate", f"experiment={name}").experiment
+    models = {"MDM-SMPL": tiny()}
+    if "flow_mdm" in experiment.methods:
+        models["FlowMDM"] = dataclasses.replace(tiny(), denoiser=FlowMdm(205, 384, 90, 16, 32, 1, 2))
+    settings = list(dict.fromkeys(loaded("evaluate").chosen(experiment, models)))
+    keys = [measure.key for measure in MEASURES]
+    results = [
+        Result(seed=seed, metrics=dict.fromkeys(keys, 1.0 + seed), curves={"jerk": [1.0] * 17}, **setting._asdict())
+        for setting in settings
+        for seed in (0, 1)
+    ]
+    table = instantiate(experiment.table)(results)
+    assert sum(len(block) for block in table.blocks) >= len(settings) - experiment.real
+    if experiment.figure:
+        assert instantiate(experiment.figure)(results).axes
 
 
 def test_every_method_of_the_tables_is_one_that_can_be_run():
