@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import hydra
 import torch
@@ -12,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 import stmc
 from stmc.data.cache import Cache
 from stmc.data.dataset import ClipBatches, Corpus
+from stmc.diffusion import Spread
 from stmc.model import Model
 from stmc.run import PARTS
 from stmc.text import Cached
@@ -20,6 +22,8 @@ from stmc.training import Denoising, Hook, Trainer
 
 @hydra.main(config_path="../configs", config_name="train", version_base="1.3")
 def main(config: DictConfig) -> None:
+    if config.spread not in get_args(Spread):
+        raise SystemExit(f"spread={config.spread}: choose from {', '.join(get_args(Spread))}")
     if config.threads:
         torch.set_num_threads(config.threads)
     accelerator = Accelerator(cpu=config.device == "cpu")
@@ -74,6 +78,7 @@ def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Mode
         fps=corpus.fps,
         longest=int(instantiate(config.data.sampling).longest * corpus.fps),
         prediction=config.objective.prediction,
+        spread=config.spread,
         config={part: described[part] for part in PARTS},
     )
 

@@ -91,6 +91,7 @@ def trained(work, prepared) -> tuple[Path, subprocess.CompletedProcess]:
         "device=cpu",
         "threads=1",
         "training.warmup=1",
+        "spread=std",
         folder=work / "here",
     )
     return work / "run", done
@@ -140,6 +141,7 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
     run, _ = trained
     model = stmc.load(run)
     assert model.fps == 20
+    assert model.spread == "std"
     assert {CARD, CONFIG, STATISTICS, WEIGHTS, "train.csv", "validation.csv"} <= {path.name for path in run.iterdir()}
     with (run / "train.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -149,6 +151,11 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
     assert list((run / "pictures").glob("*.png"))
     assert list((run / "tensorboard").iterdir())
     assert str(work) not in (run / CONFIG).read_text(), "a run can be moved"
+
+
+def test_training_refuses_a_spread_that_sampling_would():
+    with pytest.raises(SystemExit, match="spread=wide: choose from std, variance"):
+        loaded("train").main.__wrapped__(configured("train", "spread=wide", "run=nowhere"))
 
 
 def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
