@@ -36,8 +36,8 @@ def ddpm(
 
     `draw(x.shape)` is called once a step, also at the last, where the noise has no weight. spread="std" scales it by
     the posterior's standard deviation, the textbook's; "variance" by its variance, as the published code of STMC does:
-    too narrow a distribution, but measured on real motion (see the bundled model's card) its samples do more often what
-    the text says and are about a tenth less diverse, so it is the default.
+    too narrow a distribution. Measured on real motion (see the bundled model's card) both do as the text says equally
+    often, and "variance" slides a little less and is a little less diverse, so it is the default.
     """
     if spread not in get_args(Spread):
         raise ValueError(f"unknown spread {spread!r}; choose from {', '.join(get_args(Spread))}")
