@@ -276,6 +276,15 @@ def test_jerk_curves_are_means_over_seeds_around_the_transition_and_real_motion_
     assert top == pytest.approx(28 * (2 + math.tan(0.475 * math.pi)))
 
 
+def test_a_legend_is_no_wider_than_its_figure_and_has_every_name():
+    methods = ("one_text", "single_track", "sinc", "sinc_lerp", "stmc", "flow_mdm")
+    plot = jerk_curves([REAL, *(record(name, 0, 1.0, denoiser="a rather long name") for name in methods)])
+    plot.canvas.draw()
+    [names] = plot.legends
+    assert names.get_window_extent().width <= plot.bbox.width
+    assert len(names.get_texts()) == 7
+
+
 def test_curves_that_cannot_be_compared_are_refused():
     with pytest.raises(ResultError, match="no record has a curve 'jerk'"):
         jerk_curves([Result("stmc", 0, {})])

@@ -88,19 +88,19 @@ def dress(axes: Axes, along: str) -> None:
 
 
 def legend(plot: Figure, panels: Iterable[Axes]) -> None:
-    """One for all panels, each name once, where there is something to tell apart."""
+    """One for all panels, each name once, where there is something to tell apart; no wider than the figure."""
     named = {}
     for axes in panels:
         named |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    if len(named) > 1:
-        plot.legend(
-            named.values(),
-            named.keys(),
-            loc="outside lower center",
-            ncols=min(len(named), 6),
-            frameon=False,
-            fontsize=9,
+    if len(named) < 2:
+        return
+    for columns in range(len(named), 0, -1):
+        shown = plot.legend(
+            named.values(), named.keys(), loc="outside lower center", ncols=columns, frameon=False, fontsize=9
         )
+        if columns == 1 or shown.get_window_extent().width <= plot.bbox.width:
+            return
+        shown.remove()
 
 
 def who(setting: Setting) -> str:
