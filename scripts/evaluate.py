@@ -28,6 +28,7 @@ from stmc.benchmarks import Benchmark
 from stmc.denoisers import FlowMdm
 from stmc.diffusion import SAMPLERS
 from stmc.files import write_text, write_whole
+from stmc.model import OWN_LATE
 from stmc.results import Result, read_results, write_results
 from stmc.results.naming import ALONE, METHODS, REAL
 from stmc.results.records import Setting
@@ -94,7 +95,7 @@ def chosen(experiment: DictConfig, models: dict[str, stmc.Model]) -> Iterator[Se
         values = {key: own.get(key) if value is None else value for key, value in values.items()}
         if values["sampler"] != "ddpm":
             values["spread"] = None
-        if method != "stmc":
+        if method not in OWN_LATE:
             values["late"] = None
         if not flow:
             values["absolute"] = None

@@ -26,7 +26,7 @@ from stmc.motion import Motion
 from stmc.passes import Guided
 from stmc.planning import Plan, plan
 from stmc.representation import Representation
-from stmc.rules import handshake, multi_diffusion, second_take
+from stmc.rules import handshake, multi_diffusion, second_take, soft
 from stmc.sequences import guided_sequences, weave
 from stmc.statistics import Statistics
 from stmc.tensors import mask
@@ -35,18 +35,31 @@ from stmc.timeline import Timeline, one_text, single_track
 from stmc.transitions import inpaint, kept_shares, slerp
 
 Method = Literal[
-    "stmc", "sinc", "sinc_lerp", "single_track", "one_text", "multi_diffusion", "double_take", "sinc_slerp", "flow_mdm"
+    "stmc",
+    "stmc_soft",
+    "sinc",
+    "sinc_lerp",
+    "single_track",
+    "one_text",
+    "multi_diffusion",
+    "double_take",
+    "sinc_slerp",
+    "flow_mdm",
 ]
 """STMC itself, the baselines of the paper's table 1, and other rules of composing in time: see `Model.generate`."""
 
 STITCHED: Mapping[Method, Callable[[Plan], Plan]] = {
     "stmc": lambda plan: plan,
+    "stmc_soft": soft,
     "single_track": lambda plan: plan,
     "one_text": lambda plan: plan,
     "multi_diffusion": multi_diffusion,
     "double_take": handshake,
 }
 """The methods that stitch crops at every step, each with the rule that it makes of a plan."""
+
+OWN_LATE: tuple[Method, ...] = ("stmc", "stmc_soft")
+"""The methods that begin to stitch as late as the model says; the others from the first step on."""
 
 SKIPPED = 0.1
 """The share of the steps, the noisiest, that DoubleTake's second take goes without (Shafir et al. 2024)."""
@@ -155,7 +168,8 @@ class Model:
         `steps` of denoising (None: as many as in training); `sampler` (None: `ddpm` with the model's own spread).
 
         `method`: "stmc" stitches at every step (section 3.3), or only after the share `late` of them (None: the model's
-        own), before which crops are denoised alone (section 4.6's outlook); "sinc" once, after sampling each crop on
+        own), before which crops are denoised alone (section 4.6's outlook); "stmc_soft" does the same with crops that
+        come and go along straight lines (see `rules.soft`); "sinc" once, after sampling each crop on
         its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts by
         "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
         "multi_diffusion" averages overlapping crops; "double_take" fades them into each other and then makes the
@@ -171,7 +185,7 @@ class Model:
         if method not in get_args(Method):
             raise ValueError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
         if late is None:
-            late = self.late if method == "stmc" else 0.0
+            late = self.late if method in OWN_LATE else 0.0
         check_late(late, method)
         if not timelines:
             return []

@@ -1,9 +1,9 @@
 """Other rules of composing crops in time, as plans made of plans: what `collage` follows is the rule.
 
 `plan` itself lays out DiffCollage (Zhang et al. 2023): overlapping crops are added up and a crop without text, over the
-overlap alone, is subtracted. Here are MultiDiffusion and DoubleTake. They mix predictions of x0; since all weights of a
-frame sum to one, and every reverse step is affine in them, that is the same as mixing the steps' results, with one
-noise for each frame of the timeline. Pure data: knows no features and no denoiser.
+overlap alone, is subtracted. Here are the same with soft edges, MultiDiffusion and DoubleTake. They mix predictions of
+x0; since all weights of a frame sum to one, and every reverse step is affine in them, that is the same as mixing the
+steps' results, with one noise for each frame of the timeline. Pure data: knows no features and no denoiser.
 """
 
 from __future__ import annotations
@@ -17,6 +17,36 @@ from stmc.planning import Crop, Plan, Span, Tile
 
 Shares = Callable[[Sequence[Tile], int], Sequence[float]]
 """(tiles of one part that cover a frame, in order; the frame) → the weight of each; they sum to one."""
+
+
+def soft(plan: Plan) -> Plan:
+    """The plan's crops, which come and go along straight lines instead of all at once: over the first half of a
+    transition the next crop is added more and more, over the second half the one before less and less, and what is
+    subtracted follows. Ours: by DiffCollage's own weights a timeline jumps where a transition begins and where it ends.
+
+    The plan is one of `planning.plan`, whose parts have a transition between any two of their tiles, or no overlap.
+    """
+    tiles: list[Tile] = []
+    for part in BodyPart:
+        own = [tile for tile in plan.tiles if tile.part == part]
+        shown, lost = ([tile for tile in own if (tile.weight > 0) == added] for added in (True, False))
+        weights = [dict.fromkeys(range(tile.start, tile.end), 1.0) for tile in shown]
+        for between, (before, after) in zip(lost, pairwise(weights), strict=False):
+            half = (between.end - between.start) / 2
+            for frame in range(between.start, between.end):
+                way = (frame + 0.5 - between.start) / half
+                before[frame] *= min(1.0, 2 - way)
+                after[frame] *= min(1.0, way)
+        total = Counter()
+        for each in weights:
+            total.update(each)
+        covered = Counter(frame for tile in lost for frame in range(tile.start, tile.end))
+        weights += [
+            {frame: (1 - total[frame]) / covered[frame] for frame in range(tile.start, tile.end)} for tile in lost
+        ]
+        for tile, by_frame in zip([*shown, *lost], weights, strict=True):
+            tiles += [Tile(tile.crop, part, *span, weight) for span, weight in _spans(by_frame) if weight]
+    return Plan(plan.frames, plan.crops, tuple(tiles))
 
 
 def multi_diffusion(plan: Plan) -> Plan:

@@ -16,7 +16,7 @@ from stmc.model import Model
 from stmc.statistics import Statistics
 from stmc.timeline import Timeline, single_track
 
-RULES = ("multi_diffusion", "double_take", "sinc_slerp", "flow_mdm")
+RULES = ("stmc_soft", "multi_diffusion", "double_take", "sinc_slerp", "flow_mdm")
 
 
 class OneWord(Hashes):

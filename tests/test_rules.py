@@ -21,7 +21,7 @@ from stmc.diffusion import Schedule, ddim, ddpm
 from stmc.geometry import matrix_to_rows, rows_to_matrix
 from stmc.planning import Crop, Plan, Tile, plan
 from stmc.representation import SMPL_LAYOUT
-from stmc.rules import handshake, multi_diffusion, second_take, transition_spans
+from stmc.rules import handshake, multi_diffusion, second_take, soft, transition_spans
 from stmc.transitions import inpaint, kept_shares, slerp
 
 SCHEDULE = Schedule.cosine(12)
@@ -62,6 +62,39 @@ def test_a_handshake_fades_from_one_crop_into_the_next():
     share = torch.tensor([0.0] * 25 + [k / 10 for k in range(10)] + [1.0] * 35)
     for part in BodyPart:
         torch.testing.assert_close(weights(shaken, part), torch.stack([1 - share, share]))
+
+
+def test_soft_edges_come_and_go_along_straight_lines():
+    [laid_out] = plans_of(TWO)
+    softened = soft(laid_out)
+    assert softened.crops == laid_out.crops == (Crop("walk", 0, 35), Crop("run", 25, 70), Crop(None, 25, 35))
+    rise = torch.tensor([0.1, 0.3, 0.5, 0.7, 0.9] + [1.0] * 5)
+    expected = torch.zeros(3, 70)
+    expected[0, :25], expected[0, 25:35] = 1, rise.flip(0)
+    expected[1, 35:], expected[1, 25:35] = 1, rise
+    expected[2, 25:35] = 1 - rise - rise.flip(0)
+    for part in BodyPart:
+        torch.testing.assert_close(weights(softened, part), expected)
+
+
+@quietly
+@settings(deadline=None)
+@given(any_timeline(), st.integers(0, 30), st.sampled_from([None, 60, 200]))
+def test_soft_edges_never_jump_and_leave_the_middle_of_a_transition_as_it_is(drawn, overlap, longest):
+    """A weight changes by no more than one over half a transition, but where transitions meet or the timeline ends."""
+    laid_out = plan(drawn, FPS, overlap, longest)
+    softened = soft(laid_out)
+    assert softened.crops == laid_out.crops
+    for part in BodyPart:
+        spans = transition_spans(laid_out, part)
+        before, after = weights(laid_out, part), weights(softened, part)
+        plain = [a[1] <= b[0] for a, b in pairwise(spans)]
+        if not spans or not all(plain) or any(end - start < overlap for start, end in spans):
+            continue
+        assert after.diff(dim=1).abs().max() <= 2 / overlap + 1e-5
+        for start, end in spans:
+            if (end - start) % 2:
+                torch.testing.assert_close(after[:, (start + end) // 2], before[:, (start + end) // 2])
 
 
 def test_parts_that_do_not_change_hands_keep_their_crop_alone():

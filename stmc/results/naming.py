@@ -89,6 +89,7 @@ METHODS = {
     "multi_diffusion": Method("MultiDiffusion", "Multi", "Multi"),
     "double_take": Method("DoubleTake", "Multi", "Multi"),
     "stmc": Method("STMC", "Multi", "Multi"),
+    "stmc_soft": Method("STMC, soft", "Multi", "Multi"),
     "flow_mdm": Method("FlowMDM", "Multi", "None"),
 }
 """In the order of Table 1's rows, and others beside those that they are nearest to."""
