@@ -55,12 +55,20 @@ def test_settings_that_are_only_mentioned_exist_too():
             assert key in config, f"{script}.py has no setting {key}"
 
 
-def test_every_file_that_is_named_or_linked_is_there():
-    links = re.findall(r"\]\((?!https?:|#|mailto:)([^)\s]+)\)", README)
+@pytest.mark.parametrize(
+    "page",
+    [ROOT / "README.md", *sorted((ROOT / "stmc/assets").rglob("*.md"))],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
+def test_every_file_that_a_page_links_is_there(page):
+    links = re.findall(r"\]\((?!https?:|#|mailto:)([^)\s#]+)", page.read_text("utf-8"))
+    assert not [name for name in links if not (page.parent / name).exists()]
+
+
+def test_every_file_that_is_named_is_there():
     named = re.findall(r"`((?:scripts|configs|tests|stmc|docs)/[\w./-]*\w)`", README)
     named += re.findall(r"`([\w-]+\.(?:txt|toml|md|cff))`", README)
-    absent = [name for name in {*links, *named} if not (ROOT / name).exists() and name not in THEIRS]
-    assert not absent
+    assert not [name for name in named if not (ROOT / name).exists() and name not in THEIRS]
 
 
 def test_the_test_command_is_the_one_that_ci_runs():
