@@ -294,7 +294,7 @@ def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp
     ("override", "message"),
     [
         ("sampler=euler", "sampler=euler: choose from ddpm, ddim, dpm_solver"),
-        ("method=magic", "method=magic: choose from stmc, sinc"),
+        ("method=magic", "method=magic: choose from stmc, stmc_soft, sinc"),
         ("spread=wide", "spread=wide: choose from std, variance"),
         ("formats=[fbx]", "choose from npz, bvh, html"),
         ("formats=[]", "choose from npz, bvh, html"),
