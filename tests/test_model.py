@@ -300,6 +300,7 @@ def thousand() -> list[Timeline]:
 
 
 @quietly
+@pytest.mark.slow
 def test_a_thousand_random_legal_timelines_are_sampled():
     """At 10 frames a second and at most 4 seconds at once: everything happens, quickly."""
     model, drawn = tiny(fps=10, longest=40), thousand()
