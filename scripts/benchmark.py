@@ -17,8 +17,10 @@ from stmc.results.naming import method
 
 @hydra.main(config_path="../configs", config_name="benchmark", version_base="1.3")
 def main(config: DictConfig) -> None:
-    model = stmc.load(config.model, device=config.device)
-    rivals = {(rival.method, rival.model): stmc.load(rival.model, device=config.device) for rival in config.rivals}
+    rivals = [(rival.method, rival.model) for rival in config.rivals]
+    places = {config.model, *(place for _, place in rivals)}
+    models = {place: stmc.load(place, device=config.device) for place in places}
+    model = models[config.model]
     timelines = stmc.Timeline.read_all(Path(config.timelines).expanduser())
     chosen = timelines[: config.batch]
     rows = []
@@ -28,8 +30,8 @@ def main(config: DictConfig) -> None:
         )
         batch, together = clock(lambda: model.generate(chosen, seed=0, steps=config.steps))
         spent = [
-            clock(partial(rival.generate, chosen, seed=0, steps=config.steps, method=name))[0]
-            for (name, _), rival in rivals.items()
+            clock(partial(models[place].generate, chosen, seed=0, steps=config.steps, method=name))[0]
+            for name, place in rivals
         ]
         rows.append((alone / batch, *(batch / seconds for seconds in spent)))
     difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
