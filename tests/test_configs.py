@@ -2,12 +2,11 @@
 
 import inspect
 import logging.config
-from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
+from scripting import ROOT, configured
 from test_motion import walk
 from toys import LAYOUT, LetterCounts, cache
 
@@ -15,7 +14,7 @@ from stmc.data.cache import Cache, Clip
 from stmc.data.dataset import Corpus
 from stmc.representation import SmplRepresentation
 
-CONFIGS = Path(__file__).parents[1] / "configs"
+CONFIGS = ROOT / "configs"
 NAMES = sorted(str(path.relative_to(CONFIGS).with_suffix("")) for path in CONFIGS.rglob("*.yaml"))
 CLIP = Clip("walk-1", "walk", "normal", "walk", ("legs",), True, False, "train", 0, 12)
 CORPUS = Corpus(
@@ -56,8 +55,7 @@ def check_keywords(node: DictConfig) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_config_describes_what_can_be_built(name):
-    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        config = compose(name)
+    config = configured(name)
     if name.startswith("hydra/job_logging"):
         logging.config.DictConfigurator(OmegaConf.to_container(OmegaConf.load(CONFIGS / f"{name}.yaml")))
         return
@@ -78,7 +76,6 @@ def test_every_size_that_data_decides_is_left_to_the_data():
 
 
 def test_what_no_constructor_knows_is_an_error():
-    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        config = compose("denoiser/mdm_smpl", overrides=["+denoiser.depth=3"])
+    config = configured("denoiser/mdm_smpl", "+denoiser.depth=3")
     with pytest.raises(Exception, match="depth"):
         instantiate(config.denoiser, features=11, text_width=8)

@@ -139,7 +139,7 @@ def weights(ours: Plan) -> np.ndarray:
 
 
 @quietly
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=1000, deadline=None)
 @given(timelines(), st.integers(0, 45), st.one_of(st.none(), st.integers(1, 60)))
 @example(Timeline([Prompt("one frame", 0, 0.05)]), 9, 1)
 def test_any_legal_timeline_has_a_plan_whose_weights_sum_to_one(timeline, overlap, spare):

@@ -5,12 +5,11 @@ import shlex
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
+from scripting import ROOT, configured
 
 from stmc.model import Model
 from stmc.run import WEIGHTS, bundled
 
-ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
 CELLS = re.findall(r"^```python\n(.*?)^```$", README, flags=re.DOTALL | re.MULTILINE)
 THEIRS = ("MTT.txt", "texts.txt", "motions.txt")
@@ -39,8 +38,7 @@ def test_there_are_cells_and_commands_to_try():
 @pytest.mark.parametrize(("script", "settings"), COMMANDS, ids=str.strip)
 def test_a_command_names_a_script_that_is_there_and_settings_that_it_has(script, settings):
     assert (ROOT / script).is_file()
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        compose(Path(script).stem, overrides=shlex.split(settings))
+    configured(Path(script).stem, *shlex.split(settings))
 
 
 def test_settings_that_are_only_mentioned_exist_too():
@@ -49,8 +47,7 @@ def test_settings_that_are_only_mentioned_exist_too():
     assert rows
     for row in rows:
         script = re.search(r"scripts/(\w+)\.py", row)[1]
-        with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-            config = compose(script)
+        config = configured(script)
         for key in re.findall(r"`(\w+)=", row):
             assert key in config, f"{script}.py has no setting {key}"
 
