@@ -37,7 +37,8 @@ class Crop:
 
 @dataclass(frozen=True)
 class Tile:
-    """Where one body part of one crop lands: frames [start, end) of the timeline, added with `weight` (1 or -1).
+    """Where one body part of one crop lands: frames [start, end) of the timeline, added with `weight`: 1 or -1
+    in a `plan`, anything between in the plans that `rules` make of it.
 
     Within the crop these are the frames from `start - crop.start` on.
     """

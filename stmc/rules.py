@@ -29,7 +29,7 @@ def soft(plan: Plan) -> Plan:
     tiles: list[Tile] = []
     for part in BodyPart:
         own = [tile for tile in plan.tiles if tile.part == part]
-        shown, lost = ([tile for tile in own if (tile.weight > 0) == added] for added in (True, False))
+        shown, lost = [tile for tile in own if tile.weight > 0], [tile for tile in own if tile.weight < 0]
         weights = [dict.fromkeys(range(tile.start, tile.end), 1.0) for tile in shown]
         for between, (before, after) in zip(lost, pairwise(weights), strict=False):
             half = (between.end - between.start) / 2
@@ -37,13 +37,9 @@ def soft(plan: Plan) -> Plan:
                 way = (frame + 0.5 - between.start) / half
                 before[frame] *= min(1.0, 2 - way)
                 after[frame] *= min(1.0, way)
-        total = Counter()
-        for each in weights:
-            total.update(each)
         covered = Counter(frame for tile in lost for frame in range(tile.start, tile.end))
-        weights += [
-            {frame: (1 - total[frame]) / covered[frame] for frame in range(tile.start, tile.end)} for tile in lost
-        ]
+        rest = {frame: (1 - sum(each.get(frame, 0.0) for each in weights)) / covered[frame] for frame in covered}
+        weights += [{frame: rest[frame] for frame in range(tile.start, tile.end)} for tile in lost]
         for tile, by_frame in zip([*shown, *lost], weights, strict=True):
             tiles += [Tile(tile.crop, part, *span, weight) for span, weight in _spans(by_frame) if weight]
     return Plan(plan.frames, plan.crops, tuple(tiles))

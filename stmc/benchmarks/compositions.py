@@ -23,13 +23,7 @@ from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.matching import BATCH, embedding_diversity, matching_score, r_precision
 from stmc.metrics.plausibility import check_joints
 from stmc.metrics.realism import fid
-from stmc.metrics.smoothness import (
-    HUMANML3D_WINDOW,
-    area_under_jerk,
-    jerk_curve,
-    peak_jerk,
-    transition_window,
-)
+from stmc.metrics.smoothness import HUMANML3D_WINDOW, transition_window
 from stmc.motion import Motion
 from stmc.representation import Representation
 from stmc.timeline import Prompt, Timeline
@@ -234,7 +228,6 @@ class Compositions:
             takes.subsequences[order],
             self._true(takes.segments)[order][:, order],
         )
-        curve = jerk_curve(takes.jerks)
         metrics = {
             "r_precision": r_precision(texts, motions, true)[2],
             "subsequence_fid": fid(motions, real.subsequences),
@@ -242,10 +235,8 @@ class Compositions:
             "mm_dist": matching_score(texts, motions),
             "transition_fid": fid(takes.windows, real.windows),
             "transition_diversity": embedding_diversity(takes.windows, len(takes.windows), seed),
-            "peak_jerk": peak_jerk(curve),
-            "area_under_jerk": area_under_jerk(curve, float(real.jerks.mean())),
         }
-        return Scores(metrics, {"jerk": curve.tolist()})
+        return Scores(metrics).with_jerk(takes.jerks, real.jerks)
 
     def _true(self, segments: Sequence[Segment]) -> Bool[Tensor, "segments segments"]:
         """Of which segments' clips the text of each segment is true."""

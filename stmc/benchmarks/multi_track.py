@@ -23,19 +23,12 @@ from stmc.data.footage import Footage, amass_footage, cache_footage
 from stmc.metrics.ability import Question, questions
 from stmc.metrics.kinematics import local_joints, window_jerk
 from stmc.metrics.realism import fid
-from stmc.metrics.smoothness import (
-    area_under_jerk,
-    jerk_curve,
-    peak_jerk,
-    quarter_points,
-    transition_distance,
-    transition_points,
-    transition_window,
-)
+from stmc.metrics.smoothness import quarter_points, transition_distance, transition_window
 from stmc.metrics.timelines import (
     GroundTruth,
     Span,
     TimelineScores,
+    measured_points,
     published_timeline_scores,
     semantics,
     timeline_scores,
@@ -122,9 +115,8 @@ class MultiTrack:
         if method == ALONE:
             return Scores(metrics)
         metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
-        edges = [[(start, end) for start, end, _ in each] for each in spans]
-        points = [transition_points(each, len(motion)) for each, motion in zip(edges, motions, strict=True)]
-        return self._with_jerk(metrics, self._jerks(motions, points))
+        points = [measured_points(each, len(motion)) for each, motion in zip(spans, motions, strict=True)]
+        return self._with_jerk(Scores(metrics), self._jerks(motions, points))
 
     def real(self, seed: int) -> Scores:
         """Of the atoms' real motions. FID is that of two random halves of what FID compares with: the least that can be
@@ -139,28 +131,25 @@ class MultiTrack:
         whole = [[(0, len(motion), number)] for number, motion in enumerate(self.footage)]
         metrics = self._shown(self.footage, whole) | asdict(found)
         metrics |= {"fid": least, "fid_plus": least, "transition": 100 * distance}
-        return self._with_jerk(metrics, self._real_jerks)
+        return self._with_jerk(Scores(metrics), self._real_jerks)
 
     @cached_property
     def _real_jerks(self) -> Float[Tensor, "windows frames"]:
-        return self._jerks(self.footage, [()] * len(self.footage))
+        return self._jerks(self.footage, [quarter_points(len(motion)) for motion in self.footage])
 
     def _jerks(self, motions: Sequence[Motion], points: Sequence[Sequence[int]]) -> Float[Tensor, "windows frames"]:
-        """Of windows that lie within their motion, around its points or, where it has none, its quarters."""
+        """In m/frame³, of the windows around the points of each motion that lie within it."""
         length, jerks = round(JERKED_SECONDS * self.judge.fps), []
         for motion, chosen in zip(motions, points, strict=True):
-            for point in chosen or quarter_points(len(motion)):
+            for point in chosen:
                 start, end = transition_window(point, length)
                 if start >= 0 and end <= len(motion):
                     jerks.append(window_jerk(motion.trimmed(start, end), length))
         return torch.stack(jerks) if jerks else torch.zeros(0, length - 3)
 
-    def _with_jerk(self, metrics: dict[str, float], jerks: Float[Tensor, "windows frames"]) -> Scores:
-        if not len(jerks) or not len(self._real_jerks):
-            return Scores(metrics)
-        curve, average = jerk_curve(jerks), float(self._real_jerks.mean())
-        jerky = {"peak_jerk": peak_jerk(curve), "area_under_jerk": area_under_jerk(curve, average)}
-        return Scores(metrics | jerky, {"jerk": curve.tolist()})
+    def _with_jerk(self, scores: Scores, jerks: Float[Tensor, "windows frames"]) -> Scores:
+        """As they are where all motions, or all real ones, are shorter than a window."""
+        return scores.with_jerk(jerks, self._real_jerks) if len(jerks) and len(self._real_jerks) else scores
 
     def _shown(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> dict[str, float]:
         answers = []

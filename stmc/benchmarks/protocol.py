@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor
 
+from stmc.metrics.smoothness import area_under_jerk, jerk_curve, peak_jerk
 from stmc.metrics.timelines import Judge
 from stmc.motion import Motion
 from stmc.timeline import Timeline
@@ -19,6 +20,13 @@ class Scores(NamedTuple):
 
     metrics: dict[str, float]
     curves: Mapping[str, list[float]] = MappingProxyType({})
+
+    def with_jerk(self, jerks: Float[Tensor, "windows frames"], real: Float[Tensor, "_ frames"]) -> Scores:
+        """These, and of the jerk in windows around transitions, in m/frame³, the peak, the area between it and the mean
+        of `real` motion's, and the curve "jerk"."""
+        curve = jerk_curve(jerks)
+        jerky = {"peak_jerk": peak_jerk(curve), "area_under_jerk": area_under_jerk(curve, float(real.mean()))}
+        return Scores({**self.metrics, **jerky}, {**self.curves, "jerk": curve.tolist()})
 
 
 @runtime_checkable

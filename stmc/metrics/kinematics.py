@@ -113,8 +113,8 @@ def local_joints(motion: Motion) -> Float[Tensor, "frames joints 3"]:
 
 
 def window_jerk(window: Motion, frames: int) -> Float[Tensor, " _"]:
-    """The `smoothness.jerk` of a window of a motion, turned to begin with heading zero, in `frames - 3` values; where
-    the motion ends within the window, its last one goes on."""
+    """The `smoothness.jerk` of a window of a motion, in m/frame³, turned to begin with heading zero, in `frames - 3`
+    values; where the motion ends within the window, its last one goes on."""
     joints = window.joints[:, :JERKED] @ rotation_z(-window.heading[0]).mT
     values = jerk(joints)
     return torch.cat([values, values[-1:].expand(frames - 3 - len(values))])

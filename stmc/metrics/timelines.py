@@ -95,6 +95,12 @@ def semantics(crops: Float[Tensor, "crops width"], numbers: Sequence[int], truth
     return Semantics(*shares, float(to_text), float(to_motion))
 
 
+def measured_points(spans: Sequence[Span], frames: int) -> tuple[int, ...]:
+    """The frames at which the transitions of a motion of so many frames are measured: every begin and end of a prompt
+    within it; where it has none, its quarters, as of real motion."""
+    return transition_points(_edges(spans), frames) or quarter_points(frames)
+
+
 def timeline_scores(
     motions: Sequence[Motion], spans: Sequence[Sequence[Span]], judge: Judge, truth: GroundTruth, seed: int = 0
 ) -> TimelineScores:
@@ -109,10 +115,7 @@ def timeline_scores(
     crop = int(CROP_SECONDS * judge.fps)
     starts = crop_starts([len(rows) for rows in features], crop, seed)
     poses = [local_joints(motion) for motion in motions]
-    points = [
-        transition_points(_edges(each), len(pose)) or quarter_points(len(pose))
-        for each, pose in zip(spans, poses, strict=True)
-    ]
+    points = [measured_points(each, len(pose)) for each, pose in zip(spans, poses, strict=True)]
     distance = transition_distance(poses, points)
     return _scores(features, spans, starts, crop, judge, truth, distance)
 

@@ -1,4 +1,4 @@
-"""Figures of compositions in time (Barquero et al. 2024): the jerk around transitions, and what absolute steps trade.
+"""Figures of Barquero et al. 2024: the jerk around transitions, of any benchmark, and what absolute steps trade.
 
 Knows records and matplotlib's figures, as `charts` does.
 """
