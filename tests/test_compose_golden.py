@@ -10,7 +10,7 @@ from mosaic import last, padding_of, plans_of, timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import NULL, collage, crop_lengths, guided_crops, lerp, sinc
+from stmc.composing import NULL, collage, crop_lengths, guided_crops, lerp, sinc
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule, ddpm
 from stmc.planning import Plan

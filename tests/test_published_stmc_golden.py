@@ -9,7 +9,7 @@ from published import close, drawn, frames, mdm, motion_diffuse, words_of
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import NULL, canvas_lengths, collage, crop_lengths, guided_crops
+from stmc.composing import NULL, canvas_lengths, collage, crop_lengths, guided_crops
 from stmc.diffusion import Schedule
 from stmc.planning import Plan, plan
 from stmc.representation import HUMANML3D_LAYOUT

@@ -16,13 +16,11 @@ from strategies import timelines as any_timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import collage, crop_lengths, guided_crops, lerp
+from stmc.composing import collage, crop_lengths, guided_crops, inpaint, kept_shares, lerp, slerp
 from stmc.diffusion import Schedule, ddim, ddpm
 from stmc.geometry import matrix_to_rows, rows_to_matrix
-from stmc.planning import Crop, Plan, Tile, plan
+from stmc.planning import Crop, Plan, Tile, handshake, multi_diffusion, plan, second_take, soft, transition_spans
 from stmc.representation import SMPL_LAYOUT
-from stmc.rules import handshake, multi_diffusion, second_take, soft, transition_spans
-from stmc.transitions import inpaint, kept_shares, slerp
 
 SCHEDULE = Schedule.cosine(12)
 SETS = pytest.mark.parametrize("folder", golden_sets("flow"))

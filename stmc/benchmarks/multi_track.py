@@ -17,10 +17,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stmc.benchmarks.ability import Question, questions
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atoms
+from stmc.benchmarks.ground_truth import Footage, amass_footage, cache_footage
 from stmc.benchmarks.protocol import Scores, TextJudge
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.data.footage import Footage, amass_footage, cache_footage
-from stmc.metrics.ability import Question, questions
 from stmc.metrics.kinematics import local_joints, window_jerk
 from stmc.metrics.realism import fid
 from stmc.metrics.smoothness import quarter_points, transition_distance, transition_window
@@ -34,7 +35,6 @@ from stmc.metrics.timelines import (
     timeline_scores,
 )
 from stmc.motion import Motion
-from stmc.mtt import AtomicPrompt, read_atoms
 from stmc.representation import SmplRepresentation
 from stmc.results.naming import ALONE
 from stmc.timeline import Prompt, Timeline, TimelineError

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from stmc.data.preparation import LayoutError
-from stmc.data.sentences import mirrored
+from stmc.data.sources.bandai_sentences import mirrored
 
 SPLITS = ("train", "val", "test")
 
