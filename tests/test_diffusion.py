@@ -275,7 +275,7 @@ def test_wrong_spreads_and_etas_are_errors():
 
 
 @given(st.lists(st.integers(1, 30), min_size=1, max_size=5), st.integers(0, 2**40))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_sample_draws_the_same_alone_as_in_a_batch(lengths, seed):
     seeds = [seed + i for i in range(len(lengths))]
     together = Noise(seeds, lengths, 4)

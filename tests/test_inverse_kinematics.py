@@ -58,7 +58,7 @@ def poses(frames, seed, size):
 
 
 @given(seed=st.integers(0, 1000), size=st.floats(0.1, 1.5), joints=st.sampled_from([22, 24]), frames=st.integers(1, 6))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_any_pose_of_the_same_proportions_is_reproduced(seed, size, joints, frames):
     motion = poses(frames, seed, size)
     rotations = joints_to_rotations(motion.joints[:, :joints], skeleton())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from appendix_b import by_the_rules
 from conftest import golden, golden_sets
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from strategies import quietly, timelines
 
@@ -148,7 +148,6 @@ def weights(ours: Plan) -> np.ndarray:
 
 
 @quietly
-@settings(max_examples=1000, deadline=None)
 @given(timelines(), st.integers(0, 45), st.one_of(st.none(), st.integers(1, 60)))
 @example(Timeline([Prompt("one frame", 0, 0.05)]), 9, 1)
 def test_any_legal_timeline_has_a_plan_whose_weights_sum_to_one(timeline, overlap, spare):
@@ -166,7 +165,6 @@ def test_any_legal_timeline_has_a_plan_whose_weights_sum_to_one(timeline, overla
 
 
 @quietly
-@settings(max_examples=200, deadline=None)
 @given(timelines(), st.integers(1, 30))
 def test_without_overlap_each_part_is_selected_from_one_crop_of_its_owner(timeline, longest):
     ours = plan(timeline, 20, 0, longest)
@@ -179,7 +177,6 @@ def test_without_overlap_each_part_is_selected_from_one_crop_of_its_owner(timeli
 
 
 @quietly
-@settings(max_examples=200, deadline=None)
 @given(timelines(), st.integers(0, 30))
 @example(Timeline([Prompt("shorter than the overlap", 0, 0.5)]), 30)
 def test_a_longest_that_holds_the_timeline_changes_nothing(timeline, overlap):
