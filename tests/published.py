@@ -73,6 +73,11 @@ def close(actual: Tensor, expected, relative: float = RELATIVE) -> None:
     torch.testing.assert_close(actual, expected, atol=relative * max(1.0, float(expected.abs().max())), rtol=0)
 
 
+def limit_at(steps) -> float:
+    """`RELATIVE`, and what the last bits of the steps' sinusoids make of it, which grow with the step."""
+    return RELATIVE + 4e-8 * float(np.max(np.asarray(steps)))
+
+
 def waves(steps: Tensor, width: int) -> tuple[Tensor, Tensor]:
     """Sines and cosines of float64, each [steps, width / 2]: what every table of positions or steps is made of."""
     frequency = torch.exp(torch.arange(width // 2, dtype=torch.float64) * (-2 * math.log(10000.0) / width))
