@@ -139,6 +139,24 @@ def test_a_late_start_is_an_unconditional_crop_where_the_published_code_leaves_z
 # Any timeline
 
 
+@st.composite
+def prompts_in_frames(draw) -> list:
+    """Timelines that the published code has a plan for most of the time: the first prompt lasts from start to end."""
+    last = draw(st.integers(5, 120))
+    listed = st.lists(st.sampled_from(list(BodyPart)), unique=True).map(lambda parts: [part.value for part in parts])
+    spans = st.lists(st.integers(0, last), min_size=2, max_size=2, unique=True).map(sorted)
+    rest = draw(st.lists(st.tuples(spans, listed.filter(bool)), max_size=5))
+    return [[0, last, ["legs"]], *([start, end, parts] for (start, end), parts in rest)]
+
+
+@quietly
+@given(prompts_in_frames(), st.integers(0, 45))
+def test_plans_of_any_timeline_are_those_of_appendix_b_read_interval_by_interval(prompts, overlap):
+    expected = by_the_rules(prompts, overlap)
+    ours = in_published_form(plan(in_frames(prompts), 1, overlap))
+    assert ours == expected or expected == "AssertionError"
+
+
 def weights(ours: Plan) -> np.ndarray:
     """The sum of the weights, [5, frames], added up tile by tile."""
     canvas = np.zeros((5, ours.frames))
