@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import data_file, golden, golden_sets
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import quietly, timelines
 
@@ -320,7 +320,6 @@ def test_nothing_but_the_file_is_left_after_writing(tmp_path):
 
 
 @quietly
-@settings(max_examples=200, deadline=None)
 @given(st.lists(timelines(), min_size=1, max_size=3), st.sampled_from((".json", ".txt")))
 def test_what_is_written_is_read_back(tmp_path_factory, many, suffix):
     path = tmp_path_factory.mktemp("files") / f"t{suffix}"
@@ -351,7 +350,6 @@ def test_a_notebook_shows_the_drawing():
 
 
 @quietly
-@settings(max_examples=200, deadline=None)
 @given(timelines())
 def test_any_timeline_can_be_drawn(timeline):
     title, ruler, *rest = str(timeline).splitlines()
@@ -397,7 +395,6 @@ def test_single_track_of_a_moment_is_refused():
 
 
 @quietly
-@settings(max_examples=300, deadline=None)
 @given(timelines(), st.sampled_from((20, 30, 7.5)))
 def test_single_track_pieces_follow_each_other(timeline, fps):
     if all(start == end for start, end in timeline.spans(fps)):
