@@ -26,7 +26,7 @@ from stmc.data.cache import Cache, CacheError, Clip
 from stmc.data.footage import amass_footage, cache_footage
 from stmc.denoisers import FlowMdm
 from stmc.metrics.retrieval import cosines
-from stmc.metrics.timelines import published_timeline_scores
+from stmc.metrics.timelines import PUBLISHED
 from stmc.model import Method
 from stmc.motion import Motion
 from stmc.mtt import AtomicPrompt, construct, read_atoms
@@ -208,7 +208,7 @@ def test_the_papers_own_files_are_read_and_measured_as_published(tmp_path):
         moved.parent.mkdir(parents=True, exist_ok=True)
         with_hands(tmp_path / f"{name}.npz", moved)
     opened = published_mtt(ORACLE, tmp_path, tmp_path / "AMASS")
-    assert opened.scored is published_timeline_scores
+    assert opened.formulas is PUBLISHED and opened.joints_from == "features"
     assert [len(motion) for motion in opened.footage] == [30, 30]
     assert opened.real(0).metrics["recall_1"] == 100
     with pytest.raises(ValueError, match="no recording 'KIT/3/jump_poses'"):

@@ -6,7 +6,7 @@ network and no way to make motions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -147,6 +147,40 @@ def published_timeline_scores(
     poses = [z_up(features_to_local_joints(rows)) for rows in features]
     distance = published_transition_distance(poses, points)
     return _scores(features, spans, starts, crop, judge, truth, distance)
+
+
+def real_transition(motions: Sequence[Motion], judge: Judge) -> float:
+    """The distance in centimetres from frame to frame in real motions, at their quarters: what `timeline_scores`'
+    transitions compare with."""
+    poses = [local_joints(motion) for motion in _at(motions, judge.fps)]
+    return _at_quarters(poses)
+
+
+def published_real_transition(motions: Sequence[Motion], judge: Judge) -> float:
+    """What the published code prints in the ground truth's row: of the joints of HumanML3D's features (22, one frame
+    less, on its skeleton), relative to the pelvis."""
+    features = [judge.features(motion) for motion in _at(motions, judge.fps)]
+    return _at_quarters([z_up(features_to_local_joints(rows)) for rows in features])
+
+
+@dataclass(frozen=True)
+class Formulas:
+    """How all of a table is computed: `scores` of motions made from timelines, `real_transition` of the ground truth's
+    (its other measures have one formula)."""
+
+    scores: Callable[..., TimelineScores]
+    real_transition: Callable[[Sequence[Motion], Judge], float]
+
+
+DEFINED = Formulas(timeline_scores, real_transition)
+"""By the definitions of the paper."""
+
+PUBLISHED = Formulas(published_timeline_scores, published_real_transition)
+"""By the published code, to compare with the paper's tables."""
+
+
+def _at_quarters(poses: Sequence[Float[Tensor, "_ joints 3"]]) -> float:
+    return 100 * transition_distance(poses, [quarter_points(len(pose)) for pose in poses])
 
 
 def _at(motions: Sequence[Motion], fps: float | int) -> list[Motion]:
