@@ -12,9 +12,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 import stmc
+from stmc.benchmarks.ability import abilities, mean_speed
 from stmc.data.cache import Cache
 from stmc.metrics import kinematics
-from stmc.metrics.ability import abilities, mean_speed
 from stmc.viewing import pictures
 
 

@@ -14,12 +14,12 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 import stmc
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, construct, write_atoms
 from stmc.body import BodyPart
 from stmc.data.cache import Cache, Clip
-from stmc.data.sentences import CONTENTS, STYLES
+from stmc.data.sources.bandai_sentences import CONTENTS, STYLES
 from stmc.evaluators import Evaluator
 from stmc.metrics.retrieval import cosines, ranks
-from stmc.mtt import AtomicPrompt, construct, write_atoms
 from stmc.representation import SmplRepresentation
 
 PLAIN = "normal"

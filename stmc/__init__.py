@@ -11,13 +11,13 @@ from importlib import import_module
 __version__ = "0.1.0"
 
 _HOMES = {
-    "assign": "assignment", "plan": "planning", "Plan": "planning", "collage": "compose", "guided_crops": "compose",
-    "sinc": "compose", "lerp": "compose", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",
+    "assign": "planning", "plan": "planning", "Plan": "planning", "collage": "composing", "guided_crops": "composing",
+    "sinc": "composing", "lerp": "composing", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",
     "guide": "diffusion", "Noise": "diffusion", "Schedule": "diffusion", "BodyPart": "body", "Prompt": "timeline",
     "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline", "Motion": "motion",
     "motion_of_joints": "inverse_kinematics", "Skeleton": "body_model", "Model": "model", "load": "run", "save": "run",
     "load_evaluator": "run", "read": "export", "write": "export", "view": "viewing", "page": "viewing",
-    "figure": "viewing", "pictures": "viewing",
+    "figure": "viewing", "pictures": "viewing", "plot_plan": "viewing",
 }  # fmt: skip
 
 __all__ = sorted(_HOMES)

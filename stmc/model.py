@@ -19,20 +19,31 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.body_model import Skeleton
-from stmc.compose import canvas_lengths, collage, crop_lengths, crop_seeds, distinct_texts, guided_crops, lerp, sinc
+from stmc.composing import (
+    canvas_lengths,
+    collage,
+    crop_lengths,
+    crop_seeds,
+    distinct_texts,
+    guided_crops,
+    guided_sequences,
+    inpaint,
+    kept_shares,
+    lerp,
+    sinc,
+    slerp,
+    weave,
+)
+from stmc.composing.batching import Guided
 from stmc.denoisers import FlowMdm, Network
 from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, Spread, ddpm
 from stmc.motion import Motion
-from stmc.passes import Guided
-from stmc.planning import Plan, plan
+from stmc.planning import Plan, handshake, multi_diffusion, plan, second_take, soft
 from stmc.representation import JointsFrom, Representation
-from stmc.rules import handshake, multi_diffusion, second_take, soft
-from stmc.sequences import guided_sequences, weave
 from stmc.statistics import Statistics
 from stmc.tensors import mask
 from stmc.text import TextEncoder
 from stmc.timeline import Timeline, one_text, single_track
-from stmc.transitions import inpaint, kept_shares, slerp
 
 Method = Literal[
     "stmc",
@@ -121,7 +132,7 @@ class Model:
 
     def guided(self, plans: Sequence[Plan], weight: float | int | None = None) -> Guided:
         """A predictor of the plans' crops with classifier-free guidance (None: the model's own): see
-        `compose.guided_crops`."""
+        `composing.guided_crops`."""
         weight = self.guidance if weight is None else weight
         settings = {"mixed": self.denoiser.mixed, "window": self.denoiser.window}
         read = self._read(plans)
@@ -129,7 +140,7 @@ class Model:
 
     def guided_sequences(self, plans: Sequence[Plan], weight: float | int | None = None) -> Guided:
         """A predictor of the body sequences of plans without overlap, with guidance: see
-        `sequences.guided_sequences`. Raises `ValueError` for a denoiser that knows one text only."""
+        `composing.guided_sequences`. Raises `ValueError` for a denoiser that knows one text only."""
         if not isinstance(self.denoiser, FlowMdm):
             name = type(self.denoiser).__name__
             raise ValueError(f"{name} knows one text for all frames; only FlowMdm denoises sequences of several")
@@ -170,7 +181,7 @@ class Model:
 
         `method`: "stmc" stitches at every step (section 3.3), or only after the share `late` of them (None: the model's
         own), before which crops are denoised alone (section 4.6's outlook); "stmc_soft" does the same with crops that
-        come and go along straight lines (see `rules.soft`); "sinc" once, after sampling each crop on
+        come and go along straight lines (see `planning.soft`); "sinc" once, after sampling each crop on
         its own; "sinc_lerp" smooths the seams of that over `overlap`; "single_track" joins simultaneous texts by
         "while" and composes in time alone (DiffCollage); "one_text" makes one sentence of them all (section 4.3).
         "multi_diffusion" averages overlapping crops; "double_take" fades them into each other and then makes the

@@ -14,8 +14,8 @@ from torch.testing import assert_close
 
 from stmc.body import MIRROR, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data.amass import RecordingError, Recordings, read_recording
 from stmc.data.preparation import LayoutError
+from stmc.data.sources.amass import RecordingError, Recordings, read_recording
 from stmc.geometry import axis_angle_to_matrix, resample_positions, resample_rotations, sampling_positions
 from stmc.motion import Motion
 

@@ -16,13 +16,13 @@ REPOSITORY = ROOT.parent
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob("*.py"))}
 
 TIERS = [
-    {"arrays", "body", "files", "geometry", "statistics", "tensors"},
+    {"arrays", "body", "files", "geometry", "settings", "statistics", "tensors"},
     {"body_model", "denoisers", "diffusion", "motion", "text", "timeline"},
-    {"inverse_kinematics", "passes"},
-    {"assignment", "export", "representation", "training"},
-    {"data", "evaluators", "metrics", "mtt", "planning", "study", "viewing"},
-    {"compose", "results", "rules"},
-    {"benchmarks", "sequences", "transitions"},
+    {"inverse_kinematics", "planning"},
+    {"export", "representation", "training"},
+    {"composing", "data", "evaluators", "metrics", "study", "viewing"},
+    {"results"},
+    {"benchmarks"},
     {"model"},
     {"run"},
     {"published"},
@@ -31,17 +31,16 @@ TIERS = [
 
 FORBIDDEN = {
     "timeline": {"torch"},
-    "assignment": {"torch"},
     "planning": {"torch"},
     "diffusion": {"planning", "representation", "motion", "timeline"},
     "denoisers": {"diffusion", "planning", "representation", "motion"},
-    "metrics": {"diffusion", "denoisers", "compose", "evaluators"},
-    "evaluators": {"compose", "data", "planning", "timeline"},
-    "export": {"diffusion", "denoisers", "compose"},
-    "study": {"diffusion", "denoisers", "compose", "viewing"},
-    "viewing": {"diffusion", "denoisers", "compose"},
-    "results": {"diffusion", "denoisers", "compose", "metrics"},
-    "benchmarks": {"compose", "evaluators"},
+    "metrics": {"diffusion", "denoisers", "composing", "evaluators"},
+    "evaluators": {"composing", "data", "planning", "timeline"},
+    "export": {"diffusion", "denoisers", "composing"},
+    "study": {"diffusion", "denoisers", "composing", "viewing"},
+    "viewing": {"diffusion", "denoisers", "composing"},
+    "results": {"diffusion", "denoisers", "composing", "metrics"},
+    "benchmarks": {"composing", "evaluators"},
     "training": {"data", "representation", "timeline", "motion"},
 }
 """What a package must not even import through others."""

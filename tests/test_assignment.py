@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import quietly, timelines
 
-from stmc.assignment import assign
 from stmc.body import BodyPart
+from stmc.planning import assign
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
 
 LEFT, RIGHT, LEGS, HEAD, SPINE = BodyPart

@@ -13,10 +13,10 @@ from mocap import UP, bvh_text, posed, skeleton, standing, tumbling
 
 from stmc.body import JOINTS, MIRROR, PARENTS, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data import bandai
-from stmc.data.bvh import Bvh, BvhError, parse_bvh
 from stmc.data.cache import Cache
-from stmc.data.sentences import CONTENTS, STYLES, describe
+from stmc.data.sources import bandai
+from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe
+from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
 from stmc.geometry import mirror_positions
 from stmc.metrics.kinematics import forward_speed, turn, wrist_height
 from stmc.motion import Motion

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.data.bvh import BvhError, parse_bvh
+from stmc.data.sources.bvh import BvhError, parse_bvh
 
 HEADER = """HIERARCHY
 ROOT Hips

@@ -24,7 +24,7 @@ from mosaic import (
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import (
+from stmc.composing import (
     NULL,
     canvas_lengths,
     collage,

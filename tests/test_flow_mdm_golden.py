@@ -12,12 +12,11 @@ from published import drawn, frames, watched
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import NULL
+from stmc.composing import NULL, guided_sequences, weave
 from stmc.denoisers import FlowMdm
 from stmc.denoisers.flow_mdm import _positions
 from stmc.denoisers.flow_mdm_layers import TURNED, frequencies
 from stmc.diffusion import Schedule, ddpm, guide
-from stmc.sequences import guided_sequences, weave
 from stmc.tensors import mask
 from stmc.training.loss import squared_errors
 from stmc.training.sequences import Sequences

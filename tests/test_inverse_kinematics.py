@@ -15,8 +15,8 @@ from walker import walking
 import stmc
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
-from stmc.data import bandai
-from stmc.data.bvh import parse_bvh
+from stmc.data.sources import bandai
+from stmc.data.sources.bvh import parse_bvh
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
 from stmc.inverse_kinematics import joints_to_rotations, motion_of_joints
 from stmc.motion import Motion

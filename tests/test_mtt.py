@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stmc.benchmarks.atomic_prompts import SHORTEST, AtomicPrompt, construct, read_atoms, write_atoms
 from stmc.body import BodyPart
-from stmc.mtt import SHORTEST, AtomicPrompt, construct, read_atoms, write_atoms
 from stmc.timeline import Timeline, TimelineError
 
 PUBLISHED = Path(__file__).parents[1] / ".." / "shared" / "data" / "mtt"

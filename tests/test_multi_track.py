@@ -19,15 +19,15 @@ from torch import Tensor
 
 import stmc
 from stmc.benchmarks import Benchmark, MultiTrack
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, construct, read_atoms
+from stmc.benchmarks.ground_truth import cache_footage
 from stmc.benchmarks.multi_track import open_mtt
 from stmc.body import BodyPart
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.data.footage import cache_footage
 from stmc.denoisers import FlowMdm
 from stmc.metrics.retrieval import cosines
 from stmc.model import Method
 from stmc.motion import Motion
-from stmc.mtt import AtomicPrompt, construct, read_atoms
 from stmc.results import Result, read_results
 from stmc.results.naming import ALONE, MEASURES, METHODS, REAL
 from stmc.run import save, save_evaluator

@@ -15,13 +15,13 @@ from tiny import Hashes, tiny
 from torch.testing import assert_close
 
 import stmc
+from stmc.benchmarks.atomic_prompts import read_atoms
+from stmc.benchmarks.ground_truth import Footage, amass_footage
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
-from stmc.data.amass import read_recording, unmirrored
-from stmc.data.footage import Footage, amass_footage
+from stmc.data.sources.amass import read_recording, unmirrored
 from stmc.evaluators import Evaluator
 from stmc.metrics.timelines import PUBLISHED
-from stmc.mtt import read_atoms
 from stmc.representation import HumanML3DRepresentation
 from stmc.representation.humanml3d import features_to_joints, joints_to_features, z_up
 from stmc.results import read_results

@@ -17,16 +17,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stmc.benchmarks.ability import Question, questions
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atoms
+from stmc.benchmarks.ground_truth import Footage, amass_footage, cache_footage
 from stmc.benchmarks.protocol import Scores, TextJudge
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.data.footage import Footage, amass_footage, cache_footage
-from stmc.metrics.ability import Question, questions
 from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.realism import fid
 from stmc.metrics.smoothness import quarter_points, transition_window
 from stmc.metrics.timelines import DEFINED, PUBLISHED, Formulas, GroundTruth, Span, measured_points, semantics
 from stmc.motion import Motion
-from stmc.mtt import AtomicPrompt, read_atoms
 from stmc.representation import JointsFrom, SmplRepresentation
 from stmc.results.naming import ALONE
 from stmc.timeline import Prompt, Timeline, TimelineError

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from stmc.assignment import assign
 from stmc.body import BodyPart
+from stmc.planning import assign
 from stmc.timeline import Timeline
 
 NEUTRAL = "#b9bec7"

@@ -23,10 +23,10 @@ from torch import Tensor
 
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data.bvh import Bvh, BvhError, parse_bvh
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
-from stmc.data.sentences import CONTENTS, STYLES, describe, mirrored_content
+from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe, mirrored_content
+from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
 

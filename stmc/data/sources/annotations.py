@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from stmc.data.amass import unmirrored
 from stmc.data.preparation import LayoutError
-from stmc.data.sentences import mirrored
+from stmc.data.sources.amass import unmirrored
+from stmc.data.sources.bandai_sentences import mirrored
 
 SPLITS = ("train", "val", "test")
 

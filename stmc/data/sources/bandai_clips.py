@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from stmc.data import bandai
 from stmc.data.cache import Cache, fingerprint
 from stmc.data.preparation import LayoutError, Watch
+from stmc.data.sources import bandai
 
 
 @dataclass(frozen=True)

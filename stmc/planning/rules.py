@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from itertools import groupby, pairwise
 
 from stmc.body import BodyPart
-from stmc.planning import Crop, Plan, Span, Tile
+from stmc.planning.plans import Crop, Plan, Span, Tile
 
 Shares = Callable[[Sequence[Tile], int], Sequence[float]]
 """(tiles of one part that cover a frame, in order; the frame) → the weight of each; they sum to one."""

@@ -1,4 +1,4 @@
-"""What happens to transitions beyond mixing crops: DoubleTake's second take, and TEACH's interpolation.
+"""DoubleTake's second take: the surroundings of transitions made anew (Shafir et al. 2024).
 
 Knows plans and predictors; knows no networks, texts or samplers.
 """
@@ -8,18 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from einops import rearrange
 from jaxtyping import Float
-from roma import rotmat_slerp
 from torch import Tensor
 
-from stmc.body import BodyPart
-from stmc.compose import Columns, lerp, seams
+from stmc.composing.stitching import Columns
 from stmc.diffusion import Predict
-from stmc.geometry import matrix_to_rows, rows_to_matrix
-from stmc.planning import Plan
-from stmc.representation import Layout
-from stmc.rules import transition_spans
+from stmc.planning import Plan, transition_spans
 
 
 def inpaint(
@@ -54,31 +48,3 @@ def kept_shares(
                 line[after] = line[after].minimum(rising)
             kept[i, : plan.frames, list(own)] = line[ramp : ramp + plan.frames, None]
     return kept
-
-
-def slerp(
-    raw: Float[Tensor, "batch frames features"], plans: Sequence[Plan], layout: Layout, overlap: int
-) -> Float[Tensor, "batch frames features"]:
-    """`lerp` for features that are not normalised, with rotations on the shortest arc of the sphere: what TEACH does to
-    its transitions (Athanasiou et al. 2022).
-
-    The layout's field "rotations" holds two rows, or two columns, of a matrix for each joint. The `plans` are those
-    without overlap; `overlap` frames around each change are replaced.
-    """
-    smooth = lerp(raw, plans, layout.columns, overlap)
-    for i, plan in enumerate(plans):
-        for part in BodyPart:
-            turned = _rotations(layout, part)
-            for window in seams(plan, part, overlap) if turned else ():
-                old = rearrange(raw[i, window][[0, -1]][:, turned], "ends (joints six) -> ends joints six", six=6)
-                first, last = rows_to_matrix(old)
-                steps = torch.linspace(0, 1, window.stop - window.start).to(raw)
-                arc = matrix_to_rows(rotmat_slerp(first, last, steps))
-                smooth[i, window, turned] = rearrange(arc, "frames joints six -> frames (joints six)")
-    return smooth
-
-
-def _rotations(layout: Layout, part: BodyPart) -> list[int]:
-    """The columns of a part's rotations."""
-    where = layout["rotations"]
-    return [column for column in layout.columns[part] if where.start <= column < where.stop]

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stmc.body_model import Skeleton, load_body
-from stmc.data.amass import Recordings, read_recording, reposed, unmirrored
 from stmc.data.cache import Cache, CacheError
+from stmc.data.sources.amass import Recordings, read_recording, reposed, unmirrored
 from stmc.motion import Motion
 from stmc.representation import Representation
 

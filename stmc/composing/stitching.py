@@ -1,14 +1,13 @@
-"""The collage: from a denoiser of crops to a predictor of whole timelines (STMC, section 3.3), SINC and SINC-lerp.
+"""The collage: from a predictor of crops to a predictor of whole timelines (STMC, section 3.3), and SINC.
 
 Crops of several plans stand in one batch: plan 0's crops first, then plan 1's, each from its first frame, padded to the
 longest. Index tensors are built once for a batch of plans; a step is then a handful of tensor operations, whatever the
-number of prompts. Knows no text encoders, no samplers and no meaning of the features beyond each part's columns.
+number of prompts. Knows no networks, texts or samplers and no meaning of the features beyond each part's columns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -18,14 +17,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.denoisers import Denoiser
-from stmc.diffusion import Predict, Prediction, Schedule, Seed
-from stmc.passes import Guided, Row
+from stmc.diffusion import Predict, Seed
 from stmc.planning import Plan, Tile
 from stmc.tensors import Moved, mask
-
-NULL = ""
-"""The text that stands for no text: its embedding is what the network saw when the text was dropped in training."""
 
 Columns = Mapping[BodyPart, Sequence[int]]
 """Which columns of the features each body part owns; together they own every column once."""
@@ -54,53 +48,6 @@ def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
     return tuple((seed, crop) for plan, seed in zip(plans, seeds, strict=True) for crop in range(len(plan.crops)))
 
 
-def distinct_texts(plans: Sequence[Plan]) -> tuple[str, ...]:
-    """What has to be encoded for these plans: the empty text first, then every text once, in order of appearance."""
-    return tuple(dict.fromkeys([NULL, *(crop.text or NULL for plan in plans for crop in plan.crops)]))
-
-
-def check_embeddings(plans: Sequence[Plan], embeddings: Mapping[str, Tensor]) -> None:
-    """Raises `ValueError` naming the texts of the plans that have no embedding."""
-    missing = [text for text in distinct_texts(plans) if text not in embeddings]
-    if missing:
-        raise ValueError(f"no embedding for {missing}; every text of the plans needs one, and the empty text too")
-
-
-def guided_crops(
-    denoiser: Denoiser,
-    schedule: Schedule,
-    plans: Sequence[Plan],
-    embeddings: Mapping[str, Float[Tensor, "_ width"]],
-    weight: float | int = 2.5,
-    prediction: Prediction = "x0",
-    padding: float = 0.1,
-    budget: int = 32768,
-    mixed: bool = False,
-    window: int | None = None,
-) -> Guided:
-    """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance: see `Guided`.
-
-    `embeddings` gives the normalised embedding [words, width] of every text in `distinct_texts(plans)`. What stands
-    beyond a crop's end is not seen, and comes out as zero.
-
-    `mixed`: texts of different numbers of words share calls, padded. Only for denoisers that padded words do not
-    disturb, such as `MdmSmpl` with its `words` set: the published network moves the frames behind the longest text.
-    `window`: every crop has as many frames, whatever its own length (see `Network.window`), and all are predicted.
-
-    Raises `ValueError` for a text without an embedding.
-    """
-    check_embeddings(plans, embeddings)
-    crops = (crop for plan in plans for crop in plan.crops)
-    rows = [
-        Row(crop.frames, seen, embeddings[NULL], embeddings[crop.text] if crop.text else None)
-        for crop, seen in zip(crops, crop_lengths(plans, window), strict=True)
-    ]
-    return Guided(denoiser, schedule, rows, weight, prediction, padding, budget, mixed)
-
-
-# Stitching crops into timelines -------------------------------------------------------------------------------------
-
-
 def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, window: int | None = None) -> Predict:
     """A predictor of timelines [batch, frames, features] from a predictor of their crops (STMC, section 3.3).
 
@@ -124,36 +71,6 @@ def sinc(
     have beyond the longest one's end is dropped.
     """
     return _Stitch(plans, columns)(crops[:, : max(crop_lengths(plans))])
-
-
-def lerp(
-    features: Float[Tensor, "batch frames features"], plans: Sequence[Plan], columns: Columns, overlap: int
-) -> Float[Tensor, "batch frames features"]:
-    """SINC's result with its seams smoothed: a straight line wherever a body part changes from one crop to another.
-
-    The line runs over `overlap` frames around the change, half of them on each side, within the timeline, from the
-    value of its first frame to that of its last. Lines start from the values before smoothing; where two of one part
-    meet, the later wins. The `plans` are those without overlap (`ValueError` for others).
-    """
-    smooth = features.clone()
-    for i, plan in enumerate(plans):
-        for part, owned in columns.items():
-            for window in seams(plan, part, overlap):
-                old = features[i, window][:, owned]
-                fade = torch.linspace(1, 0, len(old)).to(features)[:, None]
-                smooth[i, window, owned] = fade * old[0] + (1 - fade) * old[-1]
-    return smooth
-
-
-def seams(plan: Plan, part: BodyPart, overlap: int) -> list[slice]:
-    """The `overlap` frames around each change of `part` from one crop to another, half of them on each side, within the
-    timeline; none for 0. Raises `ValueError` for a plan with overlap."""
-    tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
-    if any(a.end > b.start for a, b in pairwise(tiles)):
-        raise ValueError(f"the tiles of {part} overlap: seams are smoothed in plans made with overlap=0")
-    changes = [b.start for a, b in pairwise(tiles) if a.crop != b.crop] if overlap > 0 else []
-    left, right = overlap // 2, overlap - overlap // 2
-    return [slice(max(0, change - left), min(plan.frames, change + right)) for change in changes]
 
 
 class _Cut:

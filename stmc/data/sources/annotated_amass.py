@@ -14,10 +14,10 @@ from pathlib import Path
 import torch
 
 from stmc.body_model import Skeleton, load_body
-from stmc.data.amass import Recordings, read_recording, reposed
-from stmc.data.annotations import Annotated, Annotations, Segment, read_annotations, with_mirror_images
 from stmc.data.cache import Cache, fingerprint
 from stmc.data.preparation import LayoutError, Piece, Watch, code, converted
+from stmc.data.sources.amass import Recordings, read_recording, reposed
+from stmc.data.sources.annotations import Annotated, Annotations, Segment, read_annotations, with_mirror_images
 from stmc.data.spans import Album, Described
 from stmc.motion import Motion
 from stmc.representation import Representation

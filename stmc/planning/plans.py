@@ -13,8 +13,8 @@ from functools import cache
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
-from stmc.assignment import Run, assign
 from stmc.body import BodyPart
+from stmc.planning.assignment import Run, assign
 from stmc.timeline import Timeline
 
 Span = tuple[int, int]

@@ -18,9 +18,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.arrays import ArraysError, read_npy
-from stmc.data.annotations import SPLITS
 from stmc.data.cache import Cache, fingerprint
 from stmc.data.preparation import LayoutError, Piece, Watch, code, converted
+from stmc.data.sources.annotations import SPLITS
 from stmc.data.spans import Album, Described
 from stmc.representation.layout import HUMANML3D_LAYOUT
 from stmc.statistics import Statistics

@@ -1,0 +1,130 @@
+"""Settings as records: a dataclass whose fields say what each setting is, its range and its choices, and one check.
+
+The fields are the only list: defaults, help and messages derive from them, in Python and on the command line alike.
+Knows dataclasses; knows no setting, no file and no command line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import reprlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+Record = TypeVar("Record")
+
+_LIMITS: Mapping[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "at_least": ("at least", lambda value, limit: value >= limit),
+    "above": ("above", lambda value, limit: value > limit),
+    "at_most": ("at most", lambda value, limit: value <= limit),
+    "below": ("below", lambda value, limit: value < limit),
+}
+
+
+class SettingError(ValueError):
+    """A setting that is unknown, of the wrong type or out of range; the message says which, the value and what fits."""
+
+
+@dataclass(frozen=True)
+class About:
+    """What a field of a record of settings says of itself."""
+
+    help: str
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    """Of a string, or of each item of a tuple of strings; none: any."""
+    limits: tuple[tuple[str, float | int], ...] = ()
+    """Of a number: pairs of a key of `setting` ("at_least", "above", "at_most", "below") and a limit."""
+
+    @property
+    def fits(self) -> str:
+        """The legal values in words: "from a, b, c", "at least 0 and below 1 s"."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        limits = " and ".join(f"{_LIMITS[name][0]} {limit:g}" for name, limit in self.limits)
+        return f"{limits} {self.unit}".strip()
+
+
+def setting(
+    default: Any,
+    help: str,
+    *,
+    unit: str = "",
+    choices: Iterable[str] = (),
+    at_least: float | int | None = None,
+    above: float | int | None = None,
+    at_most: float | int | None = None,
+    below: float | int | None = None,
+) -> Any:
+    """A field of a record of settings: its default, what it is in a line, and what values fit."""
+    limits = {"at_least": at_least, "above": above, "at_most": at_most, "below": below}
+    given = tuple((name, limit) for name, limit in limits.items() if limit is not None)
+    return dataclasses.field(default=default, metadata={"about": About(help, unit, tuple(choices), given)})
+
+
+def about(record: type) -> dict[str, About]:
+    """What every setting of a record says of itself, in order."""
+    return {field.name: field.metadata["about"] for field in dataclasses.fields(record) if "about" in field.metadata}
+
+
+def check(record: Any) -> None:
+    """Raises `SettingError` for the first setting of a record that does not fit; for `__post_init__`."""
+    hints = get_type_hints(type(record))
+    for name, each in about(type(record)).items():
+        _check(name, getattr(record, name), hints[name], each)
+
+
+def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
+    """The record with these settings, lists as tuples, all others at their defaults. Raises `SettingError`, for unknown
+    names too, with the nearest known one."""
+    known = [field.name for field in dataclasses.fields(kind)]
+    for name in values:
+        if name not in known:
+            near = get_close_matches(str(name), known, 1)
+            meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
+            raise SettingError(f"unknown setting {shown(name)}: {meant}")
+    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+
+
+def shown(value: Any, most: int = 60) -> str:
+    """A value as a message quotes it: escaped, and cut after `most` characters."""
+    text = repr(value[: most + 1]) if isinstance(value, (str, bytes)) else reprlib.repr(value)
+    return text if len(text) <= most + 2 else f"{text[:most]}…"
+
+
+def _check(name: str, value: Any, hint: Any, each: About) -> None:
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    kinds = tuple(kind for kind in kinds if kind is not int or float not in kinds)
+    if value is None and NoneType in kinds:
+        return
+    if not any(_is(value, kind) for kind in kinds):
+        words = " or ".join(dict.fromkeys(_WORDS.get(get_origin(kind) or kind, "null") for kind in kinds))
+        raise SettingError(f"{name}={shown(value)}: {words} needed{f', {each.fits}' if each.fits else ''}")
+    items = value if isinstance(value, tuple) else (value,)
+    if each.choices and (bad := [item for item in items if item not in each.choices]):
+        raise SettingError(f"{name}={shown(bad[0])}: choose from {', '.join(each.choices)}")
+    if isinstance(value, (int, float)) and not all(_LIMITS[limit][1](value, at) for limit, at in each.limits):
+        raise SettingError(f"{name}={shown(value)}: must be {each.fits}")
+
+
+_WORDS: Mapping[Any, str] = {
+    int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list", NoneType: "null",
+    Literal: "a text",
+}  # fmt: skip
+
+
+def _is(value: Any, kind: Any) -> bool:
+    """Whether a value is of a plain type: a bool is no number, a whole number is a float, and none is infinite."""
+    if kind is float:
+        return _is(value, int) or (isinstance(value, float) and math.isfinite(value))
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if get_origin(kind) is Literal:
+        return value in get_args(kind)
+    if get_origin(kind) is tuple:
+        return isinstance(value, tuple) and all(_is(item, get_args(kind)[0]) for item in value)
+    return isinstance(value, kind)
