@@ -3,7 +3,8 @@
 import json
 
 import pytest
-from scripting import loaded
+from hydra.utils import instantiate
+from scripting import configured, loaded
 from test_scripts import script
 from test_text import packaged
 
@@ -83,10 +84,18 @@ def test_the_script_fills_the_cache_that_training_reads_and_goes_on_where_it_was
     assert not list((tmp_path / "here").iterdir())
 
 
+@pytest.mark.parametrize("name", ["train", "embed"])
+@pytest.mark.parametrize("encoder", ["clip", "clip_tokens", "clip_mdm", "distilbert", "t5"])
+def test_a_folder_of_weights_is_named_on_the_command_line(name, encoder):
+    key = "encoder.source" if encoder == "clip_mdm" else "source"
+    config = configured(name, f"text_encoder={encoder}", f"text_encoder.{key}=weights/mine")
+    assert instantiate(config.text_encoder).name.startswith("weights/mine")
+
+
 @pytest.mark.slow
 def test_weights_that_are_not_there_are_named(tmp_path):
     (tmp_path / "lines.txt").write_text("walk\n")
     settings = (f"texts={tmp_path / 'lines.txt'}", f"folder={tmp_path / 'cache'}", "text_encoder=clip")
-    done = script("embed", *settings, f"+text_encoder.source={tmp_path}", folder=tmp_path / "here", check=False)
+    done = script("embed", *settings, f"text_encoder.source={tmp_path}", folder=tmp_path / "here", check=False)
     assert done.returncode == 1 and "hf download openai/clip-vit-base-patch32" in done.stdout
     assert "Traceback" not in done.stdout

@@ -214,6 +214,7 @@ def test_a_body_part_obeys_its_own_prompt_alone(model):
     [
         ({"seed": [1]}, "1 seeds for 3 timelines"),
         ({"method": "magic"}, "magic"),
+        ({"joints_from": "mesh"}, "mesh"),
         ({"seed": -5}, "seed -5 is negative"),
         ({"overlap": -1.0}, "overlap -20 must be 0"),
         ({"steps": 101}, "101"),

@@ -42,6 +42,15 @@ def test_a_prompt_takes_part_names_and_keeps_body_parts():
     assert Prompt("sit", 0, 1, "legs").parts == {BodyPart.LEGS}
 
 
+def test_the_part_names_of_published_timelines_are_read_as_the_parts_that_own_them():
+    timeline = Timeline.parse("wave # 0 # 2 # Left hand # neck # torso\nkick # 0 # 2 # left leg # right_leg")
+    wave, kick = timeline.prompts
+    assert wave.parts == {BodyPart.LEFT_ARM, BodyPart.HEAD, BodyPart.SPINE}
+    assert kick.parts == {BodyPart.LEGS}
+    assert Prompt("wave", 0, 1, ["right-hand"]).parts == {BodyPart.RIGHT_ARM}
+    assert "unknown body part 'leg'" in refusal("kick # 0 # 1 # leg")
+
+
 def test_a_prompt_without_parts_claims_the_whole_body():
     assert Prompt("sit", 0, 1).parts == frozenset()
     assert Prompt("sit", 0, 1).claims == set(BodyPart)
