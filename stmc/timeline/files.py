@@ -157,7 +157,8 @@ def to_text(drafts: Sequence[Draft]) -> str:
 
 def _line(entry: Entry) -> str:
     if "#" in entry.text:
-        raise TimelineError(f"the text {shown(entry.text)} has a #, which separates fields in .txt; write .json instead")
+        text = shown(entry.text)
+        raise TimelineError(f"the text {text} has a #, which separates fields in .txt; write .json instead")
     return " # ".join((entry.text, repr(entry.start), repr(entry.end), *entry.parts))
 
 

@@ -1,7 +1,8 @@
 """Timelines: short texts, each with a start and an end in seconds and the body parts it claims (STMC, section 3.1).
 
 Knows seconds and what a timeline may ask for; `overlaps` knows who holds when, `rows` the tracks, `files` and `drawing`
-what they look like. Frames appear only as `int(fps * seconds)`; who owns what, and what a denoiser is asked, are decided elsewhere.
+what they look like. Frames appear only as `int(fps * seconds)`; who owns what, and what a denoiser is asked, are
+decided elsewhere.
 """
 
 from __future__ import annotations
