@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from stmc.body import BodyPart
 from stmc.files import write_text
-from stmc.untrusted import UnreadableError, load_json, read_text, shown
+from stmc.untrusted import UnreadableError, cut, load_json, read_text, shown
 
 MOST_BYTES = 8 * 2**20
 """Of a timeline file; a hundred bytes a prompt make five hundred timelines 0.1 MB."""
@@ -196,12 +196,17 @@ def _in_order(entries: Sequence[Entry]) -> list[int]:
     return rows
 
 
+def named(path: str | Path) -> str:
+    """A path as messages name it."""
+    return cut(str(path), 200)
+
+
 def choose(path: Path, json_form: Callable, text_form: Callable) -> Callable:
     """The function for a file's suffix, or a `TimelineError` with the legal ones."""
     forms = {".json": json_form, ".txt": text_form}
     if path.suffix.lower() not in forms:
         kind = shown(path.suffix)
-        raise TimelineError(f"{path}: unknown kind of timeline file {kind}; choose from {', '.join(forms)}")
+        raise TimelineError(f"{named(path)}: unknown kind of timeline file {kind}; choose from {', '.join(forms)}")
     return forms[path.suffix.lower()]
 
 
@@ -211,9 +216,9 @@ def read(path: Path) -> list[Draft]:
     try:
         return parse(read_text(path, MOST_BYTES))
     except UnreadableError as error:
-        raise TimelineError(f"{path}: {error}") from None
+        raise TimelineError(f"{named(path)}: {error}") from None
     except TimelineError as error:
-        raise TimelineError(f"{path}, {error}") from None
+        raise TimelineError(f"{named(path)}, {error}") from None
 
 
 def write(drafts: Sequence[Draft], path: Path) -> None:

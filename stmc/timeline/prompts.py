@@ -163,7 +163,7 @@ class Timeline:
     @classmethod
     def read(cls, path: str | Path) -> Timeline:
         """The one timeline of a `.json` or `.txt` file. Errors as `read_all`, and for more than one timeline."""
-        return _only(cls.read_all(path), str(path))
+        return _only(cls.read_all(path), files.named(path))
 
     @classmethod
     def read_all(cls, path: str | Path) -> list[Timeline]:
@@ -174,7 +174,7 @@ class Timeline:
 
         Raises `TimelineError` naming the line (text) or the path within the document (JSON), the value and the choices.
         """
-        return [_from_draft(draft, f"{path}, ") for draft in files.read(Path(path))]
+        return [_from_draft(draft, f"{files.named(path)}, ") for draft in files.read(Path(path))]
 
     @staticmethod
     def write_all(timelines: Sequence[Timeline], path: str | Path) -> None:
