@@ -476,14 +476,14 @@ def tampered(change: str, data: dict, key: Key) -> None:
     [
         ("a question is gone", r"answers: '[0-9a-f]{16}' is missing$"),
         ("a question is new", r"answers: '0000000000000000' does not belong there"),
-        ("a choice is another question's", r"answers\.[0-9a-f]{16}\.realism: \"[0-9a-f]{16}\" is neither of the two"),
+        ("a choice is another question's", r"answers\.[0-9a-f]{16}\.realism: '[0-9a-f]{16}' is neither of the two"),
         ("a choice is no text", r"realism: \[\"none\"\] is neither of the two motions nor 'none'"),
         ("an answer is gone", r"answers\.[0-9a-f]{16}: 'timeline' is missing"),
         ("an answer is none at all", r"answers\.[0-9a-f]{16}: null is no object"),
-        ("the survey is unknown", 'survey: "ffffffffffffffff" is none of the 2 surveys of this key'),
+        ("the survey is unknown", "survey: 'ffffffffffffffff' is none of the 2 surveys of this key"),
         ("the survey is a list", r"survey: \[\] is none of the 2 surveys"),
-        ("the rater is a name", 'rater: "Anna" is not the code of 16 hexadecimal digits'),
-        ("the format is another", "format: \"stmc study answers 2\" is not 'stmc study answers 1'"),
+        ("the rater is a name", "rater: 'Anna' is not the code of 16 hexadecimal digits"),
+        ("the format is another", "format: 'stmc study answers 2' is not 'stmc study answers 1'"),
         ("a key is new", "the document: 'method' does not belong there"),
     ],
 )
@@ -499,12 +499,13 @@ def test_a_tampered_file_is_named_with_the_place_that_is_wrong(study, tmp_path, 
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        (b"", "not JSON"),
-        (b"\xff\xfe", "not JSON"),
+        (b"", "line 1, column 1: not JSON"),
+        (b"\xff\xfe", "not UTF-8 text"),
         (b"[" * 100000, "not JSON"),
         (b"[]", r"the document: \[\] is no object"),
-        (b'{"rater": "a", "rater": "b"}', "'rater' stands twice"),
+        (b'{"rater": "a", "rater": "b"}', "the key 'rater' is duplicated"),
         (b"{}", "the document: 'format' is missing, and 3 more"),
+        (b" " * (2**20 + 1), "larger than 1 MiB"),
     ],
 )
 def test_what_is_no_answer_file_is_named(study, tmp_path, content, complaint):
