@@ -291,11 +291,11 @@ def test_places_machines_and_intervals_may_change(tmp_path):
 
 
 def test_a_longer_run_must_say_where_its_rate_has_fallen(tmp_path):
-    trainer(tmp_path, steps=2).run()
+    trainer(tmp_path, steps=2, warmup=1).run()
     with pytest.raises(SettingsChanged, match=r"a longer run needs training\.lr_decay_steps=2"):
-        trainer(tmp_path, steps=4)
-    trainer(tmp_path, steps=4, lr_decay_steps=2).run()
-    trainer(tmp_path / "whole", steps=4, lr_decay_steps=2, validate_every=2).run()
+        trainer(tmp_path, steps=4, warmup=1)
+    trainer(tmp_path, steps=4, lr_decay_steps=2, warmup=1).run()
+    trainer(tmp_path / "whole", steps=4, lr_decay_steps=2, warmup=1, validate_every=2).run()
     assert losses(tmp_path) == losses(tmp_path / "whole")
     assert rows(tmp_path / "train.csv")[-1]["rate"] == format(3e-3 * 0.02, ".9g")
 
