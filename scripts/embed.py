@@ -9,24 +9,21 @@ import hydra
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
-from rich.progress import track
 
 from stmc.text import Cached
 
 
 @hydra.main(config_path="../configs", config_name="embed", version_base="1.3")
 def main(config: DictConfig) -> None:
-    console = Console()
     try:
         texts = list(dict.fromkeys(["", *texts_in(Path(config.texts).expanduser())]))
         encoder = Cached(instantiate(config.text_encoder), config.folder)
-        missing = [text for text in texts if not encoder.file(text).exists()]
-        starts = range(0, len(missing), config.batch)
-        for start in track(starts, "Texts", console=console, disable=not missing):
-            encoder.encode(missing[start : start + config.batch])
+        missing = encoder.missing(texts)
+        if missing:
+            encoder.encode(missing)
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error
-    console.print(f"{len(texts)} texts in {config.folder}, {len(missing)} of them new, by {encoder.name}")
+    Console().print(f"{len(texts)} texts in {encoder.file}, {len(missing)} of them new", soft_wrap=True)
 
 
 def texts_in(path: Path) -> Iterator[str]:

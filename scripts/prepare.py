@@ -20,6 +20,7 @@ from rich.progress import track
 from stmc.data.cache import fresh
 from stmc.data.preparation import Preparation
 from stmc.data.report import TEXT, lines, write_report
+from stmc.files import locked
 
 PLACES = ("source", "annotations", "body")
 """Where the things are that data sets are prepared from; each needs some of them."""
@@ -30,29 +31,33 @@ TOLD = 20
 
 @hydra.main(config_path="../configs", config_name="prepare", version_base="1.3")
 def main(config: DictConfig) -> None:
-    console, folder = Console(), Path(config.folder).expanduser()
-    preparation = described(config)
+    folder, preparation = Path(config.folder).expanduser(), described(config)
     try:
         preparation.check()
-        inputs = preparation.fingerprint()
-        if fresh(folder, inputs):
-            console.print(f"{folder} is up to date")
-            return
-        scratch = folder / "pieces"
-        cache = preparation.prepared(
-            scratch,
-            config.workers or os.cpu_count(),
-            lambda pieces, total: track(pieces, "Preparing", total=total, console=console),
-        )
+        with locked(folder):
+            prepare(preparation, folder, config.workers or os.cpu_count(), Console())
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error
     except BrokenProcessPool as error:
         raise SystemExit("a worker was killed, perhaps for memory; ask again, with fewer workers=") from error
+
+
+def prepare(preparation: Preparation, folder: Path, workers: int, console: Console) -> None:
+    """Fills the folder: the report first, since the cache says that all is there."""
+    scratch, inputs = folder / "pieces", preparation.fingerprint()
+    if fresh(folder, inputs):
+        shutil.rmtree(scratch, ignore_errors=True)  # a run may have been killed on its last step
+        console.print(f"{folder} is up to date")
+        return
+    cache = preparation.prepared(
+        scratch, workers, lambda pieces, total: track(pieces, "Preparing", total=total, console=console)
+    )
+    report = lines(write_report(cache, folder))
     replace(cache, fingerprint=inputs).write(folder)
     shutil.rmtree(scratch, ignore_errors=True)
     for name, why in cache.skipped[:TOLD]:
         console.print(f"[yellow]skipped[/] {name}: {why}", highlight=False)
-    for line in lines(write_report(cache, folder)):
+    for line in report:
         console.print(line, highlight=False)
     hours = len(cache.features) / cache.fps / 3600
     made = f"{len(cache.clips)} clips with their mirror images, {hours:.1f} hours, in {folder}"

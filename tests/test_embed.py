@@ -72,12 +72,14 @@ def test_what_holds_no_texts_is_an_error(found, tmp_path, name, content, message
 @packaged
 def test_the_script_fills_the_cache_that_training_reads_and_goes_on_where_it_was(tmp_path):
     (tmp_path / "mtt.txt").write_text(MTT)
-    settings = (f"texts={tmp_path / 'mtt.txt'}", f"folder={tmp_path / 'cache'}", "batch=1")
+    settings = (f"texts={tmp_path / 'mtt.txt'}", f"folder={tmp_path / 'cache'}")
     first = script("embed", *settings, folder=tmp_path / "here")
     assert "3 texts" in first.stdout and "3 of them new" in first.stdout
     cached = Cached(MiniLM(), tmp_path / "cache")
-    cached.file("raise the right arm").unlink()
-    assert "1 of them new" in script("embed", *settings, folder=tmp_path / "here").stdout
+    assert list((tmp_path / "cache").iterdir()) == [cached.file]
+    (tmp_path / "mtt.txt").write_text(MTT.replace("circle", "square"))
+    again = script("embed", *settings, folder=tmp_path / "here").stdout
+    assert "1 of them new" in again and "encoded 1 of 1 texts" in again
     cached.encoder.encode = lambda texts: pytest.fail(f"asked for {texts}")
     words, _ = cached.encode(["", "walk in a circle", "raise the right arm"])
     assert words.shape == (3, 1, 384)
