@@ -6,8 +6,10 @@ Each is a plan, drawn by `stmc.plot_plan`, or the picture of a timeline; the res
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 import stmc
-from stmc.planning import Plan, cross_fade, handshake, multi_diffusion, second_take
+from stmc.planning import Plan, cross_fade, handshake, multi_diffusion, reweighted
 
 FOLDER = Path(__file__).parent / "figures"
 FPS = 20
@@ -17,6 +19,21 @@ TIMELINE = stmc.Timeline.parse(
     "walk forwards # 0 # 4 # legs\nturn left # 4 # 7 # legs\nraise the right arm # 1.5 # 5.5 # right arm"
 )
 """The timeline of all pages: two tracks, four edges."""
+
+
+def half_cosine(plan: Plan) -> Plan:
+    """The rule that extending/rule.md makes."""
+
+    def weigh(shown: np.ndarray, transitions: np.ndarray) -> None:
+        for transition, before, after in zip(transitions, shown, shown[1:], strict=False):
+            [frames] = transition.nonzero()
+            way = 0.5 - 0.5 * np.cos(np.pi * (np.arange(len(frames)) + 0.5) / len(frames))
+            before[frames] *= 1 - way
+            after[frames] *= way
+        shown /= shown.sum(axis=0)
+        transitions[:] = 0
+
+    return reweighted(plan, weigh)
 
 
 def layout(rule: Callable[[Plan], Plan] | None = None, overlap: int = 20, timeline: stmc.Timeline = TIMELINE) -> Plan:
@@ -35,7 +52,7 @@ def plans() -> dict[str, Plan]:
         "stmc": layout(cross_fade),
         "multi_diffusion": layout(multi_diffusion),
         "double_take": layout(handshake),
-        "second_take": layout(second_take),
+        "half_cosine": layout(half_cosine),
         "sinc": layout(overlap=0),
         "single_track": layout(timeline=single),
         "one_text": layout(overlap=0, timeline=one),
