@@ -87,7 +87,12 @@ def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
             near = get_close_matches(str(name), known, 1)
             meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
             raise SettingError(f"unknown setting {shown(name)}: {meant}")
-    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+    given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    hints = get_type_hints(kind)
+    for name, each in about(kind).items():
+        if name in given:
+            check_value(name, given[name], hints[name], each)
+    return kind(**given)
 
 
 def shown(value: Any, most: int = 60) -> str:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from stmc.diffusion import Prediction, Spread
 from stmc.model import Model
 from stmc.run.configs import RunError
-from stmc.settings import SettingError, check, setting
+from stmc.settings import SettingError, check, record_of, setting
 
 Record = TypeVar("Record")
 
@@ -44,6 +44,6 @@ def settings_of(kind: type[Record], config: Mapping[str, Any], place: str | Path
     if absent:
         raise RunError(f"{place}: {', '.join(absent)} missing")
     try:
-        return kind(**{field.name: config[field.name] for field in fields if field.name in config})
+        return record_of(kind, {field.name: config[field.name] for field in fields if field.name in config})
     except SettingError as error:
         raise RunError(f"{place}: {error}") from error
