@@ -355,7 +355,10 @@ def test_what_is_trusted_has_to_be_a_package_s_name(run):  # noqa: F811
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"config": {"denoiser": PARTS["denoiser"] | {"layers": 2}}}, "the network does not fit the denoiser .*missing"),
+        (
+            {"config": {"denoiser": PARTS["denoiser"] | {"layers": 2}}},
+            "the network does not fit the denoiser .*missing",
+        ),
         ({"config": {"denoiser": PARTS["denoiser"] | {"depth": 2}}}, "denoiser.depth: .* has no such argument"),
         ({"config": {"schedule": {"_target_": "own.Schedule"}}}, "'own.Schedule' is not a class of stmc.diffusion"),
         ({"config": {"text_encoder": {"_target_": "stmc.text.Clip"}}}, "text_width 384, the text_encoder 512"),
@@ -449,7 +452,9 @@ def _mutate(folder, rng: random.Random) -> None:
             data = data[: rng.randint(0, len(data))]
         elif kind == "text":
             at = rng.randint(0, len(data))
-            data[at:at] = rng.choice([b"&a ", b"*a", b"!!python/name:os.system ", b"{", b"[" * 999, b"\n---\n", b"\xff"])
+            data[at:at] = rng.choice(
+                [b"&a ", b"*a", b"!!python/name:os.system ", b"{", b"[" * 999, b"\n---\n", b"\xff"]
+            )
         elif data:
             data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         path.write_bytes(data)

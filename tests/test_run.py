@@ -242,7 +242,11 @@ def test_a_config_that_does_not_describe_the_files_says_where(run, changes, mess
         ("text_std", lambda value: 0 * value, "text_std must be above 0"),
         ("motion_std", lambda value: value * torch.nan, r"motion_std must be \(205,\) finite"),
         ("motion_mean", lambda value: value[:-1], r"motion_mean must be \(205,\) finite numbers, not .*\(204,\)"),
-        ("motion_mean", lambda value: value * 0 + 1e38, r"motion_mean must be \(205,\) finite numbers of at most 1e\+06"),
+        (
+            "motion_mean",
+            lambda value: value * 0 + 1e38,
+            r"motion_mean must be \(205,\) finite numbers of at most 1e\+06",
+        ),
         ("text_std", lambda value: value.long() + 1, r"text_std must be \(384,\) finite numbers, not torch.int64"),
     ],
 )

@@ -148,9 +148,7 @@ def _arguments(
     }
 
 
-def _argument(
-    value: Any, hint: Any, place: str, home: str, constructor: _Constructor, trusted: Sequence[str]
-) -> Any:
+def _argument(value: Any, hint: Any, place: str, home: str, constructor: _Constructor, trusted: Sequence[str]) -> Any:
     kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     if isinstance(value, Mapping) and TARGET in value:
         inner = next((kind for kind in kinds if isinstance(kind, type) and kind.__module__ != "builtins"), object)

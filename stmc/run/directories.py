@@ -234,9 +234,7 @@ def _shapes(built: Mapping[str, Any], parts: Mapping[str, Part]) -> dict[str, tu
     return shapes | ({"skeleton": (len(JOINTS), 3)} if parts is PARTS else {})
 
 
-def _written(
-    folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype
-) -> Path:
+def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype) -> Path:
     weights = {
         name: value.detach().cpu().to(dtype if value.is_floating_point() else value.dtype).contiguous()
         for name, value in _network(record).state_dict().items()
@@ -339,7 +337,9 @@ def _check_numbers(values: torch.Tensor, shape: tuple[int, ...], place: str) -> 
 
 def _fill(network: torch.nn.Module, path: Path) -> None:
     try:
-        weights = {name: value.float() if value.is_floating_point() else value for name, value in load_file(path).items()}
+        weights = {
+            name: value.float() if value.is_floating_point() else value for name, value in load_file(path).items()
+        }
     except (SafetensorError, OSError) as error:
         raise RunError(f"{path} cannot be read: {brief(error)}") from error
     broken = [name for name, value in weights.items() if not value.isfinite().all()]
@@ -358,5 +358,7 @@ def _device(device: torch.device | str) -> torch.device | str:
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError, NotImplementedError, TypeError, ValueError) as error:
         choices = ", ".join(["auto", "cpu", *["cuda"] * cuda, *["mps"] * mps])
-        raise ValueError(f"device {shown(str(device))} is unknown or not available here; choose from {choices}") from error
+        raise ValueError(
+            f"device {shown(str(device))} is unknown or not available here; choose from {choices}"
+        ) from error
     return device

@@ -44,9 +44,7 @@ def read_specs(path: Path) -> dict[str, Spec]:
         with safe_open(path, "pt") as file:
             slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118
             types = _FLOATING | _OTHERS
-            return {
-                name: Spec(tuple(each.get_shape()), types.get(each.get_dtype())) for name, each in slices.items()
-            }
+            return {name: Spec(tuple(each.get_shape()), types.get(each.get_dtype())) for name, each in slices.items()}
     except (SafetensorError, OSError, ValueError) as error:
         raise RunError(f"{path} cannot be read: {brief(error)}") from error
 
