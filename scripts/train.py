@@ -15,7 +15,7 @@ from stmc.data.cache import Cache
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.diffusion import Spread
 from stmc.model import Model
-from stmc.run import PARTS
+from stmc.run import PARTS, build, check
 from stmc.text import Cached
 from stmc.training import Denoising, Hook, Trainer
 
@@ -28,10 +28,12 @@ def main(config: DictConfig) -> None:
         torch.set_num_threads(config.threads)
     accelerator = Accelerator(cpu=config.device == "cpu")
     settings = instantiate(config.training)
-    representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    sampling, described = instantiate(config.data.sampling), OmegaConf.to_container(config, resolve=True)
+    parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
+    representation = parts["representation"]
     corpus = instantiate(config.data.corpus, _partial_=True)(
         cache=Cache.read(Path(config.data.folder).expanduser()),
-        encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=representation.layout,
         device=accelerator.device,
     )
@@ -43,10 +45,11 @@ def main(config: DictConfig) -> None:
     fields = dict(representation.layout.slices)
     if derive:
         fields[derive.name] = slice(corpus.features_width, None)
-    denoiser = instantiate(config.denoiser)
+    model = record(config, corpus)
+    denoiser = model.denoiser
     if config.start:
-        denoiser.load_state_dict(stmc.load(config.start).denoiser.state_dict())
-    model = record(config, denoiser, corpus)
+        denoiser.load_state_dict(stmc.load(config.start, trusted=config.trusted).denoiser.state_dict())
+    check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         denoiser,
         Denoising(model.schedule, fields=fields, derive=derive, **config.objective),
@@ -63,14 +66,15 @@ def main(config: DictConfig) -> None:
     trainer.run()
 
 
-def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Model:
-    """The model as it would be loaded from the run's folder."""
-    representation = instantiate(config.representation)
+def record(config: DictConfig, corpus: Corpus) -> Model:
+    """The model as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, trusted=config.trusted)
+    representation = parts["representation"]
     return Model(
-        denoiser=network,
-        schedule=instantiate(config.schedule),
-        text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        denoiser=parts["denoiser"],
+        schedule=parts["schedule"],
+        text_encoder=Cached(parts["text_encoder"], config.text_cache),
         representation=representation,
         motion_statistics=corpus.motion.to("cpu"),
         text_statistics=corpus.text.to("cpu"),
@@ -87,7 +91,12 @@ def export(config: DictConfig, model: Model, step: int) -> None:
     """The moving average so far as a run directory, and everything that was asked for beside it."""
     folder = Path(config.run).expanduser()
     settings = OmegaConf.to_yaml(config, resolve=True)
-    stmc.save(model, folder, f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n")
+    stmc.save(
+        model,
+        folder,
+        f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n",
+        trusted=config.trusted,
+    )
 
 
 def draw(config: DictConfig, model: Model, step: int) -> None:

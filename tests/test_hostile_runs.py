@@ -345,7 +345,7 @@ def test_the_door_for_trusted_packages_is_narrow(mylab, run, target, message):  
 def test_what_is_trusted_has_to_be_a_package_s_name(run):  # noqa: F811
     edit(run, denoiser=PARTS["denoiser"] | {"_target_": "own.Net"})
     for name in ("", "__main__", "my lab", "own."):
-        with pytest.raises(RunError, match="trusted: .* is not the name of a package"):
+        with pytest.raises(RunError, match=r"trusted: .* is not the name of a package"):
             stmc.load(run, trusted=(name,))
 
 

@@ -122,7 +122,7 @@ class _Array(_StandIn):
         raw = content.encode("latin1") if isinstance(content, str) else content
         dtype = type_.dtype
         if not isinstance(raw, (bytes, bytearray)) or math.prod(shape) * dtype.itemsize != len(raw):
-            raise ArraysError(f"an array of {str(shape):.40} numbers in another number of bytes")
+            raise ArraysError(f"an array of {shape!s:.40} numbers in another number of bytes")
         return np.ndarray(shape, dtype, bytes(raw), order="F" if fortran else "C").copy(order="K")
 
 

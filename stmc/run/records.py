@@ -31,9 +31,9 @@ class ModelSettings(EvaluatorSettings):
     """Of a model: what it predicts, and how it is sampled unless told otherwise, as `Model` says."""
 
     longest: int = setting(dataclasses.MISSING, "longest crop", unit="frames", at_least=1, at_most=10_000)
-    prediction: Prediction = setting(dataclasses.MISSING, "what the denoiser predicts")
+    prediction: Prediction = setting(dataclasses.MISSING, "what the denoiser predicts")  # noqa: RUF009
     guidance: float | int = setting(Model.guidance, "weight of classifier-free guidance")
-    spread: Spread = setting(Model.spread, "what scales the noise of ddpm")
+    spread: Spread = setting(Model.spread, "what scales the noise of ddpm")  # noqa: RUF009
     late: float | int = setting(Model.late, "share of the steps before stitching", at_least=0, below=1)
 
 
