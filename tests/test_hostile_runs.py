@@ -1,6 +1,7 @@
 """Run directories as nobody should open them: nothing in them is run, and none takes the machine."""
 
 import inspect
+import os
 import random
 import sys
 import textwrap
@@ -10,14 +11,18 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from test_run import PARTS, edit, joints, loaded, run  # noqa: F401
+from test_scripts import script
 from test_text import RunsCode
 from tiny import Hashes, tiny
+from walker import walking
 
 import stmc
+from stmc.data.cache import Cache, Clip
 from stmc.denoisers import MdmEncoder
 from stmc.diffusion import Schedule, ddim
 from stmc.evaluators import Evaluator, Tmr
 from stmc.model import Model
+from stmc.representation import SmplRepresentation
 from stmc.run import CONFIG, STATISTICS, WEIGHTS, RunError, bundled, check, load_evaluator, save_evaluator
 from stmc.statistics import Statistics
 
@@ -321,6 +326,29 @@ def test_a_network_of_one_s_own_is_saved_loaded_and_sampled_where_its_package_is
     assert type(back.denoiser) is type(model.denoiser) and back.denoiser.count.dtype == torch.int64
     torch.testing.assert_close(joints(back), joints(model), atol=0.05, rtol=0)
     assert torch.isfinite(back.generate(stmc.Timeline.parse("walk # 0 # 1"), steps=2, sampler=ddim)[0].joints).all()
+
+
+@pytest.mark.slow
+def test_a_network_of_one_s_own_is_trained_where_its_package_is_trusted_and_refused_before_the_first_step_elsewhere(
+    mylab, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "code"), os.environ.get("PYTHONPATH", "")]))
+    features = [SmplRepresentation().encode(walking(2.0 + 0.1 * number)).float() for number in range(12)]
+    ends = np.cumsum([len(rows) for rows in features]).tolist()
+    clips = [
+        Clip(f"walk-{number}", "walk", "", "walk", ("legs",), True, False, ("train", "train", "val")[number % 3], *span)
+        for number, span in enumerate(zip([0, *ends], ends, strict=False))
+    ]
+    Cache(20, "smpl", torch.cat(features), tuple(clips), {"walk": (("walk", 1.0),)}).write(tmp_path / "cache")
+    settings = [f"run={tmp_path / 'run'}", f"data.folder={tmp_path / 'cache'}", f"text_cache={tmp_path / 'texts'}"]
+    settings += ["denoiser._target_=mylab.nets.Tiny", "device=cpu", "threads=1", "validation=1", "training.steps=2"]
+    settings += ["training.checkpoint_every=2", "training.warmup=1", "data.sampling.rows=4"]
+    done = script("train", *settings, folder=tmp_path / "here", check=False)
+    assert done.returncode and "'mylab.nets.Tiny' is not a class of stmc.denoisers" in done.stdout
+    assert not (tmp_path / "run" / CONFIG).exists() and "step" not in done.stdout.partition("Traceback")[0]
+    script("train", *settings, "trusted=[mylab]", folder=tmp_path / "here")
+    back = stmc.load(tmp_path / "run", trusted=("mylab",))
+    assert back.generate(stmc.Timeline.parse("walk # 0 # 1 # legs"), steps=2)[0].joints.isfinite().all()
 
 
 @pytest.mark.parametrize(
