@@ -342,7 +342,12 @@ def test_a_network_of_one_s_own_is_trained_where_its_package_is_trusted_and_refu
     Cache(20, "smpl", torch.cat(features), tuple(clips), {"walk": (("walk", 1.0),)}).write(tmp_path / "cache")
     settings = [f"run={tmp_path / 'run'}", f"data.folder={tmp_path / 'cache'}", f"text_cache={tmp_path / 'texts'}"]
     settings += ["denoiser._target_=mylab.nets.Tiny", "device=cpu", "threads=1", "validation=1", "training.steps=2"]
-    settings += ["training.checkpoint_every=2", "training.warmup=1", "data.sampling.rows=4"]
+    settings += [
+        "training.checkpoint_every=2",
+        "training.log_every=2",
+        "training.validate_every=2",
+        "data.sampling.rows=4",
+    ]
     done = script("train", *settings, folder=tmp_path / "here", check=False)
     assert done.returncode and "'mylab.nets.Tiny' is not a class of stmc.denoisers" in done.stdout
     assert not (tmp_path / "run" / CONFIG).exists() and "step" not in done.stdout.partition("Traceback")[0]
