@@ -30,8 +30,8 @@ class _Mdm(Network):
         super().__init__()
         if width % heads or width % 2:
             raise ValueError(f"width {width} must be even and a multiple of heads ({heads})")
-        if window is not None and window < 1:
-            raise ValueError(f"a window has at least 1 frame, not {window}")
+        if window is not None and not 1 <= window < POSITIONS:
+            raise ValueError(f"a window has 1 to {POSITIONS - 1} frames, not {window}")
         self.window = window
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features, width)})
         time_embed = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
