@@ -193,8 +193,8 @@ def _folder(path: Path) -> Iterator[tuple[str, str | BvhError]]:
 def inputs(source: Path) -> list[Path]:
     """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
     code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
-    code += ("data/bandai", "data/bvh", "data/cache", "data/sentences", "untrusted")
-    here = Path(__file__).parents[1]
+    code += ("data/sources/bandai", "data/sources/bvh", "data/cache", "data/sources/bandai_sentences", "untrusted")
+    here = Path(__file__).parents[2]
     files = [here / f"{name}.py" for name in code]
     return [Path(source), *files, here / "assets/skeleton.json"]
 
