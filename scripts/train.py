@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
-from stmc.data.cache import Cache
+from stmc.data.cache import read_caches
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.diffusion import Spread
 from stmc.model import Model
@@ -29,10 +29,12 @@ def main(config: DictConfig) -> None:
     accelerator = Accelerator(cpu=config.device == "cpu")
     settings = instantiate(config.training)
     representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    started = stmc.load(config.start) if config.start else None
     corpus = instantiate(config.data.corpus, _partial_=True)(
-        cache=Cache.read(Path(config.data.folder).expanduser()),
+        cache=read_caches(config.data.folder),
         encoder=Cached(instantiate(config.text_encoder), config.text_cache),
         layout=representation.layout,
+        text=started.text_statistics if started else None,
         device=accelerator.device,
     )
     held_out = ClipBatches(corpus, "val", sampling, settings.seed)
@@ -44,8 +46,9 @@ def main(config: DictConfig) -> None:
     if derive:
         fields[derive.name] = slice(corpus.features_width, None)
     denoiser = instantiate(config.denoiser)
-    if config.start:
-        denoiser.load_state_dict(stmc.load(config.start).denoiser.state_dict())
+    if started:
+        denoiser.load_state_dict(started.denoiser.state_dict())
+        denoiser.restate(started.motion_statistics, corpus.motion.to("cpu"))
     model = record(config, denoiser, corpus)
     trainer = Trainer(
         denoiser,

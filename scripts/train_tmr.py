@@ -11,7 +11,7 @@ from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from stmc.data.cache import Cache
+from stmc.data.cache import read_caches
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
@@ -30,7 +30,7 @@ def main(config: DictConfig) -> None:
     accelerator, settings = Accelerator(cpu=config.device == "cpu"), instantiate(config.training)
     representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
     corpus = instantiate(config.data.corpus, _partial_=True)(
-        cache=Cache.read(Path(config.data.folder).expanduser()),
+        cache=read_caches(config.data.folder),
         encoder=Cached(instantiate(config.text_encoder), config.text_cache),
         layout=representation.layout,
         device=accelerator.device,
