@@ -15,7 +15,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
-from stmc.data.cache import Cache
+from stmc.data.cache import read_caches
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.diffusion import Spread
 from stmc.files import locked, write_whole
@@ -45,11 +45,13 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
     representation = parts["representation"]
     logger.info("reading %s", config.data.folder)
-    cache = Cache.read(Path(config.data.folder).expanduser())
+    cache = read_caches(config.data.folder)
+    started = stmc.load(config.start, trusted=config.trusted) if config.start else None
     corpus = instantiate(config.data.corpus, _partial_=True)(
         cache=cache,
         encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=representation.layout,
+        text=started.text_statistics if started else None,
         device=accelerator.device,
     )
     held_out = ClipBatches(corpus, "val", sampling, settings.seed)
@@ -62,8 +64,9 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         fields[derive.name] = slice(corpus.features_width, None)
     model = record(config, corpus)
     denoiser = model.denoiser
-    if config.start:
-        denoiser.load_state_dict(stmc.load(config.start, trusted=config.trusted).denoiser.state_dict())
+    if started:
+        denoiser.load_state_dict(started.denoiser.state_dict())
+        denoiser.restate(started.motion_statistics, corpus.motion.to("cpu"))
     check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         denoiser,

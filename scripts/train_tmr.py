@@ -13,7 +13,7 @@ from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from stmc.data.cache import Cache
+from stmc.data.cache import read_caches
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
@@ -43,7 +43,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     kinds = {part: EVALUATOR_PARTS[part] for part in ("representation", "text_encoder")}
     parts = build(described, kinds, config.trusted)
     logger.info("reading %s", config.data.folder)
-    cache = Cache.read(Path(config.data.folder).expanduser())
+    cache = read_caches(config.data.folder)
     corpus = instantiate(config.data.corpus, _partial_=True)(
         cache=cache,
         encoder=Cached(parts["text_encoder"], config.text_cache),

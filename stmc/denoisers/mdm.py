@@ -24,6 +24,8 @@ Leading = Literal["step", "step_and_text"]
 class _Mdm(Network):
     """What both architectures share. See `MdmEncoder` for the arguments."""
 
+    ends = "input_process.poseEmbedding", "output_process.poseFinal"
+
     def __init__(
         self, features: int, text_width: int, width: int, heads: int, dropout: float, window: int | None
     ) -> None:
