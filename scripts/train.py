@@ -15,8 +15,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
+from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
-from stmc.data.dataset import ClipBatches, Corpus
+from stmc.data.dataset import Corpus
 from stmc.diffusion import Spread
 from stmc.files import locked, write_whole
 from stmc.model import Model
