@@ -18,7 +18,7 @@ TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob(
 TIERS = [
     {"arrays", "body", "files", "geometry", "settings", "statistics", "tensors"},
     {"body_model", "denoisers", "diffusion", "motion", "text", "timeline"},
-    {"inverse_kinematics", "planning"},
+    {"inverse_kinematics", "planning", "sampling"},
     {"export", "representation", "training"},
     {"composing", "data", "evaluators", "metrics", "study", "viewing"},
     {"results"},
