@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import hydra
 import torch
@@ -13,17 +12,20 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 import stmc
 from stmc.data.cache import Cache
 from stmc.data.dataset import ClipBatches, Corpus
-from stmc.diffusion import Spread
 from stmc.model import Model
 from stmc.run import PARTS
+from stmc.sampling import Sampling
+from stmc.settings import SettingError, record_of
 from stmc.text import Cached
 from stmc.training import Denoising, Hook, Trainer
 
 
 @hydra.main(config_path="../configs", config_name="train", version_base="1.3")
 def main(config: DictConfig) -> None:
-    if config.spread not in get_args(Spread):
-        raise SystemExit(f"spread={config.spread}: choose from {', '.join(get_args(Spread))}")
+    try:
+        own_sampling(config)
+    except SettingError as error:
+        raise SystemExit(str(error)) from error
     if config.threads:
         torch.set_num_threads(config.threads)
     accelerator = Accelerator(cpu=config.device == "cpu")
@@ -63,6 +65,11 @@ def main(config: DictConfig) -> None:
     trainer.run()
 
 
+def own_sampling(config: DictConfig) -> Sampling:
+    """How the model is sampled unless told otherwise."""
+    return record_of(Sampling, {"noise_scale": config.noise_scale})
+
+
 def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Model:
     """The model as it would be loaded from the run's folder."""
     representation = instantiate(config.representation)
@@ -78,7 +85,7 @@ def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Mode
         fps=corpus.fps,
         longest=int(instantiate(config.data.sampling).longest * corpus.fps),
         prediction=config.objective.prediction,
-        spread=config.spread,
+        sampling=own_sampling(config),
         config={part: described[part] for part in PARTS},
     )
 

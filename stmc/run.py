@@ -24,10 +24,13 @@ from yaml import YAMLError
 
 from stmc.body import JOINTS
 from stmc.body_model import Skeleton
-from stmc.diffusion import Prediction, Spread
+from stmc.diffusion import Prediction
 from stmc.evaluators import Evaluator
 from stmc.files import write_whole
 from stmc.model import Model, Precision
+from stmc.renamed import with_new_names
+from stmc.sampling import Sampling
+from stmc.settings import SettingError, about, record_of
 from stmc.statistics import Statistics
 
 BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_bandai", "tmr_bandai"
@@ -39,8 +42,6 @@ PARTS = {
     "representation": "stmc.representation",
 }
 """The parts of a model that a config describes, and the only place that the classes of each may come from."""
-SAMPLED = ("guidance", "spread", "late")
-"""How a model is sampled unless told otherwise; runs that do not say have `Model`'s defaults."""
 EVALUATOR_PARTS = {
     "network": "stmc.evaluators",
     "text_encoder": "stmc.text",
@@ -80,8 +81,7 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
     """
     folder = bundled() if folder is None else Path(folder).expanduser()
     config, parts = _opened(folder, PARTS, ("fps", "longest", "prediction"))
-    config = {name: getattr(Model, name) for name in SAMPLED} | config
-    _check_model(config, folder / CONFIG)
+    sampling = _check_model(config, folder / CONFIG)
     features, width = config["denoiser"].get("features"), parts["representation"].width
     if features != width:
         raise RunError(f"{folder / CONFIG}: the denoiser has {features} features, the representation {width}")
@@ -94,7 +94,7 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
         fps=config["fps"],
         longest=config["longest"],
         prediction=config["prediction"],
-        **{name: config[name] for name in SAMPLED},
+        sampling=sampling,
         config=config,
         precision=precision,
     )
@@ -137,7 +137,7 @@ def save(model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch
     and writes nothing, where `model.config` does not say how to build the parts, and for weights that are not finite or
     that `dtype` cannot hold.
     """
-    settings = {name: getattr(model, name) for name in ("fps", "longest", "prediction", *SAMPLED)}
+    settings = {name: getattr(model, name) for name in ("fps", "longest", "prediction")} | dict(model.sampling.given)
     numbers = _numbered(model) | {"skeleton": model.skeleton.offsets}
     return _written(Path(folder), _described(model.config, PARTS) | settings, model.denoiser, numbers, card, dtype)
 
@@ -210,7 +210,7 @@ def _opened(folder: Path, homes: Mapping[str, str], settings: tuple[str, ...]) -
 
 def _config(path: Path, needed: tuple[str, ...]) -> dict[str, Any]:
     try:
-        config = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+        config = with_new_names(OmegaConf.to_container(OmegaConf.load(path), resolve=True))
     except (OmegaConfBaseException, YAMLError, OSError, UnicodeDecodeError) as error:
         raise RunError(f"{path} cannot be read: {error}") from error
     absent = [key for key in needed if key not in config]
@@ -222,19 +222,17 @@ def _config(path: Path, needed: tuple[str, ...]) -> dict[str, Any]:
     return config
 
 
-def _check_model(config: Mapping[str, Any], path: Path) -> None:
+def _check_model(config: Mapping[str, Any], path: Path) -> Sampling:
+    """How the model is sampled unless told otherwise."""
     longest, prediction = config["longest"], config["prediction"]
     if not isinstance(longest, int) or longest < 1:
         raise RunError(f"{path}: longest must be a positive number of frames, not {longest!r}")
     if prediction not in get_args(Prediction):
         raise RunError(f"{path}: prediction must be one of {', '.join(get_args(Prediction))}, not {prediction!r}")
-    guidance, spread, late = config["guidance"], config["spread"], config["late"]
-    if not isinstance(guidance, (int, float)) or not abs(guidance) < float("inf"):
-        raise RunError(f"{path}: guidance must be a number, not {guidance!r}")
-    if spread not in get_args(Spread):
-        raise RunError(f"{path}: spread must be one of {', '.join(get_args(Spread))}, not {spread!r}")
-    if not isinstance(late, (int, float)) or not 0 <= late < 1:
-        raise RunError(f"{path}: late must be a number from 0 to below 1, not {late!r}")
+    try:
+        return record_of(Sampling, {name: config[name] for name in about(Sampling) if name in config})
+    except SettingError as error:
+        raise RunError(f"{path}: {error}") from error
 
 
 def _check_targets(node: Any, place: str, home: str) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from stmc.diffusion import SAMPLERS, Spread
+from stmc.diffusion import SAMPLERS, NoiseScale
 from stmc.settings import check, setting
 
 
@@ -26,7 +26,7 @@ class Sampling:
     sampler: str | Callable[..., Any] | None = setting(
         None, "how noise becomes motion: a name or, in Python, a function like stmc.ddpm", choices=SAMPLERS
     )
-    noise_scale: Spread | None = setting(
+    noise_scale: NoiseScale | None = setting(
         None, "what scales the noise of ddpm's steps: the posterior's standard deviation (textbook) or variance (paper)"
     )
     guidance: float | int | None = setting(None, "weight of the texts: 0 ignores them, 1 is as trained")
@@ -51,6 +51,9 @@ class Sampling:
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
 
+
+INDEPENDENT = "independent"
+"""The method that samples every prompt as a motion of its own: what composing could at best keep (appendix E)."""
 
 DEFAULT = Sampling(sampler="ddpm", noise_scale="variance", guidance=2.5, overlap=0.5, stitch_from=0.0)
 """What neither the caller nor the method nor the model decides; the steps are then the schedule's."""

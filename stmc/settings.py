@@ -7,6 +7,7 @@ Knows dataclasses; knows no setting, no file and no command line.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import reprlib
 from collections.abc import Callable, Iterable, Mapping
@@ -88,6 +89,23 @@ def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     _check_values(kind, values)
     return kind(**values)
+
+
+def takes(kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Of a function with `**settings`: its signature shows the settings of the record `kind` instead, for help and
+    completion. The function makes the record itself, with `record_of`."""
+
+    def shows(function: Callable[..., Any]) -> Callable[..., Any]:
+        signature = inspect.signature(function)
+        own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+        settings = [
+            inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
+            for each in dataclasses.fields(kind)
+        ]
+        function.__signature__ = signature.replace(parameters=[*own, *settings])
+        return function
+
+    return shows
 
 
 def shown(value: Any, most: int = 60) -> str:

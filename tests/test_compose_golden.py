@@ -104,13 +104,13 @@ class GoldenRun:
 
         draw = self.draw()
         x = draw(self.data["noise_shape_stmc"])
-        return states, list(ddpm(predict, self.schedule, x, draw, spread="variance"))
+        return states, list(ddpm(predict, self.schedule, x, draw, noise_scale="variance"))
 
     @torch.no_grad()
     def crops(self, plans: list[Plan], shape, seed: str) -> Tensor:
         draw = self.draw(seed)
         crops = guided_crops(self.network, self.schedule, plans, self.embeddings(), float(self.data["guidance"]))
-        return last(ddpm(crops, self.schedule, draw(shape), draw, spread="variance"))
+        return last(ddpm(crops, self.schedule, draw(shape), draw, noise_scale="variance"))
 
 
 def assert_golden(actual: Tensor, expected: np.ndarray) -> None:

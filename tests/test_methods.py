@@ -13,10 +13,11 @@ from stmc.denoisers import FlowMdm
 from stmc.diffusion import ddim, ddpm, dpm_solver
 from stmc.geometry import matrix_to_rows
 from stmc.model import Model
+from stmc.settings import SettingError
 from stmc.statistics import Statistics
 from stmc.timeline import Timeline, single_track
 
-RULES = ("stmc_soft", "multi_diffusion", "double_take", "sinc_slerp", "flow_mdm")
+RULES = ("stmc_paper", "multi_diffusion", "double_take", "sinc_slerp", "flow_mdm")
 
 
 class OneWord(Hashes):
@@ -76,7 +77,7 @@ def test_a_second_take_changes_only_the_ways_to_transitions_and_from_them(flow):
 
 def first_take(model: Model, timeline: Timeline):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stmc.model._Run.retaken", lambda self, plans, content, ramp: content)
+        patch.setattr("stmc.composing.methods.inpaint", lambda predict, content, kept: lambda x, t: content)
         return model.generate(timeline, steps=20, method="double_take")[0]
 
 
@@ -89,9 +90,9 @@ def test_one_track_is_one_sequence_and_a_gap_belongs_to_it(flow):
     shapes = []
     denoise = flow.denoiser.denoise
 
-    def watched(x, *others):
+    def watched(x, *others, **settings):
         shapes.append(tuple(x.shape[:2]))
-        return denoise(x, *others)
+        return denoise(x, *others, **settings)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flow.denoiser, "denoise", watched)
@@ -101,11 +102,11 @@ def test_one_track_is_one_sequence_and_a_gap_belongs_to_it(flow):
 
 
 def test_a_denoiser_of_crops_cannot_make_sequences():
-    with pytest.raises(ValueError, match="MdmSmpl knows one text for all frames; only FlowMdm"):
+    with pytest.raises(ValueError, match="MdmSmpl knows one text for all frames"):
         tiny().generate(NOD, steps=1, method="flow_mdm")
 
 
 @pytest.mark.parametrize("method", ["flow_mdm", "sinc_slerp"])
-def test_what_does_not_stitch_cannot_begin_late(flow, method):
-    with pytest.raises(ValueError, match="0 for SINC and FlowMDM"):
-        flow.generate(NOD, steps=2, late=0.5, method=method)
+def test_what_does_not_stitch_cannot_begin_later(flow, method):
+    with pytest.raises(SettingError, match=r"stitch_from=0\.5: .* has no such setting"):
+        flow.generate(NOD, steps=2, stitch_from=0.5, method=method)

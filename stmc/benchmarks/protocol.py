@@ -41,7 +41,7 @@ class Benchmark(Protocol):
     """Knows what is asked for, and how good what comes is; knows no model."""
 
     def timelines(self, method: str) -> list[Timeline]:
-        """What a method (a name of `results.naming.METHODS`) is to make motions of, in order: always the same."""
+        """What a method (a name of `composing.METHODS`) is to make motions of, in order: always the same."""
         ...
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:

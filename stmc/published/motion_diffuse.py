@@ -62,8 +62,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         fps=FPS,
         longest=config["denoiser"]["frames"],
         prediction="eps",
-        guidance=1.0,
-        spread="std",
+        sampling=Sampling(guidance=1.0, noise_scale="std"),
         config=config,
     )
     epoch = content.get("ep")
