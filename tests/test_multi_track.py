@@ -5,7 +5,6 @@ import json
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -28,12 +27,10 @@ from stmc.data.cache import Cache, CacheError, Clip
 from stmc.denoisers import FlowMdm
 from stmc.metrics.retrieval import cosines
 from stmc.metrics.timelines import published_timeline_scores
-from stmc.model import Method
 from stmc.motion import Motion
 from stmc.results import Result, read_results
-from stmc.results.naming import MEASURES, REAL, ROWS
+from stmc.results.naming import MEASURES
 from stmc.run import save, save_evaluator
-from stmc.sampling import INDEPENDENT
 from stmc.timeline import Prompt, Timeline, TimelineError
 
 BUNDLED = Path(str(files("stmc") / "assets" / "open_mtt"))
@@ -345,7 +342,3 @@ def test_whatever_an_experiment_asks_for_can_be_shown(name):
     assert sum(len(block) for block in table.blocks) >= len(settings) - experiment.real
     if experiment.figure:
         assert instantiate(experiment.figure)(results).axes
-
-
-def test_every_method_of_the_tables_is_one_that_can_be_run():
-    assert set(ROWS) == {*get_args(Method), REAL, INDEPENDENT}

@@ -67,6 +67,10 @@ class Guided:
         self._denoised = sum(len(batch.rows) * batch.frames for batch in batches)
         self._moved = Moved(lambda x: ([batch.to(x) for batch in batches], told.to(x.device)))
 
+    def __repr__(self) -> str:
+        rows, frames = self._shape
+        return f"Guided({rows} rows of up to {frames} frames, guidance {self._guidance}, {self.padding:.1%} padding)"
+
     @property
     def padding(self) -> float:
         """Which share of the frames that a step denoises lies behind the ends of the rows."""

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from stmc.composing.batching import Guided
 from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, sinc
-from stmc.diffusion import SAMPLERS, Noise, Predict, Sampler, Schedule, Seed
+from stmc.diffusion import SAMPLERS, Draw, Noise, Predict, Sampler, Schedule, Seed
 from stmc.planning import Plan, plan
 from stmc.representation import Layout
 from stmc.sampling import Sampling
@@ -80,7 +80,7 @@ class Run:
         return self._noise(self.seeds if seeds is None else seeds, canvas_lengths(plans, self.fixed_length))
 
     def denoise(
-        self, predict: Predict, x: Float[Tensor, "batch frames features"], draw: Noise, steps: int | None = None
+        self, predict: Predict, x: Float[Tensor, "batch frames features"], draw: Draw, steps: int | None = None
     ) -> Float[Tensor, "batch frames features"]:
         """The clean sample after all steps, or after the `steps` least noisy ones, from `x`, as noisy as the first."""
         times = self.times[:steps]
@@ -104,7 +104,7 @@ class Run:
         _last(self.progress(islice(self._states(watched, draw(), draw, self.times), steps + 1), total=steps))
         return sinc(states[-1], plans, self.columns)
 
-    def _states(self, predict: Predict, x: Tensor, draw: Noise, times: tuple[int, ...]) -> Iterable[Tensor]:
+    def _states(self, predict: Predict, x: Tensor, draw: Draw, times: tuple[int, ...]) -> Iterable[Tensor]:
         schedule = self.schedule.respaced(times)
         return sampler_of(self.sampling)(lambda x, i: predict(x, times[i]), schedule, x, draw)
 
