@@ -148,7 +148,7 @@ def test_the_paper_s_algorithm_is_hard_edges_from_the_first_step_on_and_its_nois
 def test_a_dotted_name_is_imported_of_trusted_packages_alone(tmp_path, monkeypatch):
     (tmp_path / "mylab").mkdir()
     (tmp_path / "mylab" / "rules.py").write_text(
-        "import stmc\ndef mine(plan):\n    return plan\nown = stmc.Method(None, 'Own')\nnumber = 3\n"
+        "import stmc\ndef mine(plan):\n    return plan\nown = stmc.Method(print, 'Own')\nnumber = 3\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(SettingError, match="'mylab' is not among the trusted packages"):

@@ -115,6 +115,7 @@ def smoothed_on_the_sphere(run: Run) -> Features:
 
 def seamless(run: Run) -> Features:
     """What each body part obeys as one sequence, without crops (FlowMDM, here with several tracks)."""
+    run = replace(run, fixed_length=None)  # sequences are seen whole
     plans = run.plans(0)
     draw = run.noise(plans)
     return run.denoise(weave(run.guided_sequences(plans, run.sampling.guidance), plans, run.columns), draw(), draw)
