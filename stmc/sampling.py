@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, get_args
 
 from stmc.diffusion import SAMPLERS, NoiseScale
 from stmc.settings import check, setting
@@ -27,7 +27,9 @@ class Sampling:
         None, "how noise becomes motion: a name or, in Python, a function like stmc.ddpm", choices=SAMPLERS
     )
     noise_scale: NoiseScale | None = setting(
-        None, "what scales the noise of ddpm's steps: the posterior's standard deviation (textbook) or variance (paper)"
+        None,
+        "what scales the noise of ddpm's steps: the posterior's standard deviation (textbook) or variance (paper)",
+        choices=get_args(NoiseScale),
     )
     guidance: float | int | None = setting(None, "weight of the texts: 0 ignores them, 1 is as trained")
     overlap: float | int | None = setting(None, "length of a transition between prompts", unit="s", at_least=0)

@@ -17,6 +17,7 @@ from tiny import tiny
 import stmc
 from stmc.data.cache import Cache
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, fingerprint
+from stmc.settings import SettingError
 
 TIMELINES = """\
 walk forwards # 0 # 2 # legs
@@ -293,18 +294,18 @@ def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("sampler=euler", "sampler=euler: choose from ddpm, ddim, dpm_solver"),
+        ("sampler=euler", "sampler='euler': choose from ddpm, ddim, dpm_solver"),
         ("method=magic", "method='magic': choose from one_text, single_track"),
         ("noise_scale=wide", "noise_scale='wide'"),
         ("formats=[fbx]", "choose from npz, bvh, html"),
         ("formats=[]", "choose from npz, bvh, html"),
         ("samples=0", "samples=0: at least 1"),
         ("batch=0", "batch=0: at least 1"),
-        ("steps=0", "steps=0: at least 1"),
+        ("steps=0", "steps=0: must be at least 1"),
     ],
 )
 def test_a_setting_that_cannot_be_meant_is_refused_before_anything_is_loaded(sample, override, message):
-    with pytest.raises(SystemExit, match=message.replace("[", r"\[")):
+    with pytest.raises((SystemExit, SettingError), match=message.replace("[", r"\[")):
         sample.check(settings(override))
 
 
@@ -314,7 +315,7 @@ def test_a_setting_that_cannot_be_meant_is_refused_before_anything_is_loaded(sam
         ("timeline={0}/none.txt", "none.txt"),
         ("timeline={0}/bad.txt", r"bad\.txt, line 1"),
         ("model={0}/nowhere", "is not a run directory"),
-        ("overlap=-1", "overlap -20 must be 0"),
+        ("overlap=-1", "overlap=-1: must be at least 0"),
         ("stitch_from=1", "stitch_from=1: must be at least 0 and below 1"),
     ],
 )

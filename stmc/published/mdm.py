@@ -24,6 +24,7 @@ from stmc.published.checkpoint import (
     without,
     without_tables,
 )
+from stmc.sampling import Sampling
 
 DEFAULTS = {
     "dataset": "humanml",

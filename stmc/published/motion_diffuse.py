@@ -21,6 +21,7 @@ from stmc.published.checkpoint import (
     state_dict,
     without,
 )
+from stmc.sampling import Sampling
 
 CHECKPOINT = Path("model/latest.tar")
 DEFAULTS = {
