@@ -6,7 +6,6 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import get_args
 
 import hydra
 import torch
@@ -15,12 +14,14 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
-from stmc.data.cache import Cache
-from stmc.data.dataset import ClipBatches, Corpus
-from stmc.diffusion import Spread
+from stmc.data.batches import ClipBatches
+from stmc.data.cache import read_caches
+from stmc.data.dataset import Corpus
 from stmc.files import locked, write_whole
 from stmc.model import Model
-from stmc.run import PARTS
+from stmc.run import PARTS, build, check
+from stmc.sampling import Sampling
+from stmc.settings import SettingError, record_of
 from stmc.text import Cached
 from stmc.training import Denoising, Hook, Trainer, find_accelerator
 
@@ -29,8 +30,10 @@ logger = logging.getLogger(__name__)
 
 @hydra.main(config_path="../configs", config_name="train", version_base="1.3")
 def main(config: DictConfig) -> None:
-    if config.spread not in get_args(Spread):
-        raise SystemExit(f"spread={config.spread}: choose from {', '.join(get_args(Spread))}")
+    try:
+        own_sampling(config)
+    except SettingError as error:
+        raise SystemExit(str(error)) from error
     if config.threads:
         torch.set_num_threads(config.threads)
     hardware = find_accelerator(config.device)
@@ -41,13 +44,17 @@ def main(config: DictConfig) -> None:
 def train(config: DictConfig, accelerator: Accelerator) -> None:
     """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
-    representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    sampling, described = instantiate(config.data.sampling), OmegaConf.to_container(config, resolve=True)
+    parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
+    representation = parts["representation"]
     logger.info("reading %s", config.data.folder)
-    cache = Cache.read(Path(config.data.folder).expanduser())
+    cache = read_caches(config.data.folder)
+    started = stmc.load(config.start, trusted=config.trusted) if config.start else None
     corpus = instantiate(config.data.corpus, _partial_=True)(
         cache=cache,
-        encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=representation.layout,
+        text=started.text_statistics if started else None,
         device=accelerator.device,
     )
     held_out = ClipBatches(corpus, "val", sampling, settings.seed)
@@ -58,10 +65,12 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     fields = dict(representation.layout.slices)
     if derive:
         fields[derive.name] = slice(corpus.features_width, None)
-    denoiser = instantiate(config.denoiser)
-    if config.start:
-        denoiser.load_state_dict(stmc.load(config.start).denoiser.state_dict())
-    model = record(config, denoiser, corpus)
+    model = record(config, corpus)
+    denoiser = model.denoiser
+    if started:
+        denoiser.load_state_dict(started.denoiser.state_dict())
+        denoiser.restate(started.motion_statistics, corpus.motion.to("cpu"))
+    check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         denoiser,
         Denoising(model.schedule, fields=fields, derive=derive, **config.objective),
@@ -83,14 +92,20 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     trainer.run()
 
 
-def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Model:
-    """The model as it would be loaded from the run's folder."""
-    representation = instantiate(config.representation)
+def own_sampling(config: DictConfig) -> Sampling:
+    """How the model is sampled unless told otherwise."""
+    return record_of(Sampling, {"noise_scale": config.noise_scale})
+
+
+def record(config: DictConfig, corpus: Corpus) -> Model:
+    """The model as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, trusted=config.trusted)
+    representation = parts["representation"]
     return Model(
-        denoiser=network,
-        schedule=instantiate(config.schedule),
-        text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        denoiser=parts["denoiser"],
+        schedule=parts["schedule"],
+        text_encoder=Cached(parts["text_encoder"], config.text_cache),
         representation=representation,
         motion_statistics=corpus.motion.to("cpu"),
         text_statistics=corpus.text.to("cpu"),
@@ -98,7 +113,7 @@ def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Mode
         fps=corpus.fps,
         longest=int(instantiate(config.data.sampling).longest * corpus.fps),
         prediction=config.objective.prediction,
-        spread=config.spread,
+        sampling=own_sampling(config),
         config={part: described[part] for part in PARTS},
     )
 
@@ -109,7 +124,8 @@ def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) 
     folder = Path(config.run).expanduser()
     settings = OmegaConf.to_yaml(config, resolve=True)
     card = f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n"
-    stmc.save(model, folder, card + "".join(f"\nSettings changed {change}\n" for change in changes))
+    changed = "".join(f"\nSettings changed {change}\n" for change in changes)
+    stmc.save(model, folder, card + changed, trusted=config.trusted)
 
 
 def draw(config: DictConfig, model: Model, step: int) -> None:

@@ -15,7 +15,7 @@ _AT_ONCE = 2**16
 """Rows that are in float64 at a time: all of a large data set would take the memory twice over."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Statistics:
     """Per feature; `std` is positive everywhere. Both directions keep shape, dtype and device of their argument."""
 
@@ -26,15 +26,19 @@ class Statistics:
         if not bool((self.std > 0).all() & self.mean.isfinite().all() & self.std.isfinite().all()):
             raise ValueError(f"statistics must be finite, with std above 0: mean {self.mean}, std {self.std}")
 
+    def __repr__(self) -> str:
+        return f"Statistics({len(self.mean)} features, std {self.std.min():.4g} to {self.std.max():.4g})"
+
     @classmethod
-    def of(cls, rows: Float[Tensor, "frames features"], floor: float) -> Statistics:
-        """Over all `rows`, summed in float64. A feature that hardly varies has std `floor`, not 0."""
+    def of(cls, rows: Float[Tensor, "frames features"], floor: float | Float[Tensor, " features"]) -> Statistics:
+        """Over all `rows`, summed in float64. A feature that hardly varies has std `floor` (its own, of several), not
+        0."""
         if not len(rows):
             raise ValueError("statistics of no rows at all")
         pieces = rows.split(_AT_ONCE)
         mean = sum(piece.double().sum(dim=0) for piece in pieces) / len(rows)
         std = (sum((piece.double() - mean).square().sum(dim=0) for piece in pieces) / len(rows)).sqrt()
-        return cls(mean.to(rows.dtype), std.clamp_min(floor).to(rows.dtype))
+        return cls(mean.to(rows.dtype), std.clamp_min(torch.as_tensor(floor).to(std)).to(rows.dtype))
 
     def normalise(self, raw: Float[Tensor, "*batch features"]) -> Float[Tensor, "*batch features"]:
         """Zero mean and unit variance."""

@@ -12,8 +12,9 @@ from toys import FPS, LAYOUT, LetterCounts, cache
 
 from stmc.body import BodyPart
 from stmc.body_model import Skeleton
+from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import NULL, SEAM, ClipBatches, Corpus, Draws, Sampling
+from stmc.data.dataset import NULL, SEAM, Corpus, Draws
 from stmc.representation import Field, Layout, SmplRepresentation
 from stmc.statistics import Statistics
 
@@ -341,7 +342,8 @@ def test_any_body_with_other_parts_can_be_a_host_and_shows_its_own_text_only_whe
         clips.append(Clip(f"{name}-{number}", name, "", name, (part,), False, False, "train", start, start + frames))
         start += frames
     texts = {name: ((name, 1.0),) for name in ("turn", "left", "right")}
-    data = Cache(20.0, "smpl", torch.zeros(start, 205), tuple(clips), texts)
+    features = torch.arange(start * 205.0).reshape(start, 205)
+    data = Cache(20.0, "smpl", features, tuple(clips), texts)
     corpus = Corpus(data, LetterCounts(), SmplRepresentation().layout)
     settings = {"crops": 0.0, "silent": 0.0, "trim": 0.0, "pool": 1, "pieces": 1, "composed": 1.0}
     [walking] = ClipBatches(corpus, "train", Sampling(rows=96, **settings)).draws(0)
@@ -362,3 +364,11 @@ def test_without_compositions_no_row_has_a_guest() -> None:
     draws, raw = rows_of(composing(0.0))
     assert not draws.guest.frames.any()
     assert all((raw[row, :frames] == raw[row, 0]).all() for row, frames in enumerate(draws.body.frames))
+
+
+@pytest.mark.parametrize("statistics", [None, Statistics(torch.zeros(LAYOUT.width), torch.ones(LAYOUT.width))])
+def test_data_that_stand_still_are_refused(statistics):
+    still = dataclasses.replace(cache(), statistics=statistics)
+    still.features[:] = still.features[:1].clone()
+    with pytest.raises(ValueError, match="training frames is the same: there is nothing to learn"):
+        Corpus(still, LetterCounts(), LAYOUT)
