@@ -27,7 +27,11 @@ def notebook(page: str) -> str:
 def cell(source: str, code: bool, number: int) -> dict:
     """One cell as nbformat 4.5 writes it."""
     made = {"id": f"cell-{number}", "metadata": {}, "source": source.splitlines(keepends=True)}
-    return {"cell_type": "code", "execution_count": None, "outputs": []} | made if code else {"cell_type": "markdown"} | made
+    return (
+        {"cell_type": "code", "execution_count": None, "outputs": []} | made
+        if code
+        else {"cell_type": "markdown"} | made
+    )
 
 
 def unlinked(text: str) -> str:
