@@ -1,7 +1,7 @@
 """Makes the notebooks of the pages that have their cells: `python docs/notebooks.py` fills docs/notebooks/.
 
-A page is the source, so that what is read and what is run cannot differ. Cells are the blocks marked `python`; everything
-between them is text, without links and pictures, which lead nowhere from a notebook.
+A page is the source, so that what is read and what is run cannot differ. Cells are the blocks marked `python`;
+everything between them is text, without links and pictures, which lead nowhere from a notebook.
 """
 
 import json
@@ -27,11 +27,8 @@ def notebook(page: str) -> str:
 def cell(source: str, code: bool, number: int) -> dict:
     """One cell as nbformat 4.5 writes it."""
     made = {"id": f"cell-{number}", "metadata": {}, "source": source.splitlines(keepends=True)}
-    return (
-        {"cell_type": "code", "execution_count": None, "outputs": []} | made
-        if code
-        else {"cell_type": "markdown"} | made
-    )
+    kind = {"cell_type": "code", "execution_count": None, "outputs": []} if code else {"cell_type": "markdown"}
+    return kind | made
 
 
 def unlinked(text: str) -> str:

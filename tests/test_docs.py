@@ -19,6 +19,7 @@ from test_architecture import TIERS
 import stmc
 from stmc.commands.arguments import read
 from stmc.commands.dispatch import SHORT, found, scripts
+from stmc.composing import METHODS
 from stmc.model import Model
 from stmc.sampling import DEFAULT, Sampling
 from stmc.settings import about
@@ -146,6 +147,13 @@ def test_the_table_of_settings_is_the_record_s():
 def test_the_table_of_tiers_is_the_one_that_is_tested():
     rows = [f"| {tier} | {', '.join(f'`{each}`' for each in sorted(each))} |" for tier, each in enumerate(TIERS)]
     assert "\n".join(rows) in text(DOCS / "architecture.md"), "\n".join(["the rows should be:", *rows])
+
+
+def test_every_method_is_described_with_its_plan_drawn():
+    page = text(DOCS / "methods.md")
+    assert [method for method in METHODS if f"[`{method}`](#" not in page] == []
+    drawn = set(re.findall(r"\((?:\.\./)?figures/(\w+)\.png\)", "".join(text(page) for page in PAGES)))
+    assert drawn == {path.stem for path in DOCS.glob("figures/*.png")}
 
 
 def test_the_table_of_commands_has_every_command_once():
