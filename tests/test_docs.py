@@ -23,6 +23,7 @@ from stmc.composing import METHODS
 from stmc.model import Model
 from stmc.sampling import DEFAULT, Sampling
 from stmc.settings import about
+from stmc.timeline import files, prompts
 
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
@@ -142,6 +143,15 @@ def test_the_table_of_settings_is_the_record_s():
         f"| `{name}` | {told.help} | {told.fits} | {own.get(name, '–')} |" for name, told in about(Sampling).items()
     ]
     assert "\n".join(rows) in text(DOCS / "sampling.md"), "\n".join(["the rows should be:", *rows])
+
+
+def test_the_limits_of_timelines_are_the_library_s():
+    limits = (
+        prompts.LATEST, prompts.MOST_FRAMES, prompts.MOST_PROMPTS, files.MOST_PROMPTS_IN_FILE, prompts.LONGEST_TEXT,
+    )  # fmt: skip
+    page = text(DOCS / "timelines.md")
+    assert [limit for limit in limits if f"| {limit:,}" not in page] == []
+    assert f"| {files.MOST_BYTES // 2**20} MiB |" in page
 
 
 def test_the_table_of_tiers_is_the_one_that_is_tested():
