@@ -1,29 +1,48 @@
 """Trains a denoiser: `python scripts/train.py run=FOLDER data.folder=CACHE`; devices: `accelerate launch`."""
 
-from dataclasses import replace
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
-import hydra
 import torch
 from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
+from stmc.commands import command
+from stmc.commands.shared import Trained
 from stmc.data.cache import Cache
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.diffusion import Spread
 from stmc.model import Model
 from stmc.run import PARTS
+from stmc.settings import setting
 from stmc.text import Cached
 from stmc.training import Denoising, Hook, Trainer
 
+DRAWN = (
+    "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
+    "turn left # 0 # 5 # legs",
+)
 
-@hydra.main(config_path="../configs", config_name="train", version_base="1.3")
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(Trained):
+    objective: Mapping = setting(
+        {"prediction": "x0", "weights": {}},
+        "prediction: what the denoiser says (x0, eps, v or score); weights: of fields that count more or less than 1",
+    )
+    spread: str = setting("variance", "of DDPM's noise when the model is sampled", choices=get_args(Spread))
+    start: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
+    draw_every: int = setting(2000, "steps between pictures", at_least=1)
+    draw: tuple[str, ...] = setting(DRAWN, "timelines of which pictures are drawn")
+
+
+@command("train", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    if config.spread not in get_args(Spread):
-        raise SystemExit(f"spread={config.spread}: choose from {', '.join(get_args(Spread))}")
     if config.threads:
         torch.set_num_threads(config.threads)
     accelerator = Accelerator(cpu=config.device == "cpu")
@@ -101,4 +120,4 @@ def draw(config: DictConfig, model: Model, step: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -60,15 +60,24 @@ def setting(
     at_most: float | int | None = None,
     below: float | int | None = None,
 ) -> Any:
-    """A field of a record of settings: its default, what it is in a line, and what values fit."""
+    """A field of a record of settings: its default (`MISSING`: it must be given), what it is in a line, and what values
+    fit."""
     limits = {"at_least": at_least, "above": above, "at_most": at_most, "below": below}
     given = tuple((name, limit) for name, limit in limits.items() if limit is not None)
-    return dataclasses.field(default=default, metadata={"about": About(help, unit, tuple(choices), given)})
+    first = {"default_factory": default.copy} if isinstance(default, dict) else {"default": default}
+    return dataclasses.field(**first, metadata={"about": About(help, unit, tuple(choices), given)})
 
 
 def about(record: type) -> dict[str, About]:
     """What every setting of a record says of itself, in order."""
     return {field.name: field.metadata["about"] for field in dataclasses.fields(record) if "about" in field.metadata}
+
+
+def defaults(record: type) -> dict[str, Any]:
+    """The default of every setting of a record, in order; `dataclasses.MISSING` for what must be given."""
+    fields = [field for field in dataclasses.fields(record) if "about" in field.metadata]
+    made = {field.name: field.default_factory for field in fields if field.default_factory is not dataclasses.MISSING}
+    return {field.name: made[field.name]() if field.name in made else field.default for field in fields}
 
 
 def check(record: Any) -> None:
@@ -107,13 +116,14 @@ def _check(name: str, value: Any, hint: Any, each: About) -> None:
     items = value if isinstance(value, tuple) else (value,)
     if each.choices and (bad := [item for item in items if item not in each.choices]):
         raise SettingError(f"{name}={shown(bad[0])}: choose from {', '.join(each.choices)}")
-    if isinstance(value, (int, float)) and not all(_LIMITS[limit][1](value, at) for limit, at in each.limits):
-        raise SettingError(f"{name}={shown(value)}: must be {each.fits}")
+    for item in items:
+        if isinstance(item, (int, float)) and not all(_LIMITS[limit][1](item, at) for limit, at in each.limits):
+            raise SettingError(f"{name}={shown(item)}: must be {each.fits}")
 
 
 _WORDS: Mapping[Any, str] = {
     int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list", NoneType: "null",
-    Literal: "a text",
+    Literal: "a text", Mapping: "a table of names and values",
 }  # fmt: skip
 
 
@@ -125,6 +135,10 @@ def _is(value: Any, kind: Any) -> bool:
         return isinstance(value, int) and not isinstance(value, bool)
     if get_origin(kind) is Literal:
         return value in get_args(kind)
+    if get_origin(kind) in (Union, UnionType):
+        return any(_is(value, each) for each in get_args(kind))
     if get_origin(kind) is tuple:
         return isinstance(value, tuple) and all(_is(item, get_args(kind)[0]) for item in value)
+    if kind is NoneType:
+        return value is None
     return isinstance(value, kind)

@@ -1,0 +1,109 @@
+"""A command: a function, the record of its settings, and the configuration that Hydra composes for it."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig, OmegaConf
+
+from stmc.commands.arguments import Asked, quoted, read
+from stmc.commands.endings import guarded
+from stmc.commands.help import explanation
+from stmc.commands.places import place
+from stmc.settings import SettingError, about, record_of
+
+
+@dataclass(frozen=True)
+class Command:
+    """What `command` makes of a function. A call is the whole way: arguments, checks, the function, an exit code."""
+
+    name: str
+    settings: type
+    """The record whose fields are the settings."""
+    function: Callable[[DictConfig], object]
+    positional: tuple[str, ...] = ()
+    """The settings that plain arguments are, in order."""
+    groups: dict[str, Sequence[str]] = field(default_factory=lambda: _groups(place("configs")))
+
+    def __call__(self, arguments: Sequence[str] | None = None) -> int:
+        """Runs the command with what was typed behind it, and returns its exit code."""
+        return guarded(functools.partial(self.run, sys.argv[1:] if arguments is None else arguments))
+
+    def run(self, arguments: Sequence[str]) -> None:
+        """As calling, but what goes wrong is an exception."""
+        asked = read(arguments, self.settings, self.groups, self.positional)
+        if asked.help:
+            sys.stdout.write(self.help)
+            return
+        config = self.composed(asked)
+        if asked.show:
+            sys.stdout.write(OmegaConf.to_yaml(config))
+            return
+        self.check(config)
+        _log()
+        self.function(config)
+
+    def composed(self, asked: Asked) -> DictConfig:
+        """The configuration as asked for; the user's own folder wins over ours."""
+        folder, ours = asked.folder or place("configs"), place("configs")
+        if not folder.is_dir():
+            raise SettingError(f"--config-dir {folder} is not a folder")
+        behind = [] if folder == ours else [f"hydra.searchpath=[{quoted(f'file://{ours}')}]"]
+        with initialize_config_dir(str(folder.resolve()), version_base="1.3"):
+            return compose(asked.name or self.name, [*asked.overrides, *behind])
+
+    def check(self, config: DictConfig) -> None:
+        """Raises `SettingError` for settings that are missing, unknown or do not fit, before anything is loaded."""
+        if missing := sorted(OmegaConf.missing_keys(config)):
+            told = about(self.settings)
+            meant = [f"{name}= ({told[name].help})" if name in told else f"{name}=" for name in missing]
+            raise SettingError(f"needed: {', '.join(meant)}")
+        values = OmegaConf.to_container(config, resolve=True)
+        record_of(self.settings, {name: value for name, value in values.items() if name not in self.groups})
+
+    @property
+    def help(self) -> str:
+        """What `--help` prints."""
+        described = self.function.__globals__.get("__doc__") or ""
+        parts = {name: (chosen, self.groups[name]) for name, chosen in self._chosen().items() if name in self.groups}
+        return explanation(self.name, described, self.settings, self.positional, parts)
+
+    def _chosen(self) -> dict[str, str]:
+        """The groups that the configuration is composed of, each with the one that is chosen by default."""
+        listed = OmegaConf.load(place("configs") / f"{self.name}.yaml").get("defaults", [])
+        pairs = [next(iter(each.items())) for each in listed if OmegaConf.is_dict(each)]
+        return {str(name).removeprefix("override "): str(chosen) for name, chosen in pairs}
+
+
+def command(
+    name: str, settings: type, positional: tuple[str, ...] = ()
+) -> Callable[[Callable[[DictConfig], object]], Command]:
+    """Makes a command of a function of its composed configuration: `@command("sample", Sample, ("timeline",))`.
+
+    `name` is that of its configuration, too; plain arguments are the settings `positional`.
+    """
+    return lambda function: Command(name, settings, function, positional)
+
+
+def _groups(folder: Path) -> dict[str, Sequence[str]]:
+    return {
+        group.name: sorted(path.stem for path in group.glob("*.yaml"))
+        for group in sorted(folder.iterdir())
+        if group.is_dir()
+    }
+
+
+def _log() -> None:
+    """What the library tells as it goes (checkpoints, validation) appears on stderr, a line each."""
+    logger = logging.getLogger("stmc")
+    if not logger.handlers:
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+        logger.addHandler(handler)
+        logger.setLevel(logging.INFO)
