@@ -52,9 +52,7 @@ class Settings(OnDevice, Threaded):
     runs: tuple[Mapping, ...] = setting(
         ({"method": "stmc", "model": None},), "methods, each with its model's run directory (null: the bundled one)"
     )
-    seconds: tuple[float | int, ...] = setting(
-        (10, 30, 60, 120, 300, 600), "of each timeline", unit="s", above=0
-    )
+    seconds: tuple[float | int, ...] = setting((10, 30, 60, 120, 300, 600), "of each timeline", unit="s", above=0)
     prompt: float | int = setting(5, "length of each prompt", unit="s", above=0)
     texts: tuple[str, ...] = setting(TEXTS, "of the prompts, again and again")
     steps: int = setting(3, "of denoising", at_least=1)

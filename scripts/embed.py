@@ -19,9 +19,7 @@ from stmc.text import Cached
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    texts: str = setting(
-        MISSING, "timelines or annotations (.json), a text a line (.txt), or a folder of such files"
-    )
+    texts: str = setting(MISSING, "timelines or annotations (.json), a text a line (.txt), or a folder of such files")
     folder: str = setting("cache/text", "folder of the embeddings: what training calls text_cache")
     batch: int = setting(512, "texts at a time", at_least=1)
 

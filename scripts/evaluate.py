@@ -47,9 +47,7 @@ class Settings(OnDevice, Threaded):
         "outputs/evaluation", "folder of all experiments on one benchmark: what one has run, the others need not"
     )
     seeds: tuple[int, ...] = setting((0, 1, 2), "each is a run of its own", at_least=0)
-    batch: int = setting(
-        50, "timelines at a time; a killed run loses at most so many", at_least=1
-    )
+    batch: int = setting(50, "timelines at a time; a killed run loses at most so many", at_least=1)
     precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
 
 

@@ -19,9 +19,7 @@ from stmc.study import StudyError, design, read_pairs, survey_page
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    first: str = setting(
-        MISSING, "folder that sampling filled, by the method under study"
-    )
+    first: str = setting(MISSING, "folder that sampling filled, by the method under study")
     second: str = setting(MISSING, "the same timelines by the method that it is compared with")
     timelines: str = setting(MISSING, "file that both were sampled from")
     names: tuple[str | None, ...] = setting((None, None), "of the two methods in the analysis; null: as their folders")

@@ -82,9 +82,7 @@ def defaults(record: type) -> dict[str, Any]:
 
 def check(record: Any) -> None:
     """Raises `SettingError` for the first setting of a record that does not fit; for `__post_init__`."""
-    hints = get_type_hints(type(record))
-    for name, each in about(type(record)).items():
-        _check(name, getattr(record, name), hints[name], each)
+    _check_values(type(record), {name: getattr(record, name) for name in about(type(record))})
 
 
 def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
@@ -96,13 +94,22 @@ def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
             near = get_close_matches(str(name), known, 1)
             meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
             raise SettingError(f"unknown setting {shown(name)}: {meant}")
-    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    _check_values(kind, values)
+    return kind(**values)
 
 
 def shown(value: Any, most: int = 60) -> str:
     """A value as a message quotes it: escaped, and cut after `most` characters."""
     text = repr(value[: most + 1]) if isinstance(value, (str, bytes)) else reprlib.repr(value)
     return text if len(text) <= most + 2 else f"{text[:most]}…"
+
+
+def _check_values(kind: type, values: Mapping[str, Any]) -> None:
+    hints, known = get_type_hints(kind), about(kind)
+    for name in values:
+        if name in known:
+            _check(name, values[name], hints[name], known[name])
 
 
 def _check(name: str, value: Any, hint: Any, each: About) -> None:
@@ -114,7 +121,7 @@ def _check(name: str, value: Any, hint: Any, each: About) -> None:
         words = " or ".join(dict.fromkeys(_WORDS.get(get_origin(kind) or kind, "null") for kind in kinds))
         raise SettingError(f"{name}={shown(value)}: {words} needed{f', {each.fits}' if each.fits else ''}")
     items = value if isinstance(value, tuple) else (value,)
-    if each.choices and (bad := [item for item in items if item not in each.choices]):
+    if each.choices and (bad := [item for item in items if isinstance(item, str) and item not in each.choices]):
         raise SettingError(f"{name}={shown(bad[0])}: choose from {', '.join(each.choices)}")
     for item in items:
         if isinstance(item, (int, float)) and not all(_LIMITS[limit][1](item, at) for limit, at in each.limits):
@@ -123,7 +130,7 @@ def _check(name: str, value: Any, hint: Any, each: About) -> None:
 
 _WORDS: Mapping[Any, str] = {
     int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list", NoneType: "null",
-    Literal: "a text", Mapping: "a table of names and values",
+    Literal: "a text", Mapping: "a table of names and values", Callable: "a function",
 }  # fmt: skip
 
 
@@ -137,6 +144,8 @@ def _is(value: Any, kind: Any) -> bool:
         return value in get_args(kind)
     if get_origin(kind) in (Union, UnionType):
         return any(_is(value, each) for each in get_args(kind))
+    if get_origin(kind) is Callable:
+        return callable(value)
     if get_origin(kind) is tuple:
         return isinstance(value, tuple) and all(_is(item, get_args(kind)[0]) for item in value)
     if kind is NoneType:

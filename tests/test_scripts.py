@@ -155,7 +155,7 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
 
 def test_training_refuses_a_spread_that_sampling_would():
     with pytest.raises(SystemExit, match="spread=wide: choose from std, variance"):
-        loaded("train").main.__wrapped__(configured("train", "spread=wide", "run=nowhere"))
+        loaded("train").main.function(configured("train", "spread=wide", "run=nowhere"))
 
 
 def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
@@ -324,7 +324,7 @@ def test_what_the_user_got_wrong_ends_in_a_sentence(sample, run, tmp_path, overr
     given = {"timeline": f"{tmp_path}/good.txt", "model": str(run), "output": f"{tmp_path}/out"}
     given |= [override.format(tmp_path).split("=")]
     with pytest.raises(SystemExit, match=message):
-        sample.main.__wrapped__(settings(*(f"{key}={value}" for key, value in given.items())))
+        sample.main.function(settings(*(f"{key}={value}" for key, value in given.items())))
     assert not (tmp_path / "out").exists()
 
 

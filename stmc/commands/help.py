@@ -30,9 +30,7 @@ def explanation(name: str, described: str, settings: type, positional: Sequence[
     if parts:
         paragraphs.append("Parts, each a file of configs/PART, with settings PART.SETTING=VALUE:")
         paragraphs.append("\n".join(_entry(part, ", ".join(names), chosen) for part, (chosen, names) in parts.items()))
-    paragraphs.append(
-        "--config-name NAME: another configuration; --config-dir FOLDER: your own ones; --cfg: show it."
-    )
+    paragraphs.append("--config-name NAME: another configuration; --config-dir FOLDER: your own ones; --cfg: show it.")
     return "\n\n".join(paragraphs) + "\n"
 
 
