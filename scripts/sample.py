@@ -32,6 +32,7 @@ from stmc.model import Method, Precision, check_late
 from stmc.run import fingerprint
 from stmc.sampling import Sampling
 from stmc.settings import SettingError, setting
+from stmc.tensors import found_device
 
 FORMATS = ("npz", "bvh", "html")
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
@@ -51,7 +52,7 @@ class Settings(Sampling, OnDevice):
     output: str = setting("outputs", "folder of the motions")
     model: str | None = setting(None, "run directory; null: the bundled model")
     method: str = setting("stmc", "how crops become a motion", choices=get_args(Method))
-    samples: int = setting(1, "motions of each timeline, with seeds from `seed` on", at_least=1, at_most=10**6)
+    samples: int = setting(1, "motions of each timeline, with seeds from `seed` on", at_least=1, at_most=100_000)
     seed: int = setting(0, "of the first motion of each timeline", at_least=0)
     formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=FORMATS)
     fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
@@ -95,6 +96,7 @@ def check(config: DictConfig) -> None:
     """Refuses what settings cannot be together."""
     if not config.formats:
         raise SettingError(f"formats=[]: choose from {', '.join(FORMATS)}")
+    found_device(config.device)
     if config.stitch_from is not None:
         check_late(config.stitch_from, config.method)
 

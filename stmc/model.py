@@ -69,6 +69,9 @@ STITCHED: Mapping[Method, Callable[[Plan], Plan]] = {
 }
 """The methods that stitch crops at every step, each with the rule that it makes of a plan."""
 
+SEAMLESS: tuple[Method, ...] = ("one_text", "sinc", "flow_mdm")
+"""The methods whose motions have no transitions of a length."""
+
 OWN_LATE: tuple[Method, ...] = ("stmc", "stmc_soft")
 """The methods that begin to stitch as late as the model says; the others from the first step on."""
 
@@ -212,7 +215,9 @@ class Model:
                 features = run.retaken(plans, features, int(overlap * self.fps) // 2)
         else:
             features = run.joined(run.apart(), method, int(overlap * self.fps))
-        return self.decode(features, [timeline.frames(self.fps) for timeline in timelines])
+        motions = self.decode(features, [timeline.frames(self.fps) for timeline in timelines])
+        made_with = 0.0 if method in SEAMLESS else overlap
+        return [dataclasses.replace(motion, overlap=made_with) for motion in motions]
 
     def decode(self, features: Float[Tensor, "batch frames features"], lengths: Sequence[int]) -> list[Motion]:
         """Motions on the CPU from a batch of normalised features, each of its own length."""

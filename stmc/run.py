@@ -29,6 +29,7 @@ from stmc.evaluators import Evaluator
 from stmc.files import write_whole
 from stmc.model import Model, Precision
 from stmc.statistics import Statistics
+from stmc.tensors import found_device
 
 BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_bandai", "tmr_bandai"
 CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
@@ -75,9 +76,10 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
     """The model of a run directory, wherever it was moved to; without `folder`, the bundled one.
 
     `device`: "auto" is the GPU if there is one. `precision` is the denoiser's at sampling (see `Model`). Raises
-    `RunError` for a missing or damaged file, for weights that do not fit, for parts that do not fit each other, and for
-    a config that asks for anything but this library's classes.
+    `ValueError` for a device that is not there, `RunError` for a missing or damaged file, for weights that do not fit,
+    for parts that do not fit each other, and for a config that asks for anything but this library's classes.
     """
+    device = found_device(device)
     folder = bundled() if folder is None else Path(folder).expanduser()
     config, parts = _opened(folder, PARTS, ("fps", "longest", "prediction"))
     config = {name: getattr(Model, name) for name in SAMPLED} | config
@@ -98,23 +100,18 @@ def load(folder: str | Path | None = None, device: torch.device | str = "cpu", p
         config=config,
         precision=precision,
     )
-    return model.to(_found(device))
+    return model.to(device)
 
 
 def load_evaluator(folder: str | Path | None = None, device: torch.device | str = "cpu") -> Evaluator:
     """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to; without `folder`, the
     bundled one. Raises as `load` does."""
+    device = found_device(device)
     folder = bundled(BUNDLED_EVALUATOR) if folder is None else Path(folder).expanduser()
     config, parts = _opened(folder, EVALUATOR_PARTS, ("fps",))
     _fill(parts["network"], folder / WEIGHTS, "network")
     numbers = _numbers(folder / STATISTICS, _shapes(parts))
-    return Evaluator(**parts, **_statistics(numbers), fps=config["fps"], config=config).to(_found(device))
-
-
-def _found(device: torch.device | str) -> torch.device | str:
-    if device != "auto":
-        return device
-    return "cuda" if torch.cuda.is_available() else "cpu"
+    return Evaluator(**parts, **_statistics(numbers), fps=config["fps"], config=config).to(device)
 
 
 def build(config: Mapping[str, Any], homes: Mapping[str, str] = PARTS) -> dict[str, Any]:

@@ -90,13 +90,19 @@ def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
     names too, with the nearest known one."""
     known = [field.name for field in dataclasses.fields(kind)]
     for name in values:
-        if name not in known:
-            near = get_close_matches(str(name), known, 1)
-            meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
-            raise SettingError(f"unknown setting {shown(name)}: {meant}")
+        check_name(name, known)
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     _check_values(kind, values)
     return kind(**values)
+
+
+def check_name(name: Any, known: Iterable[str]) -> None:
+    """Raises `SettingError` for a name that is not known, with the nearest one that is."""
+    known = list(known)
+    if name not in known:
+        near = get_close_matches(str(name), known, 1)
+        meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
+        raise SettingError(f"unknown setting {shown(name)}: {meant}")
 
 
 def shown(value: Any, most: int = 60) -> str:
@@ -117,7 +123,7 @@ def _check(name: str, value: Any, hint: Any, each: About) -> None:
     kinds = tuple(kind for kind in kinds if kind is not int or float not in kinds)
     if value is None and NoneType in kinds:
         return
-    if not any(_is(value, kind) for kind in kinds):
+    if value == "" or not any(_is(value, kind) for kind in kinds):
         words = " or ".join(dict.fromkeys(_WORDS.get(get_origin(kind) or kind, "null") for kind in kinds))
         raise SettingError(f"{name}={shown(value)}: {words} needed{f', {each.fits}' if each.fits else ''}")
     items = value if isinstance(value, tuple) else (value,)

@@ -57,3 +57,14 @@ class Moved(Generic[Made]):
         if key not in self._made:
             self._made[key] = self._make(x)
         return self._made[key]
+
+
+def found_device(device: torch.device | str) -> torch.device:
+    """The device of that name on this machine; "auto" is the GPU if there is one. Raises `ValueError` where there is no
+    such device."""
+    gpus = [f"cuda:{number}" for number in range(torch.cuda.device_count())]
+    there = ["cpu", *(["cuda"] if gpus else []), *gpus, *(["mps"] if torch.backends.mps.is_available() else [])]
+    name = ("cuda" if gpus else "cpu") if device == "auto" else str(device)
+    if name not in there:
+        raise ValueError(f"device={name[:60]}: this machine has {', '.join(there)}; auto takes the GPU if there is one")
+    return torch.device(name)

@@ -10,12 +10,13 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import OverrideParseException
+from hydra.errors import HydraException
 
-from stmc.settings import SettingError, shown
+from stmc.settings import SettingError, check_name, shown
 
 _GIVEN = re.compile(r"([+~]{0,2})([A-Za-z_][\w./@-]*)=(.*)", re.DOTALL)
 _DELETED = re.compile(r"~[A-Za-z_][\w./@-]*")
@@ -56,6 +57,7 @@ def read(arguments: Sequence[str], record: type, groups: Mapping[str, Any], posi
         elif argument.startswith("--"):
             raise SettingError(f"unknown setting {shown(flag)}: --help lists all settings")
         elif found := _GIVEN.fullmatch(argument):
+            check_name(re.split(r"[.@/]", found[2])[0], [*hints, *groups])
             overrides.append(_override(*found.groups(), hints))
         elif _DELETED.fullmatch(argument):
             overrides.append(argument)
@@ -69,7 +71,7 @@ def read(arguments: Sequence[str], record: type, groups: Mapping[str, Any], posi
 
 def kinds(hint: Any) -> Iterator[Any]:
     """The types that a setting may have, without null."""
-    yield from (kind for kind in (get_args(hint) or (hint,)) if kind is not type(None))
+    yield from (kind for kind in (get_args(hint) if get_origin(hint) is UnionType else (hint,)) if kind is not NoneType)
 
 
 def _value(left: list[str], flag: str, hint: Any) -> str:
@@ -90,8 +92,8 @@ def _override(sign: str, key: str, value: str, hints: Mapping[str, Any]) -> str:
     hint = hints.get(key)
     if hint is not None and str in kinds(hint) and value != "null":
         return f"{sign}{key}={quoted(value)}"
-    if str(hint).startswith("tuple") and not value.startswith("["):
-        return f"{sign}{key}=[{value}]" if _reads(f"{key}=[{value}]") else f"{sign}{key}={quoted(value)}"
+    if get_origin(hint) is tuple and value != "null" and _reads(f"{key}=[{value}]") and not value.startswith("["):
+        return f"{sign}{key}=[{value}]"
     plain = f"{sign}{key}={value}"
     return plain if _reads(plain) else f"{sign}{key}={quoted(value)}"
 
@@ -108,5 +110,5 @@ def quoted(value: str) -> str:
 def _reads(override: str) -> bool:
     try:
         return not OverridesParser.create().parse_override(override).is_sweep_override()
-    except (OverrideParseException, RecursionError):
+    except (HydraException, RecursionError):
         return False

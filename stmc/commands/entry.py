@@ -6,17 +6,17 @@ import functools
 import logging
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import MISSING, dataclass
+from functools import cached_property
 
 from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from stmc.commands.arguments import Asked, quoted, read
 from stmc.commands.endings import guarded
 from stmc.commands.help import explanation
 from stmc.commands.places import place
-from stmc.settings import SettingError, about, record_of
+from stmc.settings import SettingError, about, defaults, record_of
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,6 @@ class Command:
     function: Callable[[DictConfig], object]
     positional: tuple[str, ...] = ()
     """The settings that plain arguments are, in order."""
-    groups: dict[str, Sequence[str]] = field(default_factory=lambda: _groups(place("configs")))
 
     def __call__(self, arguments: Sequence[str] | None = None) -> int:
         """Runs the command with what was typed behind it, and returns its exit code."""
@@ -37,7 +36,7 @@ class Command:
 
     def run(self, arguments: Sequence[str]) -> None:
         """As calling, but what goes wrong is an exception."""
-        asked = read(arguments, self.settings, self.groups, self.positional)
+        asked = read(arguments, self.settings, self.parts, self.positional)
         if asked.help:
             sys.stdout.write(self.help)
             return
@@ -54,9 +53,16 @@ class Command:
         folder, ours = asked.folder or place("configs"), place("configs")
         if not folder.is_dir():
             raise SettingError(f"--config-dir {folder} is not a folder")
+        name = asked.name or self.name
+        if not any((place / f"{name}.yaml").is_file() for place in (folder, ours)):
+            raise SettingError(f"--config-name {name}: {folder / name}.yaml does not exist")
         behind = [] if folder == ours else [f"hydra.searchpath=[{quoted(f'file://{ours}')}]"]
         with initialize_config_dir(str(folder.resolve()), version_base="1.3"):
-            return compose(asked.name or self.name, [*asked.overrides, *behind])
+            config = compose(name, [*asked.overrides, *behind])
+        with open_dict(config):  # a configuration of the user's own may leave settings out
+            for setting, value in defaults(self.settings).items():
+                config.setdefault(setting, "???" if value is MISSING else value)
+        return config
 
     def check(self, config: DictConfig) -> None:
         """Raises `SettingError` for settings that are missing, unknown or do not fit, before anything is loaded."""
@@ -65,20 +71,21 @@ class Command:
             meant = [f"{name}= ({told[name].help})" if name in told else f"{name}=" for name in missing]
             raise SettingError(f"needed: {', '.join(meant)}")
         values = OmegaConf.to_container(config, resolve=True)
-        record_of(self.settings, {name: value for name, value in values.items() if name not in self.groups})
+        record_of(self.settings, {name: value for name, value in values.items() if name not in self.parts})
 
     @property
     def help(self) -> str:
         """What `--help` prints."""
         described = self.function.__globals__.get("__doc__") or ""
-        parts = {name: (chosen, self.groups[name]) for name, chosen in self._chosen().items() if name in self.groups}
-        return explanation(self.name, described, self.settings, self.positional, parts)
+        return explanation(self.name, described, self.settings, self.positional, self.parts)
 
-    def _chosen(self) -> dict[str, str]:
-        """The groups that the configuration is composed of, each with the one that is chosen by default."""
+    @cached_property
+    def parts(self) -> dict[str, tuple[str, list[str]]]:
+        """The groups that the configuration is composed of, each with the one chosen by default, and all of them."""
         listed = OmegaConf.load(place("configs") / f"{self.name}.yaml").get("defaults", [])
-        pairs = [next(iter(each.items())) for each in listed if OmegaConf.is_dict(each)]
-        return {str(name).removeprefix("override "): str(chosen) for name, chosen in pairs}
+        chosen = dict(next(iter(each.items())) for each in listed if OmegaConf.is_dict(each))
+        names = {name: sorted(path.stem for path in place("configs").glob(f"{name}/*.yaml")) for name in chosen}
+        return {name: (one, names[name]) for name, one in chosen.items()}
 
 
 def command(
@@ -89,14 +96,6 @@ def command(
     `name` is that of its configuration, too; plain arguments are the settings `positional`.
     """
     return lambda function: Command(name, settings, function, positional)
-
-
-def _groups(folder: Path) -> dict[str, Sequence[str]]:
-    return {
-        group.name: sorted(path.stem for path in group.glob("*.yaml"))
-        for group in sorted(folder.iterdir())
-        if group.is_dir()
-    }
 
 
 def _log() -> None:

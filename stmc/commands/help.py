@@ -25,7 +25,7 @@ def explanation(name: str, described: str, settings: type, positional: Sequence[
         " ".join(["Usage: stmc", name, *plain, "[SETTING=VALUE …]"]),
         described.strip(),
         "Settings, also as --SETTING VALUE; in brackets what holds unless it is given:",
-        "\n".join(_entry(each, _what(told[each]), first[each]) for each in told),
+        "\n".join(_entry(each, _what(told[each]), first[each]) for each in _own_first(settings)),
     ]
     if parts:
         paragraphs.append("Parts, each a file of configs/PART, with settings PART.SETTING=VALUE:")
@@ -34,9 +34,14 @@ def explanation(name: str, described: str, settings: type, positional: Sequence[
     return "\n\n".join(paragraphs) + "\n"
 
 
+def _own_first(settings: type) -> list[str]:
+    """The names of the settings, those that other commands have, too, behind the others."""
+    return sorted(about(settings), key=lambda name: name not in settings.__annotations__)
+
+
 def _what(told: About) -> str:
     unit = f", in {told.unit}" if told.unit and not told.limits else ""
-    return f"{told.help}{unit}{f': {told.fits}' if told.fits != told.unit else ''}"
+    return f"{told.help}{unit}{f' ({told.fits})' if told.fits != told.unit else ''}"
 
 
 def _entry(name: str, text: str, default: Any) -> str:

@@ -135,7 +135,7 @@ def inputs(source: Path) -> list[Path]:
     """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
     code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
     code += ("data/bandai", "data/bvh", "data/cache", "data/sentences")
-    here = Path(__file__).parents[1]
+    here = Path(__file__).parents[2]
     files = [here / f"{name}.py" for name in code]
     return [Path(source), *files, here / "assets/skeleton.json"]
 
