@@ -19,7 +19,7 @@ _HOMES = {
     "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline", "Motion": "motion",
     "motion_of_joints": "inverse_kinematics", "Skeleton": "body_model", "Model": "model", "load": "run", "save": "run",
     "load_evaluator": "run", "read": "export", "write": "export", "view": "viewing", "page": "viewing",
-    "figure": "viewing", "pictures": "viewing", "Sampling": "sampling",
+    "figure": "viewing", "pictures": "viewing", "plot_plan": "viewing", "Sampling": "sampling",
 }  # fmt: skip
 
 __all__ = sorted(_HOMES)

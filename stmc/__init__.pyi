@@ -44,7 +44,7 @@ from .planning import Plan, assign, plan
 from .run import load, load_evaluator, save
 from .sampling import Sampling
 from .timeline import Prompt, Timeline, one_text, single_track
-from .viewing import figure, page, pictures, view
+from .viewing import figure, page, pictures, plot_plan, view
 
 __all__ = [
     "BodyPart",
@@ -73,6 +73,7 @@ __all__ = [
     "page",
     "pictures",
     "plan",
+    "plot_plan",
     "read",
     "save",
     "sinc",

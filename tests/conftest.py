@@ -22,6 +22,13 @@ def golden_sets(area: str) -> list:
     return [pytest.param(None, id="absent", marks=pytest.mark.skip(reason=reason))]
 
 
+def golden_files(area: str, pattern: str) -> list:
+    """Every file of one area whose name matches, in every set folder, or one parameter that skips."""
+    sets = golden_sets(area)
+    files = [path for each in sets if each.values[0] for path in sorted(each.values[0].glob(pattern))]
+    return [pytest.param(path, id=f"{path.parent.name}-{path.stem}") for path in files] or sets[:1]
+
+
 def golden(folder: Path, name: str):
     """The content of one golden file: a dict of arrays for `.npz`, plain data for `.json` and `.json.gz`."""
     path = folder / name

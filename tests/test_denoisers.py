@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import golden, golden_sets
+from published import close_waves, interleaved, waves
 from torch import Tensor, nn
 
 from stmc.denoisers import Denoiser, MdmSmpl
@@ -134,11 +135,22 @@ def golden_network(meta: dict) -> MdmSmpl:
 @pytest.mark.golden
 @pytest.mark.parametrize("name", NETWORKS)
 @pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_names_shapes_and_positions_are_those_of_the_published_network(folder, name):
+def test_names_and_shapes_are_those_of_the_published_network(folder, name):
     meta = golden(folder, "denoiser_meta.json")[name]
     network = golden_network(meta)
     assert {key: list(value.shape) for key, value in network.state_dict().items()} == meta["state_dict_shapes"]
-    assert zlib.crc32(network.positions.numpy().tobytes()) == meta["pe_crc32_float32_5000x1xD"]
+    [shape] = meta["nonpersistent_buffers"].values()
+    assert shape == [len(network.positions), 1, network.positions.shape[1]]
+    rows, columns, values = map(torch.tensor, zip(*meta["pe_probe"], strict=True))
+    table = interleaved(*waves(rows, shape[-1]))
+    close_waves(values[:, None], table.gather(1, columns[:, None]), rows)
+
+
+@pytest.mark.parametrize("width", [16, 64, 512])
+def test_positions_are_sines_and_cosines_as_exact_as_float32_allows(width):
+    network = MdmSmpl(7, 5, width=width, feedforward=4, layers=1, heads=1)
+    rows = torch.arange(len(network.positions))
+    close_waves(network.positions, interleaved(*waves(rows, width)), rows)
 
 
 @pytest.mark.golden

@@ -1,5 +1,6 @@
 """The 263 features agree with those of the published code, from joints and back, at its stated tolerance."""
 
+import math
 import re
 
 import pytest
@@ -45,6 +46,15 @@ def cases(folder) -> list[dict[str, Tensor]]:
     ]
 
 
+def limits(headings: Tensor) -> Tensor:
+    """The limit of each frame whose heading is this quaternion.
+
+    Within 0.01 degrees of the half turn, the published float32 has nothing left of the quaternion's first number,
+    1 + cos(angle): its headings are off by up to 5e-4 there, and ours are nearer to float64.
+    """
+    return torch.where(headings[:, 0].abs() < math.sin(math.radians(0.01) / 2), 5e-4, LIMIT)
+
+
 def assert_agrees(value: Tensor, expected: Tensor) -> None:
     assert value.shape == expected.shape
     assert (value - expected).abs().max() <= LIMIT * expected.abs().max()
@@ -59,8 +69,10 @@ def test_features_agree_with_the_published_ones(folder, dtype):
         assert_agrees(canonical(uniform(joints)), case["global_positions"])
         features = joints_to_features(joints)
         assert features.dtype == dtype
+        limit = limits(case["root_quat_smoothed"])
+        limit = torch.maximum(limit[:-1], limit[1:])[:, None]
         for name, columns in HUMANML3D_LAYOUT.slices.items():
-            assert (features - case["feats"])[:, columns].abs().max() <= LIMIT, name
+            assert ((features - case["feats"])[:, columns].abs() <= limit).all(), name
 
 
 @FLOW
@@ -71,7 +83,7 @@ def test_the_smoothed_heading_is_that_of_the_published_quaternions(folder):
         own = torch.stack([torch.cos(half), zero, -torch.sin(half), zero], dim=-1)
         published = case["root_quat_smoothed"]
         sign = torch.sign((own * published).sum(dim=-1, keepdim=True))
-        assert_agrees(sign * own, published)
+        assert ((sign * own - published).abs() <= limits(published)[:, None]).all()
 
 
 @FLOW

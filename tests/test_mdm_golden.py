@@ -4,7 +4,19 @@ import numpy as np
 import pytest
 import torch
 from conftest import GOLDEN, golden, golden_sets
-from published import close, drawn, entries, frames, mdm, mdm_decoder, watched, weight
+from published import (
+    close,
+    close_waves,
+    drawn,
+    entries,
+    frames,
+    interleaved,
+    mdm,
+    mdm_decoder,
+    watched,
+    waves,
+    weight,
+)
 
 from stmc.denoisers import MdmDecoder, MdmEncoder, MotionDiffuse
 from stmc.diffusion import Schedule, ddpm, guide
@@ -88,7 +100,9 @@ def test_every_layer_of_the_encoder_is_that_of_the_published_network(folder):
     close(network.read(text), data["trace/embed_text"])
     close(network.input_process["poseEmbedding"](x), data["trace/input_process"].swapaxes(0, 1))
     close(out, frames(data["out"]))
-    close(network.positions[data["pe_rows_index"]], data["pe_rows"])
+    rows = torch.from_numpy(data["pe_rows_index"])
+    for table in (network.positions[rows], data["pe_rows"]):
+        close_waves(table, interleaved(*waves(rows, network.positions.shape[1])), rows)
     close(network._step(torch.from_numpy(data["time_emb_index"]))[:, 0], data["time_emb"])
 
 

@@ -203,7 +203,7 @@ def test_rotations_of_a_transition_follow_the_shortest_arc_and_the_rest_a_line()
 # Parity -----------------------------------------------------------------------------------------------------------
 
 
-def stand_in(x: Tensor, t: int) -> Tensor:
+def stand_in(x: Tensor, t: float) -> Tensor:
     """The README's denoiser, on [batch, frames, features]."""
     return 0.6 * torch.tanh(x) + 0.2 * x.roll(1, dims=1) + 0.01 * t
 
@@ -230,8 +230,8 @@ def test_a_collage_of_windows_is_the_published_diffcollage(folder):
     crops += [Crop(None, start, start + overlap) for start in starts[1:]]
     tiles = [(i, crop.start, crop.end, 1 if i < count else -1) for i, crop in enumerate(crops)]
     laid_out = everywhere(x.shape[1], crops, *tiles)
-    alone = CropsAlone([laid_out])
-    eps = collage(alone, [laid_out], one_owner(x.shape[2]))(x, int(data["t"]))
+    alone, t = CropsAlone([laid_out]), float(data["t"])  # of the stand-in alone: no step of a schedule
+    eps = collage(lambda crops, _: alone(crops, t), [laid_out], one_owner(x.shape[2]))(x, 0)
     close(eps, windows_of(data["eps"]))
 
 
@@ -246,7 +246,7 @@ class CropsAlone:
     def __init__(self, plans: list[Plan], factor: float = 1.0) -> None:
         self.lengths, self.factor = crop_lengths(plans), factor
 
-    def __call__(self, x: Tensor, t: int) -> Tensor:
+    def __call__(self, x: Tensor, t: float) -> Tensor:
         out = torch.zeros_like(x)
         for row, length in enumerate(self.lengths):
             out[row, :length] = self.factor * stand_in(x[row : row + 1, :length], t)[0]

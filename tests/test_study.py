@@ -141,13 +141,31 @@ def test_the_honeypots_right_side_is_the_first_method_s_own_motion(study, pairs)
                 assert np.array_equal(clips["wrong"].points, Clip.of(other.first).points)
 
 
-def test_a_study_belongs_to_its_seed_and_its_motions(study, pairs):
+def test_a_study_belongs_to_its_seed_and_the_names_of_its_methods_and_timelines(study, pairs):
     surveys, key = study
-    again, same = design(pairs, METHODS, seed=3)
-    assert same == key and [each.id for each in again] == [each.id for each in surveys]
-    others = [replace(pairs[0], first=pairs[0].second), *pairs[1:]]
-    for different in (design(pairs, METHODS, seed=4)[1], design(others, METHODS, seed=3)[1]):
+    renamed = [replace(pairs[0], name="another"), *pairs[1:]]
+    for different in (
+        design(pairs, METHODS, seed=4)[1],
+        design(pairs, ("collage", "another"), seed=3)[1],
+        design(renamed, METHODS, seed=3)[1],
+    ):
         assert not set(different.surveys) & set(key.surveys)
+    again, same = design(pairs[::-1], METHODS, seed=3)
+    assert same == key
+    for survey, other in zip(surveys, again, strict=True):
+        assert [(each.id, each.timeline) for each in survey.questions] == [
+            (each.id, each.timeline) for each in other.questions
+        ]
+
+
+def test_the_last_bits_of_motions_which_no_two_processors_share_change_nothing_of_a_study(study, pairs):
+    def elsewhere(motion: Motion) -> Motion:
+        return replace(motion, joints=motion.joints * (1 + 2**-50))
+
+    moved = [replace(each, first=elsewhere(each.first), second=elsewhere(each.second)) for each in pairs]
+    assert not torch.equal(moved[0].first.joints, pairs[0].first.joints)
+    surveys, key = design(moved, METHODS, seed=3)
+    assert key == study[1] and [each.id for each in surveys] == [each.id for each in study[0]]
 
 
 def test_too_few_timelines_and_methods_of_one_name_are_errors(pairs):
@@ -168,6 +186,8 @@ def test_the_stranger_has_other_texts_few_of_the_words_and_about_the_same_length
     same, words = made("walk forwards # 0 # 10"), made("walk forwards slowly # 0 # 10")
     short, right = made("jump # 0 # 2"), made("jump up # 0 # 9")
     assert stranger(own, [same, words, short, right]) is right
+    tied = replace(right, name="a")
+    assert stranger(own, [right, tied]) is stranger(own, [tied, right]) is tied
     with pytest.raises(StudyError, match="no timeline without 'walk forwards', 'wave'"):
         stranger(own, [same])
 

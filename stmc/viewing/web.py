@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import tempfile
 import webbrowser
 from importlib.resources import files
@@ -13,13 +14,16 @@ from stmc.motion import Motion
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing.colours import NEUTRAL, hand_overs, ink, owners, palette, transition, worn
 from stmc.viewing.mannequin import dressed
-from stmc.viewing.scene import record
+from stmc.viewing.scene import cameras, record
 
 _ALONE = (
     '<meta http-equiv="Content-Security-Policy" content="default-src data: blob:; '
     "script-src 'unsafe-inline' 'unsafe-eval' blob:; style-src 'unsafe-inline'\">"
 )
 """Has the browser refuse whatever does not come with the page itself."""
+
+
+_FOLLOW = '<button id="stmc-follow" type="button" aria-pressed="false">follow</button>'
 
 
 def page(
@@ -35,7 +39,8 @@ def page(
     middle of transitions, which last `overlap` seconds; None: as long as those that the motion was sampled with), on a
     floor with the pelvis' path. With a `timeline` (by whose name the page is called unless `title` says otherwise) it
     shows the texts that hold, and the tracks with a cursor that can be dragged. "#t=2.5" behind the page's address
-    opens it paused at 2.5 seconds.
+    opens it paused at 2.5 seconds. The camera sees the whole motion in a window of any shape, or follows the body: a
+    button says which, and the page follows by itself where the body would be too small to see.
 
     The body is a mannequin with the motion's own bones, or the mesh of `body`.
     """
@@ -46,11 +51,11 @@ def page(
     assets = files("stmc") / "assets"
     style, script = ((assets / f"page.{kind}").read_text("utf-8") for kind in ("css", "js"))
     below = "" if timeline is None else _tracks(timeline, motion, overlap)
-    heading = f'<div id="stmc-heading"><h1>{html.escape(title)}</h1>{_chips(timeline)}</div>'
+    heading = f'<div id="stmc-heading"><h1>{html.escape(title)}</h1><p>{_chips(timeline)}</p>{_FOLLOW}</div>'
     for old, new in (
         ("<head>", f"<head>{_ALONE}"),
         ("<title>Viser</title>", f"<title>{html.escape(title or 'motion')}</title>"),
-        ("<body>", f'<body data-duration="{motion.duration:.4f}">'),
+        ("<body>", f'<body data-duration="{motion.duration:.4f}" data-view="{html.escape(_view(motion))}">'),
         ("</body>", f"<style>{style}</style>{heading}{below}<script>{script}</script></body>"),
     ):
         assert content.count(old) == 1, (old, content.count(old))  # else viser's page is not the one we know
@@ -90,6 +95,14 @@ def _in_notebook() -> bool:
     except ImportError:
         return False
     return hasattr(get_ipython(), "kernel")
+
+
+def _view(motion: Motion) -> str:
+    """What the page's camera has to know: where it sees everything, and the pelvis' path over the floor, ten times a
+    second (m)."""
+    step = max(1, int(motion.fps / 10))
+    path = motion.translation[::step, :2].double().cpu().numpy().round(3).tolist()
+    return json.dumps({"cameras": cameras(motion), "path": path, "rate": motion.fps / step}, separators=(",", ":"))
 
 
 def _chips(timeline: Timeline | None) -> str:

@@ -134,7 +134,7 @@ def _folder(path: Path) -> Iterator[tuple[str, str]]:
 def inputs(source: Path) -> list[Path]:
     """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
     code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
-    code += ("data/bandai", "data/bvh", "data/cache", "data/sentences")
+    code += ("data/sources/bandai", "data/sources/bvh", "data/cache", "data/sources/bandai_sentences")
     here = Path(__file__).parents[2]
     files = [here / f"{name}.py" for name in code]
     return [Path(source), *files, here / "assets/skeleton.json"]
