@@ -15,6 +15,8 @@ from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
+import hydra
+import omegaconf
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
@@ -23,6 +25,7 @@ from stmc.commands.places import PACKAGE, place
 
 USAGE, STOPPED, ENDED = 2, 130, 143
 """Exit codes: what the user got wrong, Ctrl-C, and a request to end (SIGTERM)."""
+_COMPOSERS = tuple(Path(package.__file__).resolve().parent for package in (hydra, omegaconf))
 MOST = 380
 """Characters of a message."""
 EXTRAS = {"accelerate": "train", "tensorboard": "train", "smplx": "smpl"}
@@ -82,12 +85,12 @@ def _of_the_system(error: OSError) -> str:
 
 
 def _is_ours(error: BaseException) -> bool:
-    """Whether this library or one of its scripts raised it."""
+    """Whether this library raised it, one of its scripts, or what composes the settings."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     raised = Path(trace.tb_frame.f_code.co_filename).resolve() if trace is not None else Path()
-    return raised.is_relative_to(PACKAGE) or raised.is_relative_to(place("scripts"))
+    return any(raised.is_relative_to(folder) for folder in (PACKAGE, place("scripts"), *_COMPOSERS))
 
 
 def _end_when_asked() -> None:
