@@ -18,7 +18,7 @@ from scripting import ROOT, configured, loaded
 import stmc
 from stmc.commands import Command, program
 from stmc.commands.arguments import quoted, read
-from stmc.commands.dispatch import commands
+from stmc.commands.dispatch import scripts
 from stmc.commands.endings import MOST, explained, guarded
 from stmc.settings import about, defaults
 
@@ -179,7 +179,7 @@ WILD = (
         "%s",
         "# 0 # 1",
         "9" * 400,
-        "é\ud800",
+        "é\udcff",
         "~",
         "!!python/name:os.system",
         "a" * 5000,
@@ -329,7 +329,7 @@ def test_a_warning_of_the_library_is_one_line_without_code(capsys):
 def test_one_program_lists_and_runs_all_scripts(capsys):
     assert program([]) == 0
     told = capsys.readouterr().out
-    assert set(commands()) == set(SCRIPTS)
+    assert set(scripts()) == set(SCRIPTS)
     assert all(f"  {'import' if name == 'import_checkpoint' else name} " in told for name in SCRIPTS)
     assert program(["sample", "steps=0"]) == 2
     assert "steps=0" in capsys.readouterr().err

@@ -40,12 +40,12 @@ def program(arguments: Sequence[str] | None = None) -> int:
 def found(name: str) -> Command:
     """The command of that name. Raises `SettingError`."""
     script = SHORT.get(name, name).replace("-", "_")
-    if script not in commands():
-        raise SettingError(f"unknown command {name!r}: choose from {', '.join(commands())}")
+    if script not in scripts():
+        raise SettingError(f"unknown command {name!r}: choose from {', '.join(scripts())}")
     return _module(script).main
 
 
-def commands() -> dict[str, str]:
+def scripts() -> dict[str, str]:
     """Every script with the first line of what it says of itself."""
     texts = {path.stem: path.read_text(encoding="utf-8") for path in sorted(place("scripts").glob("*.py"))}
     return {name: (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0] for name, text in texts.items()}
@@ -54,7 +54,7 @@ def commands() -> dict[str, str]:
 def listed() -> str:
     """What `stmc --help` prints."""
     names = {script: short for short, script in SHORT.items()}
-    rows = [f"  {names.get(script, script):<18}{told.partition(':')[0]}" for script, told in commands().items()]
+    rows = [f"  {names.get(script, script):<18}{told.partition(':')[0]}" for script, told in scripts().items()]
     return "\n".join(["Usage: stmc COMMAND [SETTING=VALUE …]", "", *rows, "", "stmc COMMAND --help says more.", ""])
 
 
