@@ -176,3 +176,21 @@ def test_everything_public_says_what_it_does(path):
 
 def _is_protocol(node: ast.ClassDef) -> bool:
     return any(isinstance(base, ast.Name) and base.id == "Protocol" for base in node.bases)
+
+
+def test_import_stmc_alone_gives_every_package_and_dir_tells_no_more():
+    code = (
+        "import stmc; stmc.metrics.fid, stmc.published.read_guo, stmc.results.read_results, stmc.body_model.load_body"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    told = [name for name in dir(stmc) if not name.startswith("__")]
+    assert told == sorted({*stmc.__all__, *(module for module in DIRECT if not module.startswith("__"))})
+    assert len(set(told)) == len(told)
+
+
+def test_what_type_checkers_are_told_is_what_there_is():
+    stub = ast.parse((ROOT / "__init__.pyi").read_text("utf-8"))
+    imported = {alias.name for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    homes = {alias.name: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert imported == {name for name in dir(stmc) if not name.startswith("__")}
+    assert {name: homes[name] for name in stmc.__all__} == stmc._HOMES

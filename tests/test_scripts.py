@@ -1,8 +1,10 @@
 """From motion capture to motions to look at, as a user goes: the scripts, on a toy data set, as processes."""
 
 import csv
+import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -274,6 +276,70 @@ def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp
     whole = model.generate(timelines, seed=0, steps=2, sampler=stmc.ddim)
     for (_, motion), expected in zip(made, whole, strict=True):
         torch.testing.assert_close(motion.joints, expected.joints, atol=1e-4, rtol=0)
+
+
+def test_in_bf16_a_run_that_goes_on_makes_the_batches_of_one_that_was_not_stopped(sample, run):
+    timelines = [stmc.Timeline.parse(f"nod # 0 # {seconds} # head") for seconds in (2, 2, 1)]
+    jobs = [sample.Job(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
+    tried = []
+
+    class Watched:
+        schedule = tiny().schedule
+
+        def generate(self, timelines, seed, **_):
+            tried.append(list(seed))
+            return list(seed)
+
+    for precision, expected in (("bf16", [[0, 1]]), ("fp32", [[1]])):
+        tried.clear()
+        config = settings(f"model={run}", "steps=2", f"precision={precision}")
+        with sample.Progress(disable=True) as progress:
+            made = list(sample.sampled(Watched(), jobs, {"nod_1"}, 2, config, progress))
+        assert tried == expected
+        assert [(job.name, motion) for job, motion in made] == [("nod_1", 1)]
+
+
+def test_sampling_tells_each_motion_in_a_line_and_writes_the_frame_rate_that_was_asked_for(
+    sample, run, tmp_path, capsys
+):
+    output = tmp_path / "out"
+    asked = ("nod # 0 # 1 # head", str(output), f"model={run}", "steps=2", "samples=2", "fps=30", "formats=bvh,npz")
+    assert sample.main([*asked]) == 0
+    told = capsys.readouterr()
+    assert told.err == ""
+    assert [line.partition(":")[0] for line in told.out.splitlines()] == [
+        "timeline_0",
+        "timeline_1",
+        "motions in " + str(output),
+    ]
+    assert "Frame Time: 0.0333" in (output / "timeline_0.bvh").read_text()
+    assert stmc.read(output / "timeline_1.npz").fps == 30
+    assert sample.main([*asked, "--json", "samples=3"]) == 0
+    [line] = capsys.readouterr().out.splitlines()
+    line = json.loads(line)
+    assert (line["name"], line["seed"], line["files"]) == (
+        "timeline_2", 2, [str(output / f"timeline_2.{kind}") for kind in ("bvh", "npz")]
+    )  # fmt: skip
+
+
+def test_a_log_hears_of_the_steps_now_and_then(sample, monkeypatch):
+    monkeypatch.setattr(sample, "SILENCE", 0)
+    console = sample.Console(file=io.StringIO())
+    with sample.told(console) as progress:
+        task = progress.add_task("", total=3)
+        assert list(sample.followed(range(3), progress, task, 3, 8)) == [0, 1, 2]
+    assert "denoising 8: step 3 of 3" in console.file.getvalue()
+
+
+def test_the_page_shows_the_transitions_that_were_sampled(sample, run, tmp_path):
+    two = "walk # 0 # 2 # legs\nrun # 2 # 4 # legs"
+    common = (two, f"model={run}", "steps=2", "formats=html")
+    for number, (setting, width) in enumerate((("overlap=0.5", 0.5), ("overlap=1", 1.0), ("method=sinc", None))):
+        output = tmp_path / str(number)
+        assert sample.main([*common, f"output={output}", setting]) == 0
+        page = (output / "timeline_0.html").read_text()
+        spans = re.findall(r'class="span change"[^>]*style="left:([\d.]+)%;width:([\d.]+)%', page)
+        assert {round(4 * float(span) / 100, 2) for _, span in spans} == ({width} if width else set())
 
 
 def test_the_record_of_a_motion_can_be_read_by_people(sampled):
