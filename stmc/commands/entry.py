@@ -8,15 +8,19 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass
 from functools import cached_property
+from typing import Any
 
 from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import OmegaConf, open_dict
 
 from stmc.commands.arguments import Asked, quoted, read
 from stmc.commands.endings import guarded
 from stmc.commands.help import explanation
 from stmc.commands.places import place
 from stmc.settings import SettingError, about, defaults, record_of
+
+Config = Any
+"""What Hydra composes: an OmegaConf `DictConfig`."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class Command:
     name: str
     settings: type
     """The record whose fields are the settings."""
-    function: Callable[[DictConfig], object]
+    function: Callable[[Config], object]
     positional: tuple[str, ...] = ()
     """The settings that plain arguments are, in order."""
 
@@ -48,7 +52,7 @@ class Command:
         _log()
         self.function(config)
 
-    def composed(self, asked: Asked) -> DictConfig:
+    def composed(self, asked: Asked) -> Config:
         """The configuration as asked for; the user's own folder wins over ours."""
         folder, ours = asked.folder or place("configs"), place("configs")
         if not folder.is_dir():
@@ -64,7 +68,7 @@ class Command:
                 config.setdefault(setting, "???" if value is MISSING else value)
         return config
 
-    def check(self, config: DictConfig) -> None:
+    def check(self, config: Config) -> None:
         """Raises `SettingError` for settings that are missing, unknown or do not fit, before anything is loaded."""
         if missing := sorted(OmegaConf.missing_keys(config)):
             told = about(self.settings)
@@ -90,7 +94,7 @@ class Command:
 
 def command(
     name: str, settings: type, positional: tuple[str, ...] = ()
-) -> Callable[[Callable[[DictConfig], object]], Command]:
+) -> Callable[[Callable[[Config], object]], Command]:
     """Makes a command of a function of its composed configuration: `@command("sample", Sample, ("timeline",))`.
 
     `name` is that of its configuration, too; plain arguments are the settings `positional`.
