@@ -5,7 +5,6 @@ the shortest timeline of the same run.
 """
 
 import json
-import resource
 import sys
 import time
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
+import psutil
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,7 +26,7 @@ from rich.table import Table
 import stmc
 from stmc.commands import command
 from stmc.commands.shared import OnDevice, Threaded
-from stmc.files import write_whole
+from stmc.files import write_text, write_whole
 from stmc.results.axes import DASHED, dress, grid, legend
 from stmc.results.naming import method
 from stmc.settings import setting
@@ -72,7 +72,7 @@ def main(config: DictConfig) -> None:
     rows = records(found)
     console.print(table(rows))
     folder = Path(config.output).expanduser()
-    write_whole(folder / "length.json", lambda path: path.write_text(json.dumps(rows, indent=1) + "\n"))
+    write_text(folder / "length.json", json.dumps(rows, indent=1) + "\n")
     write_whole(folder / "length.png", lambda path: drawn(rows).savefig(path, dpi=150, format="png"))
     console.print(f"{folder / 'length.png'}, {folder / 'length.json'}")
 
@@ -111,6 +111,10 @@ def peak(device: torch.device) -> int:
     """The most bytes that this process ever had: on the GPU, or else altogether."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
+    if sys.platform == "win32":
+        return psutil.Process().memory_info().peak_wset
+    import resource  # not on Windows
+
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most if sys.platform == "darwin" else 1024 * most
 

@@ -10,7 +10,6 @@ from typing import Any
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
-from rich.progress import track
 
 from stmc.commands import command
 from stmc.settings import setting
@@ -21,19 +20,16 @@ from stmc.text import Cached
 class Settings:
     texts: str = setting(MISSING, "timelines or annotations (.json), a text a line (.txt), or a folder of such files")
     folder: str = setting("cache/text", "folder of the embeddings: what training calls text_cache")
-    batch: int = setting(512, "texts at a time", at_least=1)
 
 
 @command("embed", Settings, ("texts",))
 def main(config: DictConfig) -> None:
-    console = Console()
     texts = list(dict.fromkeys(["", *texts_in(Path(config.texts).expanduser())]))
     encoder = Cached(instantiate(config.text_encoder), config.folder)
-    missing = [text for text in texts if not encoder.file(text).exists()]
-    starts = range(0, len(missing), config.batch)
-    for start in track(starts, "Texts", console=console, disable=not missing):
-        encoder.encode(missing[start : start + config.batch])
-    console.print(f"{len(texts)} texts in {config.folder}, {len(missing)} of them new, by {encoder.name}")
+    missing = encoder.missing(texts)
+    if missing:
+        encoder.encode(missing)
+    Console().print(f"{len(texts)} texts in {encoder.file}, {len(missing)} of them new", soft_wrap=True)
 
 
 def texts_in(path: Path) -> Iterator[str]:

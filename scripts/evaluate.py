@@ -32,6 +32,7 @@ from stmc.denoisers import FlowMdm
 from stmc.diffusion import SAMPLERS
 from stmc.files import write_text, write_whole
 from stmc.model import OWN_LATE, Precision
+from stmc.representation import JointsFrom
 from stmc.results import Result, read_results, write_results
 from stmc.results.naming import ALONE, METHODS, REAL
 from stmc.results.records import Setting
@@ -183,7 +184,7 @@ def sampled(
         if not path.exists():
             seeds = [seed * len(timelines) + number for number in numbers]
             began = time.perf_counter()
-            batch = generated(model, setting, [timelines[number] for number in numbers], seeds)
+            batch = generated(model, setting, [timelines[number] for number in numbers], seeds, benchmark.joints_from)
             spent, made = spent + time.perf_counter() - began, made + len(batch)
             write_whole(path, partial(save_file, packed(batch)))
         motions |= dict(zip(numbers, unpacked(load_file(path), model.fps), strict=True))
@@ -200,7 +201,7 @@ def unfinished(setting: Setting, seed: int, config: DictConfig) -> Path:
 
 
 def generated(
-    model: stmc.Model, setting: Setting, timelines: list[stmc.Timeline], seeds: list[int]
+    model: stmc.Model, setting: Setting, timelines: list[stmc.Timeline], seeds: list[int], joints_from: JointsFrom
 ) -> list[stmc.Motion]:
     sampler = SAMPLERS[setting.sampler]
     if setting.absolute is not None:
@@ -214,6 +215,7 @@ def generated(
         sampler=partial(sampler, spread=setting.spread) if setting.spread else sampler,
         method="stmc" if setting.method == ALONE else setting.method,
         late=setting.late or 0.0,
+        joints_from=joints_from,
     )
 
 

@@ -20,6 +20,7 @@ from stmc.commands import command
 from stmc.data.cache import fresh
 from stmc.data.preparation import Preparation
 from stmc.data.report import TEXT, lines, write_report
+from stmc.files import locked
 from stmc.settings import SettingError, setting
 
 PLACES = ("source", "annotations", "body")
@@ -40,24 +41,28 @@ class Settings:
 
 @command("prepare", Settings, ("source", "folder"))
 def main(config: DictConfig) -> None:
-    console, folder = Console(), Path(config.folder).expanduser()
-    preparation = described(config)
+    folder, preparation = Path(config.folder).expanduser(), described(config)
     preparation.check()
-    inputs = preparation.fingerprint()
+    with locked(folder):
+        prepare(preparation, folder, config.workers or os.cpu_count(), Console())
+
+
+def prepare(preparation: Preparation, folder: Path, workers: int, console: Console) -> None:
+    """Fills the folder: the report first, since the cache says that all is there."""
+    scratch, inputs = folder / "pieces", preparation.fingerprint()
     if fresh(folder, inputs):
+        shutil.rmtree(scratch, ignore_errors=True)  # a run may have been killed on its last step
         console.print(f"{folder} is up to date")
         return
-    scratch = folder / "pieces"
     cache = preparation.prepared(
-        scratch,
-        config.workers or os.cpu_count(),
-        lambda pieces, total: track(pieces, "Preparing", total=total, console=console),
+        scratch, workers, lambda pieces, total: track(pieces, "Preparing", total=total, console=console)
     )
+    report = lines(write_report(cache, folder))
     replace(cache, fingerprint=inputs).write(folder)
     shutil.rmtree(scratch, ignore_errors=True)
     for name, why in cache.skipped[:TOLD]:
         console.print(f"[yellow]skipped[/] {name}: {why}", highlight=False)
-    for line in lines(write_report(cache, folder)):
+    for line in report:
         console.print(line, highlight=False)
     hours = len(cache.features) / cache.fps / 3600
     made = f"{len(cache.clips)} clips with their mirror images, {hours:.1f} hours, in {folder}"

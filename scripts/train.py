@@ -1,8 +1,11 @@
 """Trains a denoiser: `python scripts/train.py run=FOLDER data.folder=CACHE`; devices: `accelerate launch`."""
 
+import logging
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -17,11 +20,14 @@ from stmc.commands.shared import Trained
 from stmc.data.cache import Cache
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.diffusion import Spread
+from stmc.files import locked, write_whole
 from stmc.model import Model
 from stmc.run import PARTS
 from stmc.settings import setting
 from stmc.text import Cached
-from stmc.training import Denoising, Hook, Trainer
+from stmc.training import Denoising, Hook, Trainer, find_accelerator
+
+logger = logging.getLogger(__name__)
 
 DRAWN = (
     "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
@@ -45,11 +51,19 @@ class Settings(Trained):
 def main(config: DictConfig) -> None:
     if config.threads:
         torch.set_num_threads(config.threads)
-    accelerator = Accelerator(cpu=config.device == "cpu")
+    hardware = find_accelerator(config.device)
+    with locked(Path(config.run).expanduser()) if hardware.is_main_process else nullcontext():
+        train(config, hardware)
+
+
+def train(config: DictConfig, accelerator: Accelerator) -> None:
+    """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
     representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    logger.info("reading %s", config.data.folder)
+    cache = Cache.read(Path(config.data.folder).expanduser())
     corpus = instantiate(config.data.corpus, _partial_=True)(
-        cache=Cache.read(Path(config.data.folder).expanduser()),
+        cache=cache,
         encoder=Cached(instantiate(config.text_encoder), config.text_cache),
         layout=representation.layout,
         device=accelerator.device,
@@ -74,10 +88,15 @@ def main(config: DictConfig) -> None:
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
         hooks=[
-            Hook(every, lambda step, network, do=do: do(config, replace(model, denoiser=network), step))
-            for every, do in ((settings.checkpoint_every, export), (config.draw_every, draw))
+            Hook(
+                settings.checkpoint_every,
+                lambda step, network: export(config, replace(model, denoiser=network), step, trainer.changes),
+            ),
+            Hook(config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)),
         ],
         accelerator=accelerator,
+        described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
+        allow_changed_settings=config.allow_changed_settings,
     )
     trainer.run()
 
@@ -102,21 +121,23 @@ def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Mode
     )
 
 
-def export(config: DictConfig, model: Model, step: int) -> None:
-    """The moving average so far as a run directory, and everything that was asked for beside it."""
+def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) -> None:
+    """The moving average so far as a run directory, and beside it everything that was asked for, and what was changed
+    while it was trained."""
     folder = Path(config.run).expanduser()
     settings = OmegaConf.to_yaml(config, resolve=True)
-    stmc.save(model, folder, f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n")
+    card = f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n"
+    stmc.save(model, folder, card + "".join(f"\nSettings changed {change}\n" for change in changes))
 
 
 def draw(config: DictConfig, model: Model, step: int) -> None:
     """Pictures of the timelines in `config.draw`, always of the same seed: how the model comes along."""
     folder = Path(config.run).expanduser() / "pictures"
-    folder.mkdir(parents=True, exist_ok=True)
     timelines = [stmc.Timeline.parse(text) for text in config.draw]
     motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim)
     for number, (timeline, motion) in enumerate(zip(timelines, motions, strict=True)):
-        stmc.pictures(motion, timeline).savefig(folder / f"{number}_{step:07d}.png", dpi=80)
+        picture = partial(stmc.pictures(motion, timeline).savefig, format="png", dpi=80)
+        write_whole(folder / f"{number}_{step:07d}.png", picture)
 
 
 if __name__ == "__main__":

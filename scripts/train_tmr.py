@@ -1,9 +1,11 @@
 """Trains TMR, the evaluator: `python scripts/train_tmr.py run=FOLDER data.folder=CACHE`."""
 
 import json
+import logging
 import sys
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,13 +20,15 @@ from stmc.data.cache import Cache
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
-from stmc.files import write_whole
+from stmc.files import locked, write_text
 from stmc.metrics.retrieval import Retrieval, both_ways, cosines, in_batches
 from stmc.run import EVALUATOR_PARTS, save_evaluator
 from stmc.settings import setting
 from stmc.text import Cached
-from stmc.training import Hook, Trainer
+from stmc.training import Hook, Trainer, find_accelerator
 from stmc.training.logs import Table
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,10 +44,19 @@ class Settings(Trained):
 def main(config: DictConfig) -> None:
     if config.threads:
         torch.set_num_threads(config.threads)
-    accelerator, settings = Accelerator(cpu=config.device == "cpu"), instantiate(config.training)
+    hardware = find_accelerator(config.device)
+    with locked(Path(config.run).expanduser()) if hardware.is_main_process else nullcontext():
+        train(config, hardware)
+
+
+def train(config: DictConfig, accelerator: Accelerator) -> None:
+    """All of it, from the data to the run directory."""
+    settings = instantiate(config.training)
     representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    logger.info("reading %s", config.data.folder)
+    cache = Cache.read(Path(config.data.folder).expanduser())
     corpus = instantiate(config.data.corpus, _partial_=True)(
-        cache=Cache.read(Path(config.data.folder).expanduser()),
+        cache=cache,
         encoder=Cached(instantiate(config.text_encoder), config.text_cache),
         layout=representation.layout,
         device=accelerator.device,
@@ -70,6 +83,8 @@ def main(config: DictConfig) -> None:
             Hook(settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))),
         ],
         accelerator=accelerator,
+        described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
+        allow_changed_settings=config.allow_changed_settings,
     )
     columns = tuple(f"{way}_R{count}" for way in ("t2m", "m2t") for count in (1, 3, 10))
     table = Table(folder / "retrieval.csv", columns, trainer.step)
@@ -83,11 +98,12 @@ def main(config: DictConfig) -> None:
         """The moving average so far as a run directory, with what the test split says of it."""
         results = {"step": step, "test": measured(evaluator, held_out, "test")}
         text = json.dumps(results, indent=1) + "\n"
-        write_whole(folder / "results.json", lambda path: path.write_text(text, encoding="utf-8"))
+        write_text(folder / "results.json", text)
         made = (
             f"# Trained with scripts/train_tmr.py, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
         )
-        save_evaluator(evaluator, folder, f"{made}\n\nOn the test split:\n\n```json\n{text}```\n")
+        changed = "".join(f"\n\nSettings changed {change}" for change in trainer.changes)
+        save_evaluator(evaluator, folder, f"{made}{changed}\n\nOn the test split:\n\n```json\n{text}```\n")
 
     trainer.run()
 

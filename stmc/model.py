@@ -39,7 +39,7 @@ from stmc.denoisers import FlowMdm, Network
 from stmc.diffusion import Noise, Predict, Prediction, Schedule, Seed, Spread, ddpm
 from stmc.motion import Motion
 from stmc.planning import Plan, handshake, multi_diffusion, plan, second_take, soft
-from stmc.representation import Representation
+from stmc.representation import JointsFrom, Representation
 from stmc.statistics import Statistics
 from stmc.tensors import mask
 from stmc.text import TextEncoder
@@ -173,6 +173,7 @@ class Model:
         sampler: Sampler | None = None,
         method: Method = "stmc",
         late: float | int | None = None,
+        joints_from: JointsFrom = "skeleton",
         track: Track = iter,
     ) -> list[Motion]:
         """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
@@ -191,13 +192,18 @@ class Model:
         makes seamless sequences of what each body part obeys, without overlap and crops, by a denoiser that knows a
         text for every frame (`FlowMdm`).
 
-        Raises `ValueError` for an unknown method, negative seeds, seeds that are not one for each timeline, `late`
-        outside of [0, 1) or with a method that does not stitch, and for "flow_mdm" with any other denoiser.
+        `joints_from`: see `decode`.
+
+        Raises `ValueError` for an unknown method or `joints_from`, negative seeds, seeds that are not one for each
+        timeline, `late` outside of [0, 1) or with a method that does not stitch, and for "flow_mdm" with any other
+        denoiser.
         """
         timelines = [timelines] if isinstance(timelines, Timeline) else list(timelines)
         seeds = _seeds(seed, len(timelines))
         if method not in get_args(Method):
             raise ValueError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
+        if joints_from not in get_args(JointsFrom):
+            raise ValueError(f"unknown joints_from {joints_from!r}; choose from {', '.join(get_args(JointsFrom))}")
         if late is None:
             late = self.late if method in OWN_LATE else 0.0
         check_late(late, method)
@@ -215,15 +221,25 @@ class Model:
                 features = run.retaken(plans, features, int(overlap * self.fps) // 2)
         else:
             features = run.joined(run.apart(), method, int(overlap * self.fps))
-        motions = self.decode(features, [timeline.frames(self.fps) for timeline in timelines])
+        motions = self.decode(features, [timeline.frames(self.fps) for timeline in timelines], joints_from)
         made_with = 0.0 if method in SEAMLESS else overlap
         return [dataclasses.replace(motion, overlap=made_with) for motion in motions]
 
-    def decode(self, features: Float[Tensor, "batch frames features"], lengths: Sequence[int]) -> list[Motion]:
-        """Motions on the CPU from a batch of normalised features, each of its own length."""
+    def decode(
+        self,
+        features: Float[Tensor, "batch frames features"],
+        lengths: Sequence[int],
+        joints_from: JointsFrom = "skeleton",
+    ) -> list[Motion]:
+        """Motions on the CPU from a batch of normalised features, each of its own length.
+
+        Joints are those of the model's "skeleton", whose bones keep their lengths; or the positions that are part of
+        the "features" (of HumanML3D's, what `recover_from_ric` gives), which STMC's tables were made from.
+        """
+        skeleton = self.skeleton if joints_from == "skeleton" else None
         raw = self.motion_statistics.restore(features.float().cpu())
         return [
-            self.representation.decode(row[:length], self.fps, self.skeleton)
+            self.representation.decode(row[:length], self.fps, skeleton)
             for row, length in zip(raw, lengths, strict=True)
         ]
 

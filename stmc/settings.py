@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from stmc.untrusted import shown
 
 Record = TypeVar("Record")
 
@@ -103,12 +104,6 @@ def check_name(name: Any, known: Iterable[str]) -> None:
         near = get_close_matches(str(name), known, 1)
         meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
         raise SettingError(f"unknown setting {shown(name)}: {meant}")
-
-
-def shown(value: Any, most: int = 60) -> str:
-    """A value as a message quotes it: escaped, and cut after `most` characters."""
-    text = repr(value[: most + 1]) if isinstance(value, (str, bytes)) else reprlib.repr(value)
-    return text if len(text) <= most + 2 else f"{text[:most]}…"
 
 
 def _check_values(kind: type, values: Mapping[str, Any]) -> None:

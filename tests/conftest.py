@@ -7,10 +7,35 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = Path(os.environ.get("STMC_GOLDEN", ROOT / "../shared/golden"))
 DATA = Path(os.environ.get("STMC_DATA", ROOT / "../shared/data"))
+
+EXAMPLES = {"default": 50, "slow": 1000}
+"""Of a property in each tier, where it does not say itself how many it can afford: the same ones in every run."""
+settings.register_profile(
+    "default",
+    max_examples=EXAMPLES["default"],
+    derandomize=True,
+    deadline=None,  # nor a check of speed: how long an example takes is a matter of the machine
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile("slow", settings.get_profile("default"), max_examples=EXAMPLES["slow"])
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    settings.load_profile("slow" if config.option.markexpr == "slow" else "default")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """`-m slow` selects the properties too, to draw more examples of them."""
+    if config.option.markexpr == "slow":
+        for item in items:
+            if getattr(item.function, "is_hypothesis_test", False):
+                item.add_marker("slow")
 
 
 def golden_sets(area: str) -> list:

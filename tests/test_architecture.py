@@ -16,6 +16,7 @@ REPOSITORY = ROOT.parent
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob("*.py"))}
 
 TIERS = [
+    {"untrusted"},
     {"arrays", "body", "filenames", "files", "geometry", "settings", "statistics", "tensors"},
     {"body_model", "denoisers", "diffusion", "motion", "text", "timeline"},
     {"inverse_kinematics", "planning", "sampling"},

@@ -1,7 +1,10 @@
 """The Bandai data set: made-up clips with its skeleton, whose every number is known, and a few real ones."""
 
+import io
 import json
 import math
+import os
+import sys
 import tarfile
 from collections import Counter
 from importlib.resources import files
@@ -294,6 +297,75 @@ def _converted(name: str, text: str) -> list | str:
         return bandai.convert(name, text, FPS)
     except ValueError as error:
         return str(error)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links and pipes")
+def test_what_is_no_file_is_skipped_with_its_name_and_the_reason_and_the_rest_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(bandai, "MOST_BYTES", 100)
+    os.mkfifo(tmp_path / "a_pipe.bvh")
+    (tmp_path / "b_folder.bvh").mkdir()
+    for name, target in (("c_loop", "c_loop.bvh"), ("d_gone", "nowhere"), ("e_zeros", "/dev/zero")):
+        (tmp_path / f"{name}.bvh").symlink_to(target)
+    with (tmp_path / "f_large.bvh").open("wb") as file:
+        file.truncate(2**40)
+    (tmp_path / "g_good.bvh").write_text("HIERARCHY")
+    found = dict(bandai.read_sources(tmp_path))
+    assert {name: str(text) for name, text in found.items()} == {
+        "a_pipe": "a pipe or a device, not a file",
+        "b_folder": "a directory, not a file",
+        "c_loop": "not a path to a file (Too many levels of symbolic links)",
+        "d_gone": "cannot be read (No such file or directory)",
+        "e_zeros": "a pipe or a device, not a file",
+        "f_large": f"larger than {100 / 2**20:g} MiB, the limit for such a file",
+        "g_good": "HIERARCHY",
+    }
+    assert isinstance(found["a_pipe"], BvhError)
+
+
+def archive(path, *members: tuple[str, bytes, int]) -> None:
+    """A .tar.xz of members with these names, types and numbers of zeros."""
+    with tarfile.open(path, "w:xz", preset=0) as file:
+        for name, kind, size in members:
+            member = tarfile.TarInfo(name)
+            member.type, member.size, member.linkname = kind, size, "elsewhere"
+            file.addfile(member, io.BytesIO(bytes(size)))
+
+
+def test_members_of_an_archive_that_are_no_files_or_too_large_are_skipped(tmp_path, monkeypatch):
+    monkeypatch.setattr(bandai, "MOST_BYTES", 2**20)
+    kinds = {"link": tarfile.SYMTYPE, "hard": tarfile.LNKTYPE, "pipe": tarfile.FIFOTYPE, "folder": tarfile.DIRTYPE}
+    members = [(f"{name}.bvh", kind, 0) for name, kind in kinds.items()]
+    archive(tmp_path / "a.tar.xz", *members, ("bomb.bvh", tarfile.REGTYPE, 2**24), ("good.bvh", tarfile.REGTYPE, 3))
+    found = dict(bandai.read_sources(tmp_path / "a.tar.xz"))
+    assert {name: str(text) for name, text in found.items()} == dict.fromkeys(
+        kinds, "a member of the archive that is no regular file"
+    ) | {"bomb": "16,777,216 bytes, more than 1 MiB", "good": "\0\0\0"}
+
+
+def test_archives_of_too_many_members_or_bytes_and_of_endless_headers_are_refused(tmp_path, monkeypatch):
+    archive(tmp_path / "a.tar.xz", *[(f"{number}.bvh", tarfile.REGTYPE, 2**20) for number in range(4)])
+    for name, limit in (("MOST_MEMBERS", 3), ("MOST_ARCHIVE", 3 * 2**20)):
+        with monkeypatch.context() as patch, pytest.raises(ValueError, match=r"unpacks to more than .*read up to 2"):
+            patch.setattr(bandai, name, limit)
+            list(bandai.read_sources(tmp_path / "a.tar.xz"))
+    archive(tmp_path / "b.tar.xz", ("headers", tarfile.XHDTYPE, 2**24), ("a.bvh", tarfile.REGTYPE, 0))
+    with pytest.raises(ValueError, match="headers of more than 1 MiB"):
+        list(bandai.read_sources(tmp_path / "b.tar.xz"))
+
+
+def test_a_clip_that_float32_cannot_hold_is_skipped_and_not_the_whole_data_set():
+    good = bvh_text(standing(frames=8))
+    lines = good.splitlines()
+    for number in ("1e300", "3e38"):
+        mad = "\n".join([*lines[:-1], f"{number} {lines[-1].partition(' ')[2]}"])
+        cache = bandai.gather(
+            [(name, _converted(name, text)) for name, text in (("dataset-1_walk_normal_001", mad), (GOOD, good))], FPS
+        )
+        assert [name for name, _ in cache.skipped] == ["dataset-1_walk_normal_001"]
+        assert "finite" in cache.skipped[0][1]
+
+
+GOOD = "dataset-1_wave-left-hand_normal_000"
 
 
 def test_an_archive_that_breaks_off_is_an_error_and_not_a_smaller_data_set(source, tmp_path):

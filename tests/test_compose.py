@@ -95,7 +95,7 @@ SPANS = st.tuples(st.integers(0, 60), st.integers(1, 40), st.sets(st.sampled_fro
 
 
 @given(st.lists(st.lists(SPANS, min_size=1, max_size=6), min_size=1, max_size=4), st.integers(0, 12))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @pytest.mark.filterwarnings("ignore")
 @torch.no_grad()
 def test_any_batch_of_timelines_composes_to_the_number_all_its_texts_agree_on(batch, overlap):
@@ -252,7 +252,6 @@ def test_the_padding_counts_what_the_denoiser_is_given(mixed, window):
 
 
 @given(st.lists(st.integers(1, 200), min_size=1, max_size=60), st.floats(0, 0.5))
-@settings(max_examples=100, deadline=None)
 def test_the_padding_stays_within_what_is_allowed(lengths, padding):
     plans = [Plan(n, (Crop("a", 0, n),), tuple(Tile(0, part, 0, n, 1) for part in BodyPart)) for n in lengths]
     assert -1e-9 <= padding_of(plans, padding=padding) <= padding + 1e-9

@@ -11,6 +11,7 @@ from published import (
     entries,
     frames,
     interleaved,
+    limit_at,
     mdm,
     mdm_decoder,
     watched,
@@ -74,15 +75,16 @@ def test_the_encoder_answers_as_the_published_network(folder):
     for case in cases(data):
         x, t, text = frames(case["x"]), torch.from_numpy(case["t"]), words(case)
         conditional, null = network(x, t, text), network(x, t, torch.zeros_like(text))
-        close(network._step(t)[:, 0], case["time_emb"][0])
-        close(conditional, frames(case["out_cond"]))
-        close(null, frames(case["out_uncond"]))
+        limit = limit_at(t)
+        close(network._step(t)[:, 0], case["time_emb"][0], limit)
+        close(conditional, frames(case["out_cond"]), limit)
+        close(null, frames(case["out_uncond"]), limit)
         expected = frames(case.get("out_cfg", case.get("out_cfg_first8")))
         guided = [
             guide(one[None], other[None], float(scale))
             for one, other, scale in zip(conditional, null, case["scale"], strict=True)
         ]
-        close(torch.cat(guided)[:, : expected.shape[1]], expected)
+        close(torch.cat(guided)[:, : expected.shape[1]], expected, limit)
 
 
 @SETS
@@ -93,17 +95,18 @@ def test_every_layer_of_the_encoder_is_that_of_the_published_network(folder):
     layers = {f"layer{i}": layer for i, layer in enumerate(network.seqTransEncoder.layers)}
     with watched(layers) as seen:
         out = network(x, t, text)
-    close(seen["layer0"][0], data["trace/encoder_in"].swapaxes(0, 1))
+    close(seen["layer0"][0], data["trace/encoder_in"].swapaxes(0, 1), limit_at(t))
     for name in layers:
-        close(seen[name][1], data[f"trace/{name}"].swapaxes(0, 1))
-    close(network._step(t)[0], data["trace/embed_timestep"][0])
+        close(seen[name][1], data[f"trace/{name}"].swapaxes(0, 1), limit_at(t))
+    close(network._step(t)[0], data["trace/embed_timestep"][0], limit_at(t))
     close(network.read(text), data["trace/embed_text"])
     close(network.input_process["poseEmbedding"](x), data["trace/input_process"].swapaxes(0, 1))
-    close(out, frames(data["out"]))
+    close(out, frames(data["out"]), limit_at(t))
     rows = torch.from_numpy(data["pe_rows_index"])
     for table in (network.positions[rows], data["pe_rows"]):
         close_waves(table, interleaved(*waves(rows, network.positions.shape[1])), rows)
-    close(network._step(torch.from_numpy(data["time_emb_index"]))[:, 0], data["time_emb"])
+    steps = torch.from_numpy(data["time_emb_index"])
+    close(network._step(steps)[:, 0], data["time_emb"], limit_at(steps))
 
 
 @SETS
@@ -113,9 +116,11 @@ def test_frames_that_are_masked_are_not_attended_to(folder):
     for case in cases(data):
         x, t, text = frames(case["x"]), torch.from_numpy(case["t"]), words(case)
         assert (present(case).numpy() == case["mask"][:, 0, 0]).all()
-        close(network(x, t, text, None, present(case)), frames(case["out_cond_masked"]))
-        close(network(x, t, torch.zeros_like(text), None, present(case)), frames(case["out_uncond_masked"]))
-        close(network(x, t, text)[:, :1], frames(case["out_cond_nomask_frame0"]))
+        close(network(x, t, text, None, present(case)), frames(case["out_cond_masked"]), limit_at(t))
+        close(
+            network(x, t, torch.zeros_like(text), None, present(case)), frames(case["out_uncond_masked"]), limit_at(t)
+        )
+        close(network(x, t, text)[:, :1], frames(case["out_cond_nomask_frame0"]), limit_at(t))
 
 
 @SETS
@@ -124,8 +129,8 @@ def test_the_decoder_answers_as_the_published_network(folder):
     network = mdm_decoder("mdm_trans_dec_clip", int(data["weight_seed"]))
     for case in cases(data):
         x, t, text = frames(case["x"]), torch.from_numpy(case["t"]), words(case)
-        close(network(x, t, text), frames(case["out_cond"]))
-        close(network(x, t, torch.zeros_like(text)), frames(case["out_uncond"]))
+        close(network(x, t, text), frames(case["out_cond"]), limit_at(t))
+        close(network(x, t, torch.zeros_like(text)), frames(case["out_uncond"]), limit_at(t))
 
 
 @SETS
@@ -148,9 +153,9 @@ def test_the_decoder_reads_the_words_of_distilbert_as_the_published_network(fold
         x, t = frames(case["x"]), torch.from_numpy(case["t"])
         text = torch.from_numpy(case["tokens"]).transpose(0, 1)
         exists = ~torch.from_numpy(case["token_pad_mask"])
-        close(network(x, t, text, exists, present(case)), frames(case["out_cond"]))
+        close(network(x, t, text, exists, present(case)), frames(case["out_cond"]), limit_at(t))
         none = text.new_zeros(len(text), 1, text.shape[-1])
-        close(network(x, t, none, None, present(case)), frames(case["out_uncond"]))
+        close(network(x, t, none, None, present(case)), frames(case["out_uncond"]), limit_at(t))
 
 
 @SETS

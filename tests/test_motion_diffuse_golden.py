@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import golden, golden_sets
-from published import close, close_waves, drawn, motion_diffuse, watched, waves, words_of
+from published import close, close_waves, drawn, limit_at, motion_diffuse, watched, waves, words_of
 from torch import Tensor
 
 from stmc.diffusion import Schedule, ddpm
@@ -48,12 +48,12 @@ def test_the_network_answers_as_the_published_one(folder):
     for table in (network._waves(steps), data["timestep_embedding"]):
         sines, cosines = waves(steps, data["timestep_embedding"].shape[1])
         close_waves(table, torch.cat([cosines, sines], dim=1), steps)
-    close(network.time_embed(network._waves(steps)), data["time_embed"])
+    close(network.time_embed(network._waves(steps)), data["time_embed"], limit_at(steps))
     for i in range(int(data["n_cases"])):
         case = {key.removeprefix(f"c{i}/"): torch.from_numpy(data[key]) for key in data if key.startswith(f"c{i}/")}
         present = mask(case["length"], case["x"].shape[1])
         out = network(case["x"], case["t"], texts(folder)[case["text_index"]], None, present)
-        close(out, case["out"])
+        close(out, case["out"], limit_at(case["t"]))
 
 
 @SETS
@@ -69,11 +69,11 @@ def test_every_block_is_that_of_the_published_network(folder):
     before = seen["block0"][0]
     for name in inner:  # the published parts add what stands before them; ours are added outside
         before = before + seen[name][1]
-        close(before, data[f"trace/{name}"])
+        close(before, data[f"trace/{name}"], limit_at(t))
     for name in parts:
-        close(seen[name][1], data[f"trace/{name}"])
+        close(seen[name][1], data[f"trace/{name}"], limit_at(t))
     assert {f"trace/{name}" for name in seen} == {key for key in data if key.startswith("trace/")}
-    close(out, data["out"])
+    close(out, data["out"], limit_at(t))
 
 
 @SETS

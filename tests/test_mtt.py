@@ -30,7 +30,7 @@ ATOMS = [
 ]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32))
 def test_every_timeline_has_two_prompts_in_a_row_and_a_third_on_body_parts_of_its_own(seed):
     for timeline in construct(ATOMS, 20, seed):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import golden, golden_sets
-from published import close, drawn, frames, mdm, motion_diffuse, words_of
+from published import close, drawn, frames, limit_at, mdm, motion_diffuse, words_of
 from torch import Tensor
 
 from stmc.body import BodyPart
@@ -94,11 +94,11 @@ def test_a_step_with_mdm_is_that_of_the_published_integration(folder):
     crops = guided_crops(network, schedule, given, table, float(data["scale"]), **how)
     predict = collage(lambda x, t: seen.append(crops(x, t)) or seen[-1], given, COLUMNS, network.window)
     x0 = predict(x, t)
-    close(seen[0][:, :2], frames(data["crop_preds_first2"]))
+    close(seen[0][:, :2], frames(data["crop_preds_first2"]), limit_at(t))
     longest = int(data["max_t"].max())
-    close(x0[:, :longest], frames(data["pred_xstart"]))
+    close(x0[:, :longest], frames(data["pred_xstart"]), limit_at(t))
     mean, variance = schedule.posterior(x0, x, t)
-    close(mean[:, :longest], frames(data["mean"]))
+    close(mean[:, :longest], frames(data["mean"]), limit_at(t))
     close(mean[:, -4:], frames(data["mean_tail4"]))
     np.testing.assert_allclose(variance.item(), data["variance"], rtol=1e-5)
 
@@ -118,10 +118,10 @@ def test_a_step_with_motion_diffuse_is_that_of_the_published_integration(folder)
     predict = collage(lambda x, t: seen.append((x, crops(x, t))) or seen[-1][1], given, COLUMNS, network.window)
     x0 = predict(x[:, :length], t)
     noisy, clean = seen[0]
-    close(schedule.from_x0(clean, noisy, t, "eps")[:, :2], data["crop_eps_first2"])
-    close(x0, data["pred_xstart"])
+    close(schedule.from_x0(clean, noisy, t, "eps")[:, :2], data["crop_eps_first2"], limit_at(t))
+    close(x0, data["pred_xstart"], limit_at(t))
     mean, variance = schedule.posterior(x0, x[:, :length], t)
-    close(mean, data["mean"])
+    close(mean, data["mean"], limit_at(t))
     tail, _ = schedule.posterior(torch.zeros_like(x[:, -4:]), x[:, -4:], t)
     close(tail, data["mean_tail4"])
     np.testing.assert_allclose(variance.item(), data["variance"], rtol=1e-5)

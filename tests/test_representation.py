@@ -63,7 +63,7 @@ def test_a_layout_names_what_is_wrong_with_it():
 
 
 @given(frames=st.integers(1, 40), seed=st.integers(0, 1000), heading=st.floats(-3, 3))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_features_turn_back_into_the_motion_up_to_place_and_heading(frames, seed, heading):
     motion = walk(frames, seed=seed)
     back = REPRESENTATION.decode(REPRESENTATION.encode(motion), motion.fps, heading=heading)
@@ -78,7 +78,7 @@ def test_features_turn_back_into_the_motion_up_to_place_and_heading(frames, seed
 
 
 @given(turn=st.floats(-7, 7), x=st.floats(-100, 100), y=st.floats(-100, 100), seed=st.integers(0, 100))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_features_do_not_depend_on_place_and_heading(turn, x, y, seed):
     motion = walk(9, seed=seed)
     features = REPRESENTATION.encode(moved(motion, turn, (x, y)))

@@ -7,7 +7,7 @@ import pytest
 import roma
 import torch
 from conftest import golden, golden_sets
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mosaic import COLUMNS, FPS, GAP, STAND_NOD, WALK_WAVE, Constant, embeddings, last, plans_of, timeline
 from published import frames
@@ -76,7 +76,6 @@ def test_soft_edges_come_and_go_along_straight_lines():
 
 
 @quietly
-@settings(deadline=None)
 @given(any_timeline(), st.integers(0, 30), st.sampled_from([None, 60, 200]))
 def test_soft_edges_never_jump_and_leave_the_middle_of_a_transition_as_it_is(drawn, overlap, longest):
     """A weight changes by no more than one over half a transition, but where transitions meet or the timeline ends."""
@@ -114,7 +113,6 @@ def test_a_crop_with_two_tiles_around_a_short_one_counts_once_in_an_average():
 
 
 @quietly
-@settings(deadline=None)
 @given(any_timeline(), st.integers(0, 30), st.sampled_from([None, 60, 200]))
 def test_every_rule_makes_a_legal_plan_of_any_timeline(drawn, overlap, longest):
     """That weights sum to one is checked where a plan is made."""

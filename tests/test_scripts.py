@@ -14,6 +14,7 @@ import pytest
 import torch
 from mocap import about, bvh_text, posed
 from scripting import ROOT, configured, loaded
+from scripting import run as in_this_process
 from tiny import tiny
 
 import stmc
@@ -125,13 +126,14 @@ def test_preparing_makes_a_cache_names_what_it_skipped_and_leaves_the_rest_alone
     assert list((work / "here").iterdir()) == []
 
 
-def test_preparing_again_sees_that_nothing_changed(prepared, source, work):
+def test_preparing_again_sees_that_nothing_changed(prepared, source, capsys):
     before = {path: path.stat().st_mtime_ns for path in prepared[0].iterdir()}
-    done = script("prepare", f"source={source}", f"folder={prepared[0]}", folder=work / "here")
-    assert "is up to date" in done.stdout
+    in_this_process("prepare", "prepare", f"source={source}", f"folder={prepared[0]}")
+    assert "is up to date" in " ".join(capsys.readouterr().out.split())
     assert {path: path.stat().st_mtime_ns for path in prepared[0].iterdir()} == before
 
 
+@pytest.mark.slow
 def test_preparing_what_is_not_there_is_a_sentence_and_no_traceback(work):
     done = script("prepare", f"source={work / 'nowhere'}", folder=work / "here", check=False)
     assert done.returncode == 2
@@ -174,7 +176,7 @@ def test_sampling_again_makes_nothing_but_what_is_missing(sampled, work, timelin
     folder, _ = sampled
     (folder / "two_0001_0.bvh").unlink()
     before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
-    script("sample", *sampling(work, timeline), folder=work / "here")
+    in_this_process("sample", "sample", *sampling(work, timeline))
     after = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
     assert "two_0001_0.bvh" in after
     assert {name for name in before if after[name] == before[name]} == {name for name in before if "0000" in name}

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from stmc.body_model import Skeleton, load_body
 from stmc.data.cache import Cache, CacheError
-from stmc.data.sources.amass import Recordings, read_recording
+from stmc.data.sources.amass import Recordings, read_recording, reposed, unmirrored
 from stmc.motion import Motion
 from stmc.representation import Representation
 
 Footage = Callable[[str, float, float], Motion]
-"""(recording, start, end) → what it shows in between; seconds."""
+"""(recording, start, end) → what it shows in between: frames from `int(fps * start)` to `int(fps * end)`, which are
+seconds, as in timelines."""
 
 
 def cache_footage(cache: Cache, representation: Representation) -> Footage:
@@ -31,22 +32,27 @@ def cache_footage(cache: Cache, representation: Representation) -> Footage:
 
 def amass_footage(folder: str | Path, fps: float | int, body: str | Path | None = None) -> Footage:
     """The recordings of a folder of AMASS at `fps`, on the bones of SMPL-H's folder `body` (None: the default
-    skeleton's). Raises `LayoutError` and `RecordingError` as `data.amass` does, `ValueError` for a recording that is
-    not there."""
+    skeleton's); `M/KIT/3/…` is the mirror image of `KIT/3/…`, as in STMC's motions.txt.
+
+    Raises `LayoutError` and `RecordingError` as `data.amass` does, `ValueError` for a recording that is not there.
+    """
     recordings = Recordings(Path(folder).expanduser())
     skeleton = Skeleton.default() if body is None else load_body(Path(body).expanduser(), "smplh").skeleton
 
     def shown(name: str, start: float, end: float) -> Motion:
-        path = recordings.find(name)
+        bare, mirrored = unmirrored(name)
+        path = recordings.find(bare)
         if path is None:
-            raise ValueError(f"{folder}: no recording {name!r}; there are such as {', '.join(recordings.examples)}")
-        return _between(read_recording(path, skeleton).resampled(fps), name, start, end)
+            raise ValueError(f"{folder}: no recording {bare!r}; there are such as {', '.join(recordings.examples)}")
+        motion = reposed(read_recording(path, skeleton).resampled(fps), skeleton, mirrored)
+        return _between(motion, name, start, end)
 
     return shown
 
 
 def _between(motion: Motion, name: str, start: float, end: float) -> Motion:
-    first, last = int(start * motion.fps), round(end * motion.fps)
+    # a whole number of frames that was divided by their rate may come back from it a hair below
+    first, last = (int(round(seconds * motion.fps, 6)) for seconds in (start, end))
     if not 0 <= first < last <= len(motion) + 1:
         raise ValueError(f"{name}: seconds {start:g} to {end:g} of a motion of {motion.duration:g} seconds")
     return motion.trimmed(first, min(last, len(motion)))

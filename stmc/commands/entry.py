@@ -49,7 +49,7 @@ class Command:
             sys.stdout.write(OmegaConf.to_yaml(config))
             return
         self.check(config)
-        _log()
+        _log(self.function.__module__)
         self.function(config)
 
     def composed(self, asked: Asked) -> Config:
@@ -102,11 +102,12 @@ def command(
     return lambda function: Command(name, settings, function, positional)
 
 
-def _log() -> None:
-    """What the library tells as it goes (checkpoints, validation) appears on stderr, a line each."""
-    logger = logging.getLogger("stmc")
-    if not logger.handlers:
-        handler = logging.StreamHandler()
-        handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-        logger.addHandler(handler)
-        logger.setLevel(logging.INFO)
+def _log(script: str) -> None:
+    """What the library and the script tell as they go (checkpoints, validation) appears on stderr, a line each."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+    for name in {"stmc", script}:
+        logger = logging.getLogger(name)
+        if not logger.hasHandlers():
+            logger.addHandler(handler)
+            logger.setLevel(logging.INFO)

@@ -26,6 +26,9 @@ class Trained(Threaded):
     """Of a command that trains."""
 
     run: str = setting(MISSING, "folder for checkpoints, logs and what is trained; asked again, it goes on")
-    device: str | None = setting(None, "cpu, or null: the accelerator if there is one", choices=("cpu",))
+    allow_changed_settings: bool = setting(
+        False, "go on although the run was begun with other settings; the card says which"
+    )
+    device: str = setting("auto", "where to compute; auto: cuda if there is one", choices=("auto", "cpu", "cuda"))
     validation: int = setting(4, "batches that the validation loss is measured on", at_least=1)
     text_cache: str = setting("cache/text", "folder of embedded texts, which other runs can use, too")

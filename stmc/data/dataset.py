@@ -44,7 +44,7 @@ class Corpus:
     `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
     sentences' words; `skeleton` is the cache's, if it has its own. Features that vary by less than `floor` are divided
     by it. Contents with fewer than `least` training clips have no texts: one clip of several actions teaches no word.
-    Raises `ValueError` where the layout is not the cache's or nothing is left to train on.
+    Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
     """
 
     def __init__(
@@ -76,7 +76,10 @@ class Corpus:
         self.legs, self._owned = parts.index(BodyPart.LEGS), owned.to(device)
         self.features = cache.features.to(device)
         frames = torch.cat([torch.arange(clip.start, clip.end) for clip in training])
-        self.motion = (cache.statistics or Statistics.of(cache.features[frames], floor)).to(device)
+        moving = cache.features[frames]
+        if (moving.amax(dim=0) == moving.amin(dim=0)).all():
+            raise ValueError(f"every one of the {len(frames)} training frames is the same: there is nothing to learn")
+        self.motion = (cache.statistics or Statistics.of(moving, floor)).to(device)
         self._embed(cache, encoder, floor, device)
         # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]

@@ -86,7 +86,7 @@ class Schedule:
     def q_sample(
         self, x0: Float[Tensor, "batch ..."], t: Steps, noise: Float[Tensor, "batch ..."]
     ) -> Float[Tensor, "batch ..."]:
-        """x_t of clean samples `x0` with standard normal `noise` (Eq. 1)."""
+        """x_t of clean samples `x0` with standard normal `noise`: Eq. 1, reparameterised."""
         alpha_bar = self.alpha_bar
         return _at(alpha_bar.sqrt(), t, x0) * x0 + _at((1 - alpha_bar).sqrt(), t, x0) * noise
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-from itertools import groupby
-
 from stmc.body import BodyPart
-from stmc.timeline import Timeline, TimelineError, TimelineWarning, elementary, sinc_order
+from stmc.timeline import Timeline, TimelineError
+from stmc.timeline.advice import advise
+from stmc.timeline.overlaps import Precedence, sweep
+from stmc.untrusted import shown
 
 Run = tuple[int | None, int, int]
 """The index of a prompt, or None where no prompt holds, and the frames [start, end) it owns."""
@@ -16,40 +16,38 @@ def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ..
     """For each body part the prompts that own it, in time order, covering [0, frames) without holes.
 
     Time is cut at every start and end; in each interval the base prompt gets the whole body and the others override the
-    parts they claim, in SINC's order (`sinc_order`); neighbouring intervals of one prompt are joined. A moment without
+    parts they claim, in SINC's order (`Precedence`); neighbouring intervals of one prompt are joined. A moment without
     a prompt belongs to None, for all five parts alike (R3). Ties fall to the file's order (R2).
 
     Raises:
         TimelineError: If the timeline lasts no frame at all.
 
     Warns:
-        TimelineWarning: For a prompt that lasts no frame, which owns nothing.
+        TimelineWarning: One, for prompts that last no frame and so own nothing.
     """
     spans = timeline.spans(fps)
     frames = timeline.frames(fps)
     if frames == 0:
-        raise TimelineError(f"the timeline's {timeline.duration:g} s are no frame at {fps:g} fps; make it longer")
-    for prompt, (start, end) in zip(timeline.prompts, spans, strict=True):
-        if start == end:
-            message = f"{prompt.text!r} ({prompt.start:g} to {prompt.end:g} s) lasts no frame at {fps:g} fps: left out"
-            warnings.warn(message, TimelineWarning, stacklevel=2)
+        seconds = f"{timeline.duration:g} s are no frame at {fps:g} fps"
+        raise TimelineError(f"{timeline.place}: the timeline's {seconds}; make it longer")
+    _advise_of_moments(timeline, spans, fps)
+    precedence = Precedence([prompt.parts for prompt in timeline.prompts])
     owners: dict[BodyPart, list[Run]] = {part: [] for part in BodyPart}
-    for start, end, (_, *active) in elementary([(0, frames), *spans]):
-        for part, owner in _owners(timeline, [index - 1 for index in active]).items():
-            owners[part].append((owner, start, end))
-    return {part: _joined(runs) for part, runs in owners.items()}
+    whole = len(spans)  # a span of the whole timeline, so that a gap at its start is swept too
+    for start, end, ended, started in sweep([*spans, (0, frames)]):
+        precedence.update(ended, [index for index in started if index != whole])
+        for part, runs in owners.items():
+            owner = precedence.owner(part)
+            if runs and runs[-1][0] == owner:
+                runs[-1] = (owner, runs[-1][1], end)
+            else:
+                runs.append((owner, start, end))
+    return {part: tuple(runs) for part, runs in owners.items()}
 
 
-def _owners(timeline: Timeline, active: list[int]) -> dict[BodyPart, int | None]:
-    if not active:
-        return dict.fromkeys(BodyPart)
-    base, *others = sinc_order(timeline.prompts, active)
-    owners: dict[BodyPart, int | None] = dict.fromkeys(BodyPart, base)
-    for index in others:
-        owners |= dict.fromkeys(timeline.prompts[index].claims, index)
-    return owners
-
-
-def _joined(runs: list[Run]) -> tuple[Run, ...]:
-    groups = (list(group) for _, group in groupby(runs, key=lambda run: run[0]))
-    return tuple((group[0][0], group[0][1], group[-1][2]) for group in groups)
+def _advise_of_moments(timeline: Timeline, spans: tuple[tuple[int, int], ...], fps: int | float) -> None:
+    moments = [prompt for prompt, (start, end) in zip(timeline.prompts, spans, strict=True) if start == end]
+    if moments:
+        first, more = moments[0], f", and {len(moments) - 1} more" if len(moments) > 1 else ""
+        what = f"{shown(first.text)} ({first.start:g} to {first.end:g} s) lasts no frame at {fps:g} fps"
+        advise(f"{what}: left out{more}")

@@ -7,10 +7,12 @@ predictions with the tiles' weights.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import accumulate, pairwise
+from itertools import accumulate, chain, pairwise
+from operator import itemgetter
 from typing import NamedTuple
 
 from stmc.body import BodyPart
@@ -108,7 +110,7 @@ def plan(timeline: Timeline, fps: int | float, overlap: int, longest: int | None
             into the fewest equal pieces that are not, of the same text, joined like any other transition.
 
     Raises:
-        TimelineError: If the timeline lasts no frame.
+        TimelineError: If the timeline lasts no frame, or more than `stmc.timeline.prompts.MOST_FRAMES`.
         ValueError: If the overlap is negative, or `longest` leaves no room for a piece and its overlap.
     """
     owners, spans, frames = assign(timeline, fps), timeline.spans(fps), timeline.frames(fps)
@@ -156,23 +158,36 @@ class _Window(NamedTuple):
         return max(0, start - left), min(self.frames, end + self.overlap - left)
 
     def split(self, start: int, end: int) -> list[Span]:
-        """The fewest equal pieces that are at most `longest` frames when widened."""
-        for pieces in range(math.ceil((end - start) / self.longest), end - start + 1):
-            edges = [start + (end - start) * piece // pieces for piece in range(pieces + 1)]
-            spans = list(pairwise(edges))
-            widened = [self.widen(*span) for span in spans]
-            if all(right - left <= self.longest for left, right in widened):
-                return spans
-        raise AssertionError(f"single frames of [{start}, {end}) do not fit {self}")
+        """The fewest equal pieces that are at most `longest` frames when widened.
+
+        Pieces of at most `longest - overlap` frames always are. A longer one is only where the timeline's ends clip
+        what widens it, as they do for at most `overlap + 2` pieces. So among more pieces than that, only a number just
+        below the one that is always enough leaves that few longer ones.
+        """
+        fewest, room = math.ceil((end - start) / self.longest), self.longest - self.overlap
+        enough = math.ceil((end - start) / room) if room > 0 else fewest
+        few = range(fewest, min(self.overlap + 3, enough))
+        many = range(max(fewest, enough - self.overlap - 3), enough + 1)
+        pieces = next(pieces for pieces in chain(few, many) if self._fits(start, end, pieces))
+        return list(_pieces(start, end, pieces))
+
+    def _fits(self, start: int, end: int, pieces: int) -> bool:
+        widened = (self.widen(*span) for span in _pieces(start, end, pieces))
+        return all(right - left <= self.longest for left, right in widened)
+
+
+def _pieces(start: int, end: int, count: int) -> Iterator[Span]:
+    return pairwise(start + (end - start) * piece // count for piece in range(count + 1))
 
 
 def _pieces_owned(runs: Sequence[Run], spans: Sequence[Span], split: Callable[[int, int], list[Span]]) -> list[_Owned]:
     """One part's runs, cut where the pieces of their prompts meet. A gap is its own span."""
     owned = []
     for prompt, start, end in runs:
-        for left, right in split(*((start, end) if prompt is None else spans[prompt])):
-            if left < end and start < right:
-                owned.append(_Owned(_Piece(prompt, left, right), max(left, start), min(right, end)))
+        pieces = split(*((start, end) if prompt is None else spans[prompt]))
+        first = bisect_right(pieces, start, key=itemgetter(1))
+        for left, right in pieces[first : bisect_left(pieces, end, key=itemgetter(0))]:
+            owned.append(_Owned(_Piece(prompt, left, right), max(left, start), min(right, end)))
     return owned
 
 

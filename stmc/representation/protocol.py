@@ -5,7 +5,7 @@ Knows what follows from the layout alone, and no formula: these are `smpl`'s, `h
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -14,6 +14,9 @@ from stmc.body import BodyPart
 from stmc.body_model import Skeleton
 from stmc.motion import Motion
 from stmc.representation.layout import Layout
+
+JointsFrom = Literal["skeleton", "features"]
+"""Where a decoded motion has its joints from: a skeleton that is posed, or the features' own positions."""
 
 
 @runtime_checkable

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
@@ -93,6 +95,7 @@ def worn(
             result[start:end, index] = neutral if owner is None else colours[owner]
         for start, end in hand_overs(owned[part], fps, overlap):
             centre, half = (start + end) / 2, max((end - start) / 2, 1e-9)
-            share = np.clip(1.0 - np.abs(middle - centre) / half, 0.0, 1.0)[:, None]
-            result[:, index] = (1 - share) * result[:, index] + share * neutral
+            near = slice(int(start), math.ceil(end))
+            share = np.clip(1.0 - np.abs(middle[near] - centre) / half, 0.0, 1.0)[:, None]
+            result[near, index] = (1 - share) * result[near, index] + share * neutral
     return result

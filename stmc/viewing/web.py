@@ -33,7 +33,8 @@ def page(
     overlap: int | float | None = None,
     body: Body | None = None,
 ) -> str:
-    """A self-contained HTML page (about 1.5 MB) that loads nothing from anywhere and opens from a file.
+    """A self-contained HTML page (some 1.5 MB, and as much again for every minute) that loads nothing from anywhere and
+    opens from a file.
 
     It plays the motion in a loop with every body part in the colour of the prompt it obeys (neutral in gaps and in the
     middle of transitions, which last `overlap` seconds; None: as long as those that the motion was sampled with), on a

@@ -113,6 +113,23 @@ def _text(value: np.ndarray) -> str:
     return content.decode("latin1") if isinstance(content, bytes) else str(content)
 
 
+def reposed(motion: Motion, skeleton: Skeleton, mirrored: bool = False) -> Motion:
+    """A resampled recording, or its mirror image, with `skeleton` posed again: what the published preparation makes of
+    both. Bones keep their lengths, and those of a mirror image are not mirrored.
+
+    The published code interpolates axis-angle vectors, `Motion.resampled` on the sphere: nearly the same, but for a
+    vector whose sign flips from one frame to the next.
+    """
+    moved = motion.mirrored() if mirrored else motion
+    return Motion.posed(moved.rotations, moved.translation, moved.fps, skeleton)
+
+
+def unmirrored(path: str) -> tuple[str, bool]:
+    """A path as annotations give it, without the `M/` that names a mirror image, and whether it stood there."""
+    name = path.replace("\\", "/").removeprefix("./")
+    return name.removeprefix("M/"), name.startswith("M/")
+
+
 class Recordings:
     """The recordings in a folder of AMASS, by the paths that annotations give.
 
@@ -140,7 +157,7 @@ class Recordings:
         return ["/".join(path.parts[-3:]) for path in list(self._files.values())[:3]]
 
     def find(self, path: str) -> Path | None:
-        """The file of AMASS's path (`KIT/3/kick_high_left02_poses`), or None."""
+        """The file of AMASS's path (`KIT/3/kick_high_left02_poses`, see `unmirrored`), or None."""
         return self._files.get(_key(path))
 
 

@@ -16,7 +16,7 @@ import torch
 from stmc.body_model import Skeleton, load_body
 from stmc.data.cache import Cache, fingerprint
 from stmc.data.preparation import LayoutError, Piece, Watch, code, converted
-from stmc.data.sources.amass import Recordings, read_recording
+from stmc.data.sources.amass import Recordings, read_recording, reposed
 from stmc.data.sources.annotations import Annotated, Annotations, Segment, read_annotations, with_mirror_images
 from stmc.data.spans import Album, Described
 from stmc.motion import Motion
@@ -69,8 +69,8 @@ class Conversion:
             motion = recorded.resampled(self.fps)
         except ValueError as error:
             raise ValueError(f"too short: {error}") from error
-        for image, moved in ((False, motion), (True, motion.mirrored())):
-            yield image, Motion.posed(moved.rotations, moved.translation, self.fps, skeleton)
+        for image in (False, True):
+            yield image, reposed(motion, skeleton, image)
 
     def _described(self, entry: Annotated, frames: int, album: Album) -> Described:
         spans: dict[tuple[int, int], list[str]] = {}

@@ -14,12 +14,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from stmc.data.preparation import LayoutError
+from stmc.data.sources.amass import unmirrored
 from stmc.data.sources.bandai_sentences import mirrored
 
 SPLITS = ("train", "val", "test")
 
 NO_POSES = "humanact12"
-"""HumanML3D's recordings that are not AMASS's: they have joints, but no SMPL poses (STMC, section 4)."""
+"""HumanML3D's recordings that are not AMASS's: they have joints, but no SMPL poses (STMC, section 4.1)."""
 
 
 @dataclass(frozen=True)
@@ -116,13 +117,13 @@ def _entry(name: str, value: Any, split: str) -> Annotated:
 
 
 def _path(value: Any) -> tuple[str, bool]:
-    """AMASS's path without `M/` and suffix, and whether `M/` stood before it."""
+    """AMASS's path without `M/` and suffix, and whether it is a mirror image's."""
     if not isinstance(value, str) or not value:
         raise ValueError(f"malformed annotation: path is {value!r}")
-    path = PurePosixPath(value.replace("\\", "/").removeprefix("./"))
+    bare, image = unmirrored(value)
+    path, parts = PurePosixPath(bare), PurePosixPath(bare).parts
     if path.is_absolute() or ".." in path.parts or ":" in value:
         raise ValueError(f"path outside of AMASS: {value!r}")
-    image, parts = path.parts[0] == "M", path.parts[path.parts[0] == "M" :]
     if parts and parts[0].lower() == NO_POSES:
         raise ValueError("HumanAct12: it has no SMPL poses")
     if len(parts) < 2:

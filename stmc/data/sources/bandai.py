@@ -14,6 +14,7 @@ import re
 import tarfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import torch
@@ -29,6 +30,7 @@ from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe, mirro
 from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
+from stmc.untrusted import UnreadableError, cut, read_bytes, shown
 
 SOURCE_JOINTS: dict[str, str] = {
     "pelvis": "Hips", "spine1": "Spine", "spine3": "Chest", "neck": "Neck", "head": "Head",
@@ -41,6 +43,18 @@ SOURCE_JOINTS: dict[str, str] = {
 
 CLIPS = 3076
 """How many clips the published archive holds."""
+
+MOST_BYTES = 16 * 2**20
+"""Of one file; the largest of the data set is below 1 MB."""
+
+MOST_MEMBERS = 100_000
+"""Of an archive or a folder; the data set has some 3,100."""
+
+MOST_ARCHIVE = 16 * 2**30
+"""Bytes of all that an archive unpacks to; the data set's have some 1 GB."""
+
+FARTHEST = 1e4
+"""Metres from the origin that no person goes in a clip, nor in a second: float32 then has a millimetre left."""
 
 UNSAID = ""
 """The key of clips that no sentence describes: they are learnt from, but not by name."""
@@ -88,19 +102,20 @@ class ClipName:
         """Raises `ValueError` where the name is not the dataset's, or its content or style is unknown."""
         match = re.fullmatch(r"(dataset-[12]_([a-z-]+)_([a-z-]+)_\d+)", name)
         if not match:
-            raise ValueError(f"{name!r} is not dataset-N_content_style_NNN")
+            raise ValueError(f"{shown(name)} is not dataset-N_content_style_NNN")
         if match[2] not in CONTENTS:
-            raise ValueError(f"unknown content {match[2]!r}; known are {', '.join(CONTENTS)}")
+            raise ValueError(f"unknown content {shown(match[2])}; known are {', '.join(CONTENTS)}")
         if match[3] not in STYLES:
-            raise ValueError(f"unknown style {match[3]!r}; known are {', '.join(STYLES)}")
+            raise ValueError(f"unknown style {shown(match[3])}; known are {', '.join(STYLES)}")
         return cls(*match.groups())
 
 
-def read_sources(source: Path) -> Iterator[tuple[str, str]]:
-    """Every clip's name and BVH text, from the published `.tar.xz` (never unpacked to disk) or an unpacked folder.
+def read_sources(source: Path) -> Iterator[tuple[str, str | BvhError]]:
+    """Every clip's name and BVH text, from the published `.tar.xz` (never unpacked to disk) or an unpacked folder; of
+    what is no regular file, or one of more than `MOST_BYTES`, the error in place of a text.
 
-    Raises `FileNotFoundError` where there is neither, and `ValueError` for a folder or an archive without BVH files
-    and for an archive that breaks off.
+    Raises `FileNotFoundError` where there is neither, and `ValueError` for a folder or an archive without BVH files,
+    for an archive that breaks off, and for more than `MOST_MEMBERS` or `MOST_ARCHIVE`.
     """
     source, found = Path(source), False
     if not source.exists():
@@ -112,29 +127,73 @@ def read_sources(source: Path) -> Iterator[tuple[str, str]]:
         raise ValueError(f"{source} holds no .bvh file; it should be the dataset's .tar.xz or its unpacked folder")
 
 
-def _archive(path: Path) -> Iterator[tuple[str, str]]:
-    name = "its beginning"
+def _archive(path: Path) -> Iterator[tuple[str, str | BvhError]]:
+    name, left = "its beginning", MOST_ARCHIVE
     try:
         with lzma.open(path) as file:  # unlike tarfile's own stream, it notices an end that comes too early
-            with tarfile.open(fileobj=file, mode="r|") as archive:
-                for member in archive:
-                    if member.isfile() and member.name.endswith(".bvh"):
-                        name = Path(member.name).stem
-                        yield name, archive.extractfile(member).read().decode("ascii", errors="replace")
-            file.read()
+            unpacked = _Metered(file)
+            with tarfile.open(fileobj=unpacked, mode="r|") as archive:
+                for number, member in enumerate(archive):
+                    left -= member.size
+                    if number >= MOST_MEMBERS or left < 0:
+                        limits = f"{MOST_MEMBERS:,} members or {MOST_ARCHIVE / 2**30:g} GiB"
+                        raise ValueError(f"{path} unpacks to more than {limits} (read up to {name})")
+                    archive.members.clear()  # tarfile keeps all it has seen
+                    unpacked.left = member.size + _HEADERS
+                    if member.name.endswith(".bvh"):
+                        name = cut(Path(member.name).stem)
+                        yield Path(member.name).stem, _member(archive, member)
+            unpacked.left = MOST_BYTES
+            while unpacked.read(2**20):
+                pass
     except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
         raise ValueError(f"{path} is no .tar.xz, or a half or damaged one (read up to {name}): {error}") from error
 
 
-def _folder(path: Path) -> Iterator[tuple[str, str]]:
-    for file in sorted(path.rglob("*.bvh")):
-        yield file.stem, file.read_text(encoding="ascii", errors="replace")
+def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> str | BvhError:
+    if not member.isreg():
+        return BvhError("a member of the archive that is no regular file")
+    if member.size > MOST_BYTES:
+        return BvhError(f"{member.size:,} bytes, more than {MOST_BYTES / 2**20:g} MiB")
+    return archive.extractfile(member).read().decode("ascii", errors="replace")
+
+
+_HEADERS = 2**20
+"""Bytes that may stand between two members; tarfile reads them at once."""
+
+
+class _Metered:
+    """A file from which only so many bytes are `left` to be read, whatever its headers promise."""
+
+    def __init__(self, file: lzma.LZMAFile) -> None:
+        self._file = file
+        self.left = _HEADERS
+
+    def read(self, size: int) -> bytes:
+        content = self._file.read(size)
+        self.left -= len(content)
+        if self.left < 0:
+            raise tarfile.ReadError(f"headers of more than {_HEADERS / 2**20:g} MiB")
+        return content
+
+
+def _folder(path: Path) -> Iterator[tuple[str, str | BvhError]]:
+    files = sorted(islice(path.rglob("*.bvh"), MOST_MEMBERS + 1))
+    if len(files) > MOST_MEMBERS:
+        raise ValueError(f"{path} holds more than {MOST_MEMBERS:,} .bvh files, the limit")
+    for file in files:
+        try:
+            yield file.stem, read_bytes(file, MOST_BYTES).decode("ascii", errors="replace")
+        except UnreadableError as error:
+            yield file.stem, BvhError(str(error))
+        except OSError as error:  # a dangling link, no permission
+            yield file.stem, BvhError(f"cannot be read ({error.strerror})")
 
 
 def inputs(source: Path) -> list[Path]:
     """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
     code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
-    code += ("data/sources/bandai", "data/sources/bvh", "data/cache", "data/sources/bandai_sentences")
+    code += ("data/sources/bandai", "data/sources/bvh", "data/cache", "data/sources/bandai_sentences", "untrusted")
     here = Path(__file__).parents[2]
     files = [here / f"{name}.py" for name in code]
     return [Path(source), *files, here / "assets/skeleton.json"]
@@ -220,13 +279,22 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
             start=0,
             end=posed.frames,
         )
-        rows.append((clip, representation.encode(posed).float()))
+        features = representation.encode(posed).float()
+        if not (features.abs() < FARTHEST).all():
+            raise BvhError(f"its features are not all finite and below {FARTHEST:g} (metres, metres per second)")
+        rows.append((clip, features))
     return rows
 
 
 def read_clips(source: Path, fps: float | int, workers: int) -> Iterator[tuple[str, list | str]]:
     """Converts every clip, in parallel: its name, and its rows or the reason why it had to be skipped."""
-    return in_parallel(((name, (convert, name, text, fps)) for name, text in read_sources(source)), workers)
+    return in_parallel(((name, (_converted, name, text, fps)) for name, text in read_sources(source)), workers)
+
+
+def _converted(name: str, text: str | BvhError, fps: float | int) -> list[tuple[Clip, Tensor]]:
+    if isinstance(text, BvhError):
+        raise text
+    return convert(name, text, fps)
 
 
 def gather(clips: Iterable[tuple[str, list | str]], fps: float | int) -> Cache:
