@@ -31,6 +31,7 @@ from . import tensors as tensors
 from . import text as text
 from . import timeline as timeline
 from . import training as training
+from . import untrusted as untrusted
 from . import viewing as viewing
 from .body import BodyPart
 from .body_model import Skeleton
