@@ -3,12 +3,13 @@
 import sys
 from dataclasses import MISSING, dataclass
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 
 from stmc.commands import command
 from stmc.published import convert
 from stmc.run import CARD, CONFIG
+from stmc.run.configs import read_config
 from stmc.settings import setting
 
 
@@ -33,7 +34,7 @@ class Settings:
 def main(config: DictConfig) -> None:
     folder = convert(config.source, config.output, config.statistics, config.text_model)
     Console().print((folder / CARD).read_text(encoding="utf-8"), markup=False)
-    hint = f": try python scripts/sample.py model={folder}" if "denoiser" in OmegaConf.load(folder / CONFIG) else ""
+    hint = f": try python scripts/sample.py model={folder}" if "denoiser" in read_config(folder / CONFIG) else ""
     Console().print(f"in {folder}{hint}", markup=False)
 
 

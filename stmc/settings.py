@@ -110,16 +110,20 @@ def _check_values(kind: type, values: Mapping[str, Any]) -> None:
     hints, known = get_type_hints(kind), about(kind)
     for name in values:
         if name in known:
-            _check(name, values[name], hints[name], known[name])
+            if values[name] == "":
+                raise SettingError(f"{name}='': a text needed")
+            check_value(name, values[name], hints[name], known[name])
 
 
-def _check(name: str, value: Any, hint: Any, each: About) -> None:
+def check_value(name: str, value: Any, hint: Any, each: About | None = None) -> None:
+    """Raises `SettingError` for a value that is not of the type `hint`, or not what `each` says."""
+    each = About("") if each is None else each
     kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     kinds = tuple(kind for kind in kinds if kind is not int or float not in kinds)
     if value is None and NoneType in kinds:
         return
-    if value == "" or not any(_is(value, kind) for kind in kinds):
-        words = " or ".join(dict.fromkeys(_WORDS.get(get_origin(kind) or kind, "null") for kind in kinds))
+    if not any(_is(value, kind) for kind in kinds):
+        words = " or ".join(dict.fromkeys(map(_words, kinds)))
         raise SettingError(f"{name}={shown(value)}: {words} needed{f', {each.fits}' if each.fits else ''}")
     items = value if isinstance(value, tuple) else (value,)
     if each.choices and (bad := [item for item in items if isinstance(item, str) and item not in each.choices]):
@@ -131,8 +135,15 @@ def _check(name: str, value: Any, hint: Any, each: About) -> None:
 
 _WORDS: Mapping[Any, str] = {
     int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list", NoneType: "null",
-    Literal: "a text", Mapping: "a table of names and values", Callable: "a function",
+    Mapping: "a table of names and values", Callable: "a function",
 }  # fmt: skip
+
+
+def _words(kind: Any) -> str:
+    """A type as a message names it."""
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}"
+    return _WORDS.get(get_origin(kind) or kind, getattr(kind, "__name__", str(kind)))
 
 
 def _is(value: Any, kind: Any) -> bool:

@@ -14,6 +14,8 @@ from einops import rearrange
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
+from stmc.untrusted import shown
+
 Made = TypeVar("Made")
 
 
@@ -59,12 +61,16 @@ class Moved(Generic[Made]):
         return self._made[key]
 
 
-def found_device(device: torch.device | str) -> torch.device:
-    """The device of that name on this machine; "auto" is the GPU if there is one. Raises `ValueError` where there is no
-    such device."""
-    gpus = [f"cuda:{number}" for number in range(torch.cuda.device_count())]
-    there = ["cpu", *(["cuda"] if gpus else []), *gpus, *(["mps"] if torch.backends.mps.is_available() else [])]
-    name = ("cuda" if gpus else "cpu") if device == "auto" else str(device)
-    if name not in there:
-        raise ValueError(f"device={name[:60]}: this machine has {', '.join(there)}; auto takes the GPU if there is one")
-    return torch.device(name)
+def found_device(device: torch.device | str) -> torch.device | str:
+    """A device that there is; "auto" is an accelerator if there is one."""
+    cuda, mps = torch.cuda.is_available(), torch.backends.mps.is_available()
+    if device == "auto":
+        return "cuda" if cuda else "mps" if mps else "cpu"
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError, ValueError) as error:
+        choices = ", ".join(["auto", "cpu", *["cuda"] * cuda, *["mps"] * mps])
+        raise ValueError(
+            f"device {shown(str(device))} is unknown or not available here; choose from {choices}"
+        ) from error
+    return device

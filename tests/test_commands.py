@@ -151,8 +151,8 @@ def test_a_setting_that_does_not_fit_is_one_sentence(sample, arguments, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["device=cuda:99"], "device=cuda:99: this machine has "),
-        (["device=bogus"], "device=bogus: this machine has "),
+        (["device=cuda:99"], "device 'cuda:99' is unknown or not available here"),
+        (["device=bogus"], "device 'bogus' is unknown or not available here"),
         (["output=/proc/x"], "/proc/x"),
         (["timeline=nowhere.txt"], "nowhere.txt: no such file"),
         (["walk # 3 # 1"], "line 1: end 1 must be later than start 3"),

@@ -147,12 +147,12 @@ def test_an_evaluator_survives_its_run_directory_wherever_that_is_moved(tmp_path
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda text: text.replace("layers: 1", "layers: 2"), "does not fit the network of config.yaml"),
+        (lambda text: text.replace("layers: 1", "layers: 2"), "does not fit the network of the config"),
         (
             lambda text: text.replace("stmc.evaluators.Tmr", "os.system"),
             "'os.system' is not a class of stmc.evaluators",
         ),
-        (lambda text: text.replace("fps: 20", "fps: -1"), "fps must be a positive number"),
+        (lambda text: text.replace("fps: 20", "fps: -1"), "fps=-1: must be above 0"),
         (lambda text: text.replace("network:", "net:"), "network missing"),
     ],
 )

@@ -26,6 +26,7 @@ class Trained(Threaded):
     """Of a command that trains."""
 
     run: str = setting(MISSING, "folder for checkpoints, logs and what is trained; asked again, it goes on")
+    trusted: tuple[str, ...] = setting((), "packages of your own that the parts may be classes of")
     allow_changed_settings: bool = setting(
         False, "go on although the run was begun with other settings; the card says which"
     )
