@@ -191,7 +191,7 @@ def check_wild_settings(commands: dict[str, Command], draws: int, seed: int, cap
     """Settings, groups and keys with wild values: either they pass the checks, or one short line says why not."""
     draw = random.Random(seed)
     for _ in range(draws):
-        command = idle(commands[draw.choice([*SCRIPTS, *["sample"] * len(SCRIPTS)])])
+        command = idle(commands[draw.choice([*SCRIPTS, *["sample"] * 4 * len(SCRIPTS)])])
         keys = [*about(command.settings), *command.parts, "nobody", "a.b", "+c", "~steps", "--device", "-x"]
         arguments = [f"{draw.choice(keys)}={draw.choice(WILD)}" for _ in range(draw.randint(1, 3))]
         code, told = ended(command, arguments, capsys)

@@ -31,6 +31,7 @@ from stmc.run.records import EvaluatorSettings, ModelSettings, settings_of
 from stmc.run.weights import Spec, misfit, read_specs, sketch, specs_of
 from stmc.settings import shown
 from stmc.statistics import Statistics
+from stmc.tensors import found_device
 from stmc.text import TextEncoder
 
 BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_bandai", "tmr_bandai"
