@@ -12,7 +12,8 @@ import pytest
 from strategies import quietly
 
 from stmc.body import BodyPart
-from stmc.planning import _Window, assign, plan
+from stmc.planning import assign, plan
+from stmc.planning.plans import _Window
 from stmc.timeline import (
     Prompt,
     Timeline,
