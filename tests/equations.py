@@ -39,8 +39,7 @@ class Weights:
         return found
 
     def linear(self, name: str, x: np.ndarray) -> np.ndarray:
-        bias = self[f"{name}.bias"] if f"{name}.bias" in self else 0.0
-        return x @ self[f"{name}.weight"].T + bias
+        return x @ self[f"{name}.weight"].T + self._named.get(f"{self._prefix}{name}.bias", 0.0)
 
     def norm(self, name: str, x: np.ndarray) -> np.ndarray:
         """Layer norm (Ba et al. 2016)."""
