@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import sqrtm
@@ -17,14 +18,19 @@ Answer = Callable[[np.ndarray, int], np.ndarray]
 
 CHAINS = ((0, 2, 5, 8, 11), (0, 1, 4, 7, 10), (0, 3, 6, 9, 12, 15), (9, 14, 17, 19, 21), (9, 13, 16, 18, 20))
 """Of HumanML3D: right leg, left leg, spine, right arm, left arm."""
-PARENT = {child: parent for chain in CHAINS for parent, child in zip(chain, chain[1:], strict=False)}
+PARENT = {child: parent for chain in CHAINS for parent, child in pairwise(chain)}
 
 
 # Samplers: clean samples of every step, from the noisiest on ----------------------------------------------------------
 
 
 def ancestral(
-    answer: Answer, left: Sequence[float], times: Sequence[int], x: np.ndarray, noises: Sequence, published: bool
+    answer: Answer,
+    left: Sequence[float],
+    times: Sequence[int],
+    x: np.ndarray,
+    noises: Sequence,
+    published: bool = False,
 ) -> list[np.ndarray]:
     """Ho et al. 2020, Eq. 6 and 7, over the steps `times` of a schedule of which `left` is alpha bar; `published`: the
     noise times the variance, as STMC's code has it, not its root."""
@@ -247,16 +253,11 @@ def frechet(first: np.ndarray, second: np.ndarray) -> float:
 
 def jerks(joints: np.ndarray) -> list[float]:
     """FlowMDM, section 4.1: in each frame the largest of the joints' third differences, summed over the axes."""
-    found = []
-    for a, b, c, d in zip(joints, joints[1:], joints[2:], joints[3:], strict=False):
-        found.append(
-            max(sum(abs(d[j, k] - 3 * c[j, k] + 3 * b[j, k] - a[j, k]) for k in range(3)) for j in range(len(a)))
-        )
-    return found
+    third = [joints[i + 3] - 3 * joints[i + 2] + 3 * joints[i + 1] - joints[i] for i in range(len(joints) - 3)]
+    return [max(sum(abs(axis) for axis in joint) for joint in frame) for frame in third]
 
 
 def pose_distance(before: np.ndarray, after: np.ndarray) -> float:
     """The mean way of a joint relative to the pelvis."""
-    return float(
-        np.mean([np.linalg.norm((b - after[0]) - (a - before[0])) for a, b in zip(before, after, strict=True)])
-    )
+    ways = [(b - after[0]) - (a - before[0]) for a, b in zip(before, after, strict=True)]
+    return float(np.mean([np.linalg.norm(way) for way in ways]))
