@@ -14,6 +14,7 @@ from rich.table import Table
 import stmc
 from stmc.benchmarks.ability import abilities, mean_speed
 from stmc.data.cache import Cache
+from stmc.files import write_text, write_whole
 from stmc.metrics import kinematics
 from stmc.viewing import pictures
 
@@ -36,12 +37,12 @@ def main(config: DictConfig) -> None:
                     sampler=partial(stmc.ddpm, spread=spread),
                 )
                 results.setdefault(ability.name, {})[spread] = measured(ability, motions)
-                figure = pictures(motions[0], ability.timeline)
-                figure.savefig(folder / f"{ability.name.replace(' ', '_')}_{spread}.png", dpi=80)
+                figure = partial(pictures(motions[0], ability.timeline).savefig, format="png", dpi=80)
+                write_whole(folder / f"{ability.name.replace(' ', '_')}_{spread}.png", figure)
                 progress.advance(task)
     if config.cache:
         results["real"] = real(Cache.read(Path(config.cache)), model)
-    (folder / "abilities.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    write_text(folder / "abilities.json", json.dumps(results, indent=1) + "\n")
     report(results, config.spreads)
 
 

@@ -1,11 +1,12 @@
 """Makes run directories of published checkpoints: `python scripts/import_checkpoint.py source=PATH output=runs/mdm`."""
 
 import hydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 
 from stmc.published import convert
 from stmc.run import CARD, CONFIG
+from stmc.run.configs import read_config
 
 
 @hydra.main(config_path="../configs", config_name="import_checkpoint", version_base="1.3")
@@ -15,7 +16,7 @@ def main(config: DictConfig) -> None:
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error
     Console().print((folder / CARD).read_text(encoding="utf-8"), markup=False)
-    hint = f": try python scripts/sample.py model={folder}" if "denoiser" in OmegaConf.load(folder / CONFIG) else ""
+    hint = f": try python scripts/sample.py model={folder}" if "denoiser" in read_config(folder / CONFIG) else ""
     Console().print(f"in {folder}{hint}", markup=False)
 
 

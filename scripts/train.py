@@ -15,12 +15,12 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
-from stmc.data.cache import Cache
+from stmc.data.cache import read_caches
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.diffusion import Spread
 from stmc.files import locked, write_whole
 from stmc.model import Model
-from stmc.run import PARTS
+from stmc.run import PARTS, build, check
 from stmc.text import Cached
 from stmc.training import Denoising, Hook, Trainer, find_accelerator
 
@@ -41,13 +41,17 @@ def main(config: DictConfig) -> None:
 def train(config: DictConfig, accelerator: Accelerator) -> None:
     """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
-    representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    sampling, described = instantiate(config.data.sampling), OmegaConf.to_container(config, resolve=True)
+    parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
+    representation = parts["representation"]
     logger.info("reading %s", config.data.folder)
-    cache = Cache.read(Path(config.data.folder).expanduser())
+    cache = read_caches(config.data.folder)
+    started = stmc.load(config.start, trusted=config.trusted) if config.start else None
     corpus = instantiate(config.data.corpus, _partial_=True)(
         cache=cache,
-        encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=representation.layout,
+        text=started.text_statistics if started else None,
         device=accelerator.device,
     )
     held_out = ClipBatches(corpus, "val", sampling, settings.seed)
@@ -58,10 +62,12 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     fields = dict(representation.layout.slices)
     if derive:
         fields[derive.name] = slice(corpus.features_width, None)
-    denoiser = instantiate(config.denoiser)
-    if config.start:
-        denoiser.load_state_dict(stmc.load(config.start).denoiser.state_dict())
-    model = record(config, denoiser, corpus)
+    model = record(config, corpus)
+    denoiser = model.denoiser
+    if started:
+        denoiser.load_state_dict(started.denoiser.state_dict())
+        denoiser.restate(started.motion_statistics, corpus.motion.to("cpu"))
+    check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         denoiser,
         Denoising(model.schedule, fields=fields, derive=derive, **config.objective),
@@ -83,14 +89,15 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     trainer.run()
 
 
-def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Model:
-    """The model as it would be loaded from the run's folder."""
-    representation = instantiate(config.representation)
+def record(config: DictConfig, corpus: Corpus) -> Model:
+    """The model as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, trusted=config.trusted)
+    representation = parts["representation"]
     return Model(
-        denoiser=network,
-        schedule=instantiate(config.schedule),
-        text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        denoiser=parts["denoiser"],
+        schedule=parts["schedule"],
+        text_encoder=Cached(parts["text_encoder"], config.text_cache),
         representation=representation,
         motion_statistics=corpus.motion.to("cpu"),
         text_statistics=corpus.text.to("cpu"),
@@ -109,7 +116,8 @@ def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) 
     folder = Path(config.run).expanduser()
     settings = OmegaConf.to_yaml(config, resolve=True)
     card = f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n"
-    stmc.save(model, folder, card + "".join(f"\nSettings changed {change}\n" for change in changes))
+    changed = "".join(f"\nSettings changed {change}\n" for change in changes)
+    stmc.save(model, folder, card + changed, trusted=config.trusted)
 
 
 def draw(config: DictConfig, model: Model, step: int) -> None:

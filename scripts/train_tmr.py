@@ -13,13 +13,13 @@ from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from stmc.data.cache import Cache
+from stmc.data.cache import read_caches
 from stmc.data.dataset import ClipBatches, Corpus
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
 from stmc.files import locked, write_text
 from stmc.metrics.retrieval import Retrieval, both_ways, cosines, in_batches
-from stmc.run import EVALUATOR_PARTS, save_evaluator
+from stmc.run import EVALUATOR_PARTS, build, check, save_evaluator
 from stmc.text import Cached
 from stmc.training import Hook, Trainer, find_accelerator
 from stmc.training.logs import Table
@@ -39,13 +39,15 @@ def main(config: DictConfig) -> None:
 def train(config: DictConfig, accelerator: Accelerator) -> None:
     """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
-    representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    sampling, described = instantiate(config.data.sampling), OmegaConf.to_container(config, resolve=True)
+    kinds = {part: EVALUATOR_PARTS[part] for part in ("representation", "text_encoder")}
+    parts = build(described, kinds, config.trusted)
     logger.info("reading %s", config.data.folder)
-    cache = Cache.read(Path(config.data.folder).expanduser())
+    cache = read_caches(config.data.folder)
     corpus = instantiate(config.data.corpus, _partial_=True)(
         cache=cache,
-        encoder=Cached(instantiate(config.text_encoder), config.text_cache),
-        layout=representation.layout,
+        encoder=Cached(parts["text_encoder"], config.text_cache),
+        layout=parts["representation"].layout,
         device=accelerator.device,
     )
     sentences = Cached(instantiate(config.sentences), config.text_cache) if config.sentences else None
@@ -57,7 +59,8 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     with open_dict(config):
         config.network.update(features=corpus.features_width, text_width=corpus.text_width)
     folder = Path(config.run).expanduser()
-    evaluator = record(config, instantiate(config.network), corpus)
+    evaluator = record(config, corpus)
+    check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         evaluator.network,
         instantiate(config.objective),
@@ -90,18 +93,20 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
             f"# Trained with scripts/train_tmr.py, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
         )
         changed = "".join(f"\n\nSettings changed {change}" for change in trainer.changes)
-        save_evaluator(evaluator, folder, f"{made}{changed}\n\nOn the test split:\n\n```json\n{text}```\n")
+        card = f"{made}{changed}\n\nOn the test split:\n\n```json\n{text}```\n"
+        save_evaluator(evaluator, folder, card, trusted=config.trusted)
 
     trainer.run()
 
 
-def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Evaluator:
-    """The evaluator as it would be loaded from the run's folder."""
+def record(config: DictConfig, corpus: Corpus) -> Evaluator:
+    """The evaluator as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, EVALUATOR_PARTS, config.trusted)
     return Evaluator(
-        network=network,
-        text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
-        representation=instantiate(config.representation),
+        network=parts["network"],
+        text_encoder=Cached(parts["text_encoder"], config.text_cache),
+        representation=parts["representation"],
         motion_statistics=corpus.motion.to("cpu"),
         text_statistics=corpus.text.to("cpu"),
         fps=corpus.fps,

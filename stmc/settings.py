@@ -76,7 +76,7 @@ def check(record: Any) -> None:
     """Raises `SettingError` for the first setting of a record that does not fit; for `__post_init__`."""
     hints = get_type_hints(type(record))
     for name, each in about(type(record)).items():
-        _check(name, getattr(record, name), hints[name], each)
+        check_value(name, getattr(record, name), hints[name], each)
 
 
 def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
@@ -88,16 +88,23 @@ def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
             near = get_close_matches(str(name), known, 1)
             meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
             raise SettingError(f"unknown setting {shown(name)}: {meant}")
-    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+    given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    hints = get_type_hints(kind)
+    for name, each in about(kind).items():
+        if name in given:
+            check_value(name, given[name], hints[name], each)
+    return kind(**given)
 
 
-def _check(name: str, value: Any, hint: Any, each: About) -> None:
+def check_value(name: str, value: Any, hint: Any, each: About | None = None) -> None:
+    """Raises `SettingError` for a value that is not of the type `hint`, or not what `each` says."""
+    each = About("") if each is None else each
     kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     kinds = tuple(kind for kind in kinds if kind is not int or float not in kinds)
     if value is None and NoneType in kinds:
         return
     if not any(_is(value, kind) for kind in kinds):
-        words = " or ".join(dict.fromkeys(_WORDS.get(get_origin(kind) or kind, "null") for kind in kinds))
+        words = " or ".join(dict.fromkeys(map(_words, kinds)))
         raise SettingError(f"{name}={shown(value)}: {words} needed{f', {each.fits}' if each.fits else ''}")
     items = value if isinstance(value, tuple) else (value,)
     if each.choices and (bad := [item for item in items if item not in each.choices]):
@@ -108,8 +115,14 @@ def _check(name: str, value: Any, hint: Any, each: About) -> None:
 
 _WORDS: Mapping[Any, str] = {
     int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list", NoneType: "null",
-    Literal: "a text",
 }  # fmt: skip
+
+
+def _words(kind: Any) -> str:
+    """A type as a message names it."""
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}"
+    return _WORDS.get(get_origin(kind) or kind, getattr(kind, "__name__", str(kind)))
 
 
 def _is(value: Any, kind: Any) -> bool:

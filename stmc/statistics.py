@@ -27,14 +27,15 @@ class Statistics:
             raise ValueError(f"statistics must be finite, with std above 0: mean {self.mean}, std {self.std}")
 
     @classmethod
-    def of(cls, rows: Float[Tensor, "frames features"], floor: float) -> Statistics:
-        """Over all `rows`, summed in float64. A feature that hardly varies has std `floor`, not 0."""
+    def of(cls, rows: Float[Tensor, "frames features"], floor: float | Float[Tensor, " features"]) -> Statistics:
+        """Over all `rows`, summed in float64. A feature that hardly varies has std `floor` (its own, of several), not
+        0."""
         if not len(rows):
             raise ValueError("statistics of no rows at all")
         pieces = rows.split(_AT_ONCE)
         mean = sum(piece.double().sum(dim=0) for piece in pieces) / len(rows)
         std = (sum((piece.double() - mean).square().sum(dim=0) for piece in pieces) / len(rows)).sqrt()
-        return cls(mean.to(rows.dtype), std.clamp_min(floor).to(rows.dtype))
+        return cls(mean.to(rows.dtype), std.clamp_min(torch.as_tensor(floor).to(std)).to(rows.dtype))
 
     def normalise(self, raw: Float[Tensor, "*batch features"]) -> Float[Tensor, "*batch features"]:
         """Zero mean and unit variance."""

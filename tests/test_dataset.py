@@ -362,3 +362,11 @@ def test_without_compositions_no_row_has_a_guest() -> None:
     draws, raw = rows_of(composing(0.0))
     assert not draws.guest.frames.any()
     assert all((raw[row, :frames] == raw[row, 0]).all() for row, frames in enumerate(draws.body.frames))
+
+
+@pytest.mark.parametrize("statistics", [None, Statistics(torch.zeros(LAYOUT.width), torch.ones(LAYOUT.width))])
+def test_data_that_stand_still_are_refused(statistics):
+    still = dataclasses.replace(cache(), statistics=statistics)
+    still.features[:] = still.features[:1].clone()
+    with pytest.raises(ValueError, match="training frames is the same: there is nothing to learn"):
+        Corpus(still, LetterCounts(), LAYOUT)

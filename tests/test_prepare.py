@@ -7,14 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripting import run
+from scripting import configured, loaded, run
 from studio import Threads, amass, babel, humanml3d, published
 from test_body_model import write_body
+from tiny import tiny
 
 import stmc
 from stmc.data import preparation
 from stmc.data.cache import FEATURES, TABLE, Cache
 from stmc.data.report import NUMBERS, TEXT
+from stmc.files import LOCK, FolderInUse, locked
+from stmc.run import CARD
 
 TIMELINE = "walk # 0 # 2 # legs\nraise the right arm # 0.5 # 1.5 # right arm\n"
 
@@ -134,3 +137,20 @@ def test_a_worker_that_is_killed_ends_in_a_sentence(tmp_path, monkeypatch):
     settings = (f"source={source}", f"folder={tmp_path / 'c'}", "workers=1")
     with pytest.raises(SystemExit, match="a worker was killed, perhaps for memory"):
         run("prepare", "prepare", "data=humanml3d_processed", *settings)
+
+
+def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, in_this_process):
+    busy, source = tmp_path / "busy", humanml3d(tmp_path / "HumanML3D", clips=2)
+    with locked(busy):
+        for name in ("train", "train_tmr"):
+            with pytest.raises(FolderInUse, match=rf"{busy} is being written by process {os.getpid()} on host"):
+                run(name, name, f"run={busy}", "data.folder=nowhere", "device=cpu")
+        with pytest.raises(SystemExit, match="is being written by process"):
+            run("prepare", "prepare", "data=humanml3d_processed", f"source={source}", f"folder={busy}", "workers=1")
+        assert os.listdir(busy) == [LOCK]
+
+
+def test_a_card_tells_which_settings_were_changed_on_the_way(tmp_path):
+    config = configured("train", f"run={tmp_path}", "data.folder=cache")
+    loaded("train").export(config, tiny(), 8, ["after step 4: cache: abc → abd"])
+    assert "Settings changed after step 4: cache: abc → abd" in (tmp_path / CARD).read_text("utf-8")

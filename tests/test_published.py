@@ -236,22 +236,45 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
         (partial(checkpoints.mdm, pred_len=40, context_len=20), "pred_len is 40"),
         (partial(checkpoints.mdm, sigma_small=False), "sigma_small is False"),
         (partial(checkpoints.mdm, text_encoder_type="bert"), "reads CLIP's sentences only"),
-        (partial(checkpoints.mdm, layers="many"), "layers must be a positive whole number, not 'many'"),
+        (partial(checkpoints.mdm, layers="many"), "layers must be a positive whole number up to 10000, not 'many'"),
         (partial(checkpoints.mdm, latent_dim=18), "(?s)args.json: denoiser cannot be built: .*multiple of heads"),
         (partial(checkpoints.mdm, latent_dim=32), r"does not fit|another table of positions"),
-        (partial(checkpoints.mdm, layers=2), r"does not fit MdmEncoder. missing: seqTransEncoder\.layers\.1"),
+        (
+            partial(checkpoints.mdm, layers=2),
+            r"does not fit the denoiser .*, MdmEncoder. missing: seqTransEncoder\.layers\.1",
+        ),
         (partial(checkpoints.mdm, use_ema=True, wrap=lambda weights: {"model": weights}), "has no model_avg"),
         (partial(checkpoints.motion_diffuse, more="no_eff: True"), "no_eff is True"),
         (partial(checkpoints.motion_diffuse, more="no_clip: True"), "no_clip is True"),
         (partial(checkpoints.motion_diffuse, more="dataset_name: kit"), "dataset_name is kit"),
         (partial(checkpoints.motion_diffuse, more="num_layers: two"), "num_layers must be a positive whole number"),
-        (partial(checkpoints.motion_diffuse, more=""), "does not fit MotionDiffuse"),
+        (partial(checkpoints.motion_diffuse, more=""), "does not fit the denoiser of the config, MotionDiffuse"),
         (partial(checkpoints.mdm_smpl, motion_features="rots"), "motion_features must be smplrifke or guoh3dfeats"),
         (partial(checkpoints.mdm_smpl, diffusion__prediction="y"), "prediction must be one of x, x0"),
-        (partial(checkpoints.mdm_smpl, diffusion__schedule={"_target_": "Square"}), "a cosine or linear schedule"),
+        (
+            partial(checkpoints.mdm_smpl, diffusion__schedule={"_target_": "Square"}),
+            "schedule must be cosine or",
+        ),
         (partial(checkpoints.mdm_smpl, diffusion__denoiser__num_heads=7), "config.json: denoiser cannot be built"),
+        (partial(checkpoints.mdm, layers=10**9), "layers must be a positive whole number up to"),
+        (partial(checkpoints.mdm, layers=9_999), "denoiser cannot be built: it has more layers than the"),
+        (partial(checkpoints.mdm, latent_dim=10_000), "does not fit the denoiser of the config, MdmEncoder"),
+        (partial(checkpoints.mdm, layers=True), "layers must be a positive whole number"),
+        (partial(checkpoints.mdm, noise_schedule=["cosine"]), "noise_schedule is"),
+        (partial(checkpoints.mdm_smpl, diffusion__timesteps=10**9), "timesteps must be a positive whole number up to"),
+        (partial(checkpoints.mdm_smpl, diffusion__timesteps="ten"), "timesteps must be a positive whole number"),
+        (
+            partial(checkpoints.mdm_smpl, diffusion__denoiser__num_heads="two"),
+            "denoiser.heads='two': a whole",
+        ),
+        (partial(checkpoints.mdm_smpl, diffusion__denoiser__dropout=[0]), r"denoiser.dropout=\[0\]: a number needed"),
+        (partial(checkpoints.mdm_smpl, diffusion__prediction=[]), "prediction must be one of x, x0"),
+        (partial(checkpoints.mdm_smpl, motion_features={}), "motion_features must be smplrifke or"),
+        (partial(checkpoints.mdm_smpl, data__text_encoder__modelname=7), "modelname must be a model's name, not 7"),
+        (partial(checkpoints.mdm_smpl, data__motion_loader__fps=1e300), "fps must be a positive number up to 1000"),
+        (partial(checkpoints.motion_diffuse, more="num_layers: " + "9" * 5000), "num_layers must be a positive whole"),
         (partial(checkpoints.mdm_smpl, data__motion_loader={}), "has no setting data.motion_loader.fps"),
-        (partial(checkpoints.mdm_smpl, data__motion_loader__fps=0), "fps must be a positive number, not 0"),
+        (partial(checkpoints.mdm_smpl, data__motion_loader__fps=0), "fps must be a positive number up to 1000, not 0"),
         (
             partial(checkpoints.mdm_smpl, data__text_encoder__modelname="gpt"),
             "mean_pooling of 'gpt' is not supported",
@@ -270,6 +293,27 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
 def test_what_cannot_be_imported_is_refused_with_the_reason(tmp_path, write, message):
     write(tmp_path / "theirs")
     refused(tmp_path / "theirs", message)
+
+
+CODE = "${oc.create:{_target_:pathlib.Path.touch,self:proof}}"
+
+
+@pytest.mark.parametrize("setting", [
+    {"diffusion__denoiser__dropout": CODE},
+    {"diffusion__denoiser__num_heads": CODE},
+    {"diffusion__schedule": {"_target_": "CosineSchedule", "s": CODE}},
+    {"diffusion__timesteps": CODE},
+    {"data__text_encoder__modelname": CODE, "data__text_encoder__mean_pooling": False},
+    {"data__motion_loader__fps": CODE},
+    {"diffusion__denoiser__dropout": {"_target_": "pathlib.Path.touch", "self": "proof"}},
+])  # fmt: skip
+def test_nothing_in_published_settings_is_run_escaped_or_not(tmp_path, monkeypatch, setting):
+    monkeypatch.chdir(tmp_path)
+    for slash in ("", "\\"):
+        changed = json.loads(json.dumps(setting).replace(json.dumps(CODE)[1:-1], json.dumps(slash + CODE)[1:-1]))
+        checkpoints.mdm_smpl(tmp_path / f"theirs{slash and 1}", **changed)
+        refused(tmp_path / f"theirs{slash and 1}", "config.json")
+    assert not (tmp_path / "proof").exists()
 
 
 @pytest.mark.parametrize(
@@ -331,7 +375,7 @@ def test_a_run_directory_that_is_there_is_not_touched(tmp_path):
 
 def test_a_full_disk_leaves_no_part_of_a_run_directory(tmp_path, monkeypatch):
     checkpoints.mdm(tmp_path / "theirs")
-    monkeypatch.setattr("stmc.run.OmegaConf.save", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
+    monkeypatch.setattr("stmc.run.directories.write_text", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
     with pytest.raises(OSError, match="no space left"):
         convert(tmp_path / "theirs", tmp_path / "ours")
     assert [path.name for path in tmp_path.iterdir()] == ["theirs"]

@@ -104,7 +104,7 @@ def test_one_file_and_statistics_elsewhere_do(tmp_path):
     ("change", "message"),
     [
         ({"dataset": "kit"}, "dataset must be humanml or babel, not 'kit'"),
-        ({"rpe_horizon": -1}, "rpe_horizon must be a positive whole number, not -1"),
+        ({"rpe_horizon": -1}, "rpe_horizon must be a positive whole number up to 10000, not -1"),
         ({"noise_schedule": "sigmoid"}, "noise_schedule must be cosine or linear"),
         ({"diffusion_steps": 50}, "diffusion_steps must be at least 60, not 50"),
         ({"extra": {"embed_action.weight": torch.zeros(1)}}, r"not known: embed_action\.weight"),

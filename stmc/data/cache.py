@@ -160,10 +160,23 @@ def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "_ features"]]]) -> tuple[
     return tuple(clips), torch.cat([features for _, features in rows])
 
 
+def read_caches(folders: str | Path | Sequence[str | Path]) -> Cache:
+    """The prepared data set in a folder; those in several folders as one.
+
+    Raises `CacheError` as `Cache.read` and `merged` do.
+    """
+    places = [folders] if isinstance(folders, str | Path) else list(folders)
+    caches = [Cache.read(Path(place).expanduser()) for place in places]
+    if len(caches) == 1:
+        return caches[0]
+    return dataclasses.replace(merged(caches), fingerprint=" ".join(cache.fingerprint for cache in caches))
+
+
 def merged(caches: Sequence[Cache]) -> Cache:
     """All caches as one, their clips in the order given, without a fingerprint. They must be of one kind.
 
-    Raises `CacheError` for caches of different kinds, and where two give the same key to different texts.
+    Statistics that some have of their own are not those of all, and are left out. Raises `CacheError` for caches of
+    different kinds or bodies, and where two give the same key to different texts.
     """
     first = caches[0]
     features = torch.empty(sum(len(cache.features) for cache in caches), first.features.shape[1])
@@ -174,6 +187,9 @@ def merged(caches: Sequence[Cache]) -> Cache:
         kinds = [(each.fps, each.representation, each.features.shape[1]) for each in (first, cache)]
         if kinds[0] != kinds[1]:
             raise CacheError(f"caches of two kinds: {kinds[0]} and {kinds[1]}")
+        bodies = [(each.skeleton or Skeleton.default()).offsets for each in (first, cache)]
+        if not torch.equal(*bodies):
+            raise CacheError("caches of two bodies: their skeletons differ")
         if twice := [key for key in cache.texts if texts.get(key, cache.texts[key]) != cache.texts[key]]:
             raise CacheError(f"the texts of {', '.join(twice)} differ from one cache to the other")
         features[start : start + len(cache.features)] = cache.features
@@ -182,7 +198,7 @@ def merged(caches: Sequence[Cache]) -> Cache:
         start += len(cache.features)
     skipped = tuple(row for cache in caches for row in cache.skipped)
     return dataclasses.replace(
-        first, features=features, clips=tuple(clips), texts=texts, skipped=skipped, fingerprint=""
+        first, features=features, clips=tuple(clips), texts=texts, skipped=skipped, fingerprint="", statistics=None
     )
 
 

@@ -5,6 +5,8 @@ Knows prepared caches and layouts; knows no particular data set, no body and no 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, get_args
@@ -30,6 +32,9 @@ NULL = 0
 SEAM = 6
 """Frames over which a composition's guest comes and goes within a row."""
 
+FLOOR = 1e-3
+"""What a feature of no field's own floor, or a number of a word, is divided by at least."""
+
 WHOLE_HOSTS = 1 / 3
 """The share of the compositions that are the host's whole stretch, under its text."""
 
@@ -42,8 +47,10 @@ class Corpus:
     """A cache and its texts, normalised and ready to draw from, on one device.
 
     `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
-    sentences' words; `skeleton` is the cache's, if it has its own. Features that vary by less than `floor` are divided
-    by it. Contents with fewer than `least` training clips have no texts: one clip of several actions teaches no word.
+    sentences' words, unless they are given; `skeleton` is the cache's, if it has its own. Features that vary by less
+    than `floor` are divided by it (of one field of the layout each, or of all): a field of several data sets can be
+    constant in the largest. What is more than `limit` standard deviations from the mean is put there. Contents with
+    fewer than `least` training clips have no texts: one clip of several actions teaches no word.
     Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
     """
 
@@ -52,8 +59,10 @@ class Corpus:
         cache: Cache,
         encoder: TextEncoder,
         layout: Layout,
-        floor: float = 1e-3,
+        floor: float | Mapping[str, float] = FLOOR,
         least: int = 5,
+        limit: float = math.inf,
+        text: Statistics | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         if cache.features.shape[1] != layout.width:
@@ -79,14 +88,15 @@ class Corpus:
         moving = cache.features[frames]
         if (moving.amax(dim=0) == moving.amin(dim=0)).all():
             raise ValueError(f"every one of the {len(frames)} training frames is the same: there is nothing to learn")
-        self.motion = (cache.statistics or Statistics.of(moving, floor)).to(device)
-        self._embed(cache, encoder, floor, device)
+        self.motion = (cache.statistics or Statistics.of(moving, _floors(layout, floor))).to(device)
+        self._limit = limit
+        self._embed(cache, encoder, text, device)
         # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]
         travelled = self.features[:, self.velocity].double().cumsum(dim=0)
         self._travelled = torch.cat([torch.zeros_like(travelled[:1]), travelled])
 
-    def _embed(self, cache: Cache, encoder: TextEncoder, floor: float, device: torch.device | str) -> None:
+    def _embed(self, cache: Cache, encoder: TextEncoder, text: Statistics | None, device: torch.device | str) -> None:
         keys = {clip.texts for clip, known in zip(cache.clips, self.described, strict=True) if known}
         self.sentences = ["", *sorted({text for key in keys for text, _ in cache.texts[key]} - {""})]
         words, lengths = encoder.encode(self.sentences)
@@ -95,7 +105,7 @@ class Corpus:
         trained = {clip.texts for clip in cache.clips if clip.split == "train"} & keys
         said = {text for key in trained for text, _ in cache.texts[key]}
         rows = torch.tensor([text in said for text in self.sentences], device=words.device)
-        self.text = Statistics.of(words[exists & rows[:, None]].float(), floor).to(device)
+        self.text = (text or Statistics.of(words[exists & rows[:, None]].float(), FLOOR)).to(device)
         self._text = torch.where(exists[..., None].to(device), self.text.normalise(words.to(device).float()), 0.0)
         place = {text: index for index, text in enumerate(self.sentences)}
         self.choices = {
@@ -131,7 +141,7 @@ class Corpus:
         text_lengths = torch.from_numpy(words).to(device)
         mask = None if (frames == frames.max()).all() else tensors.mask(lengths, int(frames.max()))
         text_mask = None if (words == words.max()).all() else tensors.mask(text_lengths, int(words.max()))
-        motion = self.motion.normalise(self._composed(self._cut(draws.body), draws))
+        motion = self.motion.normalise(self._composed(self._cut(draws.body), draws)).clamp(-self._limit, self._limit)
         if mask is not None:
             motion = torch.where(mask[..., None], motion, 0.0)
         text = self._text[torch.from_numpy(draws.sentence).to(device)][:, : int(words.max())]
@@ -366,6 +376,13 @@ class ClipBatches:
         frames = np.floor(np.minimum(source / speed, (source - 1) / speed + 1) + 1e-9).astype(int)
         body, none = Stretches(clip, begin + offset, begin + length, frames, speed), np.zeros(count, dtype=int)
         return Draws(body, sentence, replace(body, frames=none), none, sentence)
+
+
+def _floors(layout: Layout, floor: float | Mapping[str, float]) -> Float[Tensor, " features"]:
+    floors = torch.full((layout.width,), FLOOR if isinstance(floor, Mapping) else floor)
+    for name, of_field in floor.items() if isinstance(floor, Mapping) else ():
+        floors[layout[name]] = of_field
+    return floors
 
 
 def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:

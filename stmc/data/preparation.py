@@ -52,10 +52,11 @@ class Preparation(Protocol):
 
 def code(*places: str) -> str:
     """A name for the state of these modules and packages of the library, on which a cache depends as on its inputs."""
-    library = Path(__file__).parents[1]
-    found = [
-        path for place in places for path in sorted([*library.glob(f"{place}.py"), *library.glob(f"{place}/*.py")])
-    ]
+    library, found = Path(__file__).parents[1], []
+    for place in places:
+        files = sorted([*library.glob(f"{place}.py"), *library.glob(f"{place}/*.py")])
+        assert files, f"{place} is no module of the library"
+        found += files
     return fingerprint(found, places)
 
 

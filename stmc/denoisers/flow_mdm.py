@@ -33,6 +33,8 @@ class FlowMdm(Network):
     the frames where they come in, `skipped` is the probability to skip a layer's half.
     """
 
+    ends = "input_process.poseEmbedding", "output_process.poseFinal"
+
     def __init__(
         self,
         features: int,

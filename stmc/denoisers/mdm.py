@@ -24,14 +24,16 @@ Leading = Literal["step", "step_and_text"]
 class _Mdm(Network):
     """What both architectures share. See `MdmEncoder` for the arguments."""
 
+    ends = "input_process.poseEmbedding", "output_process.poseFinal"
+
     def __init__(
         self, features: int, text_width: int, width: int, heads: int, dropout: float, window: int | None
     ) -> None:
         super().__init__()
         if width % heads or width % 2:
             raise ValueError(f"width {width} must be even and a multiple of heads ({heads})")
-        if window is not None and window < 1:
-            raise ValueError(f"a window has at least 1 frame, not {window}")
+        if window is not None and not 1 <= window < POSITIONS:
+            raise ValueError(f"a window has 1 to {POSITIONS - 1} frames, not {window}")
         self.window = window
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features, width)})
         time_embed = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))

@@ -26,6 +26,8 @@ class MdmSmpl(Network):
     so that a sample does not depend on its batch; None: behind that text, as published (which reads one word a text).
     """
 
+    ends = "skel_embedding", "to_skel_layer"
+
     def __init__(
         self,
         features: int,

@@ -26,6 +26,8 @@ class MotionDiffuse(Network):
     (`stmc.text.ClipTokens` puts it there). The others' order is free: the text transformer knows no positions.
     """
 
+    ends = "joint_embed", "out"
+
     def __init__(
         self,
         features: int,

@@ -6,9 +6,16 @@ Knows no layers; see `protocol` for what a denoiser is.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
+
+from stmc.statistics import Statistics
+
+WIDEST = 1.5
+"""How much more than before the first layer may make of a feature whose statistics have changed: of its noise, too."""
 
 
 class Network(nn.Module, ABC):
@@ -17,6 +24,24 @@ class Network(nn.Module, ABC):
     window: int | None = None
     """How many frames it always sees, from a crop's first one on: also those behind the crop's end, where the timeline
     goes on, or noise. None: a crop's own frames, with a mask where crops of a batch are padded."""
+
+    ends: ClassVar[tuple[str, str]]
+    """Names of the linear layers that take features in and give them out."""
+
+    @torch.no_grad()
+    def restate(self, old: Statistics, new: Statistics) -> None:
+        """Makes weights that were trained on features normalised by `old` ones for features normalised by `new`.
+
+        What comes out is the same motion, for an input that is. What goes in is the same but for features that `new`
+        divides by far more, whose noise would be blown up as well: these count `WIDEST` times as much as before.
+        """
+        first, last = map(self.get_submodule, self.ends)
+        narrower, moved = (old.std / new.std).to(last.weight), ((new.mean - old.mean) / new.std).to(last.weight)
+        last.bias.mul_(narrower).sub_(moved)
+        last.weight.mul_(narrower[:, None])
+        scale = (1 / narrower).clamp(max=WIDEST)
+        first.bias.add_(first.weight @ (scale * moved))
+        first.weight.mul_(scale)
 
     @property
     def mixed(self) -> bool:

@@ -21,6 +21,10 @@ Steps = int | Int[Tensor, " batch"]
 """One step for the whole batch, or one for each sample; 0 is the least noisy."""
 
 
+MOST_STEPS = 10_000
+"""Of a schedule; published ones have 50 to 1000."""
+
+
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """A noise schedule: `alpha_bar[t]` is the share of the clean sample's variance that is left at step t."""
@@ -35,6 +39,7 @@ class Schedule:
     @classmethod
     def cosine(cls, steps: int, s: float = 0.008) -> Schedule:
         """The schedule of Nichol and Dhariwal (2021), which MDM-SMPL uses with 100 steps; no beta exceeds 0.999."""
+        _check_steps(steps)
 
         def left(u: float) -> float:
             return math.cos(math.pi / 2 * (u + s) / (1 + s)) ** 2
@@ -44,6 +49,7 @@ class Schedule:
     @classmethod
     def linear(cls, steps: int) -> Schedule:
         """The schedule of Ho et al. (2020), 1e-4 to 0.02 for 1000 steps, rescaled to other numbers of steps."""
+        _check_steps(steps)
         scale = 1000 / steps
         return cls._from_betas(torch.linspace(1e-4 * scale, 0.02 * scale, steps, dtype=torch.float64).tolist())
 
@@ -130,6 +136,11 @@ class Schedule:
         if prediction == "score":
             return 1 / signal, noise**2 / signal
         raise ValueError(f"unknown prediction {prediction!r}; choose from {', '.join(get_args(Prediction))}")
+
+
+def _check_steps(steps: int) -> None:
+    if not 1 <= steps <= MOST_STEPS:
+        raise ValueError(f"steps={steps}: a schedule has 1 to {MOST_STEPS} steps")
 
 
 def _at(coefficients: Float64[Tensor, " _"], t: Steps, like: Tensor) -> Tensor:

@@ -21,9 +21,11 @@ from stmc.published.checkpoint import (
     read_json,
     read_statistics,
     state_dict,
+    whole,
     without,
     without_tables,
 )
+from stmc.settings import shown
 
 DEFAULTS = {
     "dataset": "humanml",
@@ -73,7 +75,8 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
     weights = without(_weights(read_checkpoint(path), settings, path), "clip_model.")
     leading = _leading(settings, said)
     config = _described(settings, leading, text_model)
-    parts = built(config, str(path.parent / "args.json"))
+    learned = {name: value for name, value in weights.items() if name not in TABLES}
+    parts = built(config, learned, path.parent / "args.json", str(path))
     network = parts["denoiser"]
     fill(network, without_tables(weights, TABLES, network.positions, path), str(path))
     folder = path.parent if statistics is None else statistics
@@ -106,13 +109,12 @@ def _settings(path: Path) -> tuple[dict[str, Any], set[str]]:
     if "unconstrained" not in said and "cond_mode" in said:  # before August 2022
         settings["unconstrained"] = "text" not in str(said["cond_mode"])
     for name, choices in CHOICES.items():
-        if settings[name] not in choices:
+        if not any(settings[name] is choice or settings[name] == choice for choice in choices):
             raise CheckpointError(
-                f"{path}: {name} is {settings[name]!r}, but only {' or '.join(map(repr, choices))} can be imported"
+                f"{path}: {name} is {shown(settings[name])}, but only {' or '.join(map(repr, choices))} can be imported"
             )
     for name in ("layers", "latent_dim", "diffusion_steps"):
-        if not isinstance(settings[name], int) or settings[name] < 1:
-            raise CheckpointError(f"{path}: {name} must be a positive whole number, not {settings[name]!r}")
+        whole(settings[name], name, path)
     if settings["arch"] == "trans_enc" and settings["text_encoder_type"] == "bert":
         raise CheckpointError(f"{path}: trans_enc with bert: the published encoder reads CLIP's sentences only")
     return settings, set(said)

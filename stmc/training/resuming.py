@@ -10,7 +10,7 @@ from typing import Any
 
 MAY_CHANGE = (
     *("run", "data.folder", "data.preparation", "text_cache"),  # places: what lies there has a fingerprint
-    *("device", "threads", "training.compile"),  # the machine
+    *("device", "threads", "training.compile", "trusted"),  # the machine, and whose code may run there
     *("training.steps", "training.log_every", "training.validate_every", "training.checkpoint_every", "training.keep"),
     *("draw", "draw_every", "spread", "allow_changed_settings"),  # what is done with the weights, not what they become
 )

@@ -26,7 +26,7 @@ TOLERANCE = 0.5
 """Seconds that an annotation may go on after its recording has ended: clocks and roundings differ."""
 
 _CODE = ("arrays", "representation", "body", "body_model", "geometry", "motion")
-_HERE = ("amass", "annotated_amass", "annotations", "cache", "sentences", "spans")
+_SOURCES = ("amass", "annotated_amass", "annotations", "bandai_sentences")
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class AnnotatedAmass:
     @cached_property
     def _settings(self) -> tuple[object, ...]:
         """All that a piece depends on beside its recording."""
-        state = code(*_CODE, *(f"data/{name}" for name in _HERE))
+        state = code(*_CODE, "data/cache", "data/spans", *(f"data/sources/{name}" for name in _SOURCES))
         kind = type(self.representation).__qualname__
         bones = self._skeleton.offsets.tolist()
         return state, self.fps, kind, bones, self.shortest, self.longest

@@ -28,6 +28,7 @@ from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
 from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe, mirrored_content
 from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
+from stmc.data.sources.segments import Segment, segments
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
 from stmc.untrusted import UnreadableError, cut, read_bytes, shown
@@ -193,10 +194,11 @@ def _folder(path: Path) -> Iterator[tuple[str, str | BvhError]]:
 def inputs(source: Path) -> list[Path]:
     """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
     code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
-    code += ("data/bandai", "data/bvh", "data/cache", "data/sentences", "untrusted")
-    here = Path(__file__).parents[1]
+    code += ("data/sources/bandai", "data/sources/bvh", "data/cache", "data/sources/bandai_sentences", "untrusted")
+    code += ("data/sources/segments",)
+    here = Path(__file__).parents[2]
     files = [here / f"{name}.py" for name in code]
-    return [Path(source), *files, here / "assets/skeleton.json"]
+    return [Path(source), *files, here / "assets/skeleton.json", here / "assets/segments.json"]
 
 
 def rest_rotations(names: Iterable[str]) -> Float[Tensor, "joints 3 3"]:
@@ -267,11 +269,13 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
         (True, mirrored_content(named.content), motion.mirrored()),
     ):
         posed = Motion.posed(moved.rotations, moved.translation, fps, skeleton)
+        cuts = segments("bandai").get(name, ())
+        unsaid = name in MISNAMED or content in {cut.content for cut in cuts}
         clip = Clip(
             name=f"M/{name}" if mirrored else name,
             content=content,
             style=named.style,
-            texts=UNSAID if name in MISNAMED else f"{content}/{named.style}",
+            texts=UNSAID if unsaid else f"{content}/{named.style}",
             parts=tuple(sorted(CONTENTS[content].parts)),
             cyclic=CONTENTS[content].cyclic,
             mirrored=mirrored,
@@ -283,7 +287,25 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
         if not (features.abs() < FARTHEST).all():
             raise BvhError(f"its features are not all finite and below {FARTHEST:g} (metres, metres per second)")
         rows.append((clip, features))
+        rows += [_cut(clip, features, number, cut, fps) for number, cut in enumerate(cuts)]
     return rows
+
+
+def _cut(
+    clip: Clip, features: Float[Tensor, "frames features"], number: int, segment: Segment, fps: float | int
+) -> tuple[Clip, Float[Tensor, "_ features"]]:
+    """The part of a clip that a segment names: one action of several, or its actor standing still."""
+    content = mirrored_content(segment.content) if clip.mirrored else segment.content
+    part = dataclasses.replace(
+        clip,
+        name=f"{clip.name}/{number}",
+        content=content,
+        style="normal",
+        texts=f"{content}/normal",
+        parts=tuple(sorted(CONTENTS[content].parts)),
+        cyclic=CONTENTS[content].cyclic,
+    )
+    return part, features[round(segment.start * fps) : round(segment.end * fps)]
 
 
 def read_clips(source: Path, fps: float | int, workers: int) -> Iterator[tuple[str, list | str]]:

@@ -1,6 +1,7 @@
-"""What people would write about each clip of the Bandai Namco motion dataset: contents, styles and their mirror images.
+"""What people would write about what clips show: contents, styles and their mirror images.
 
-Knows the dataset's content and style labels and English; knows no files, no motion and no text encoder.
+Knows the Bandai Namco dataset's content and style labels, the contents of `assets/segments.json` and English; knows no
+recordings, no motion and no text encoder.
 Sentences that name a side are written once, for the left; those of the right are their mirror images, so that a
 mirrored clip always has a sentence of its own.
 """
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from stmc.body import BodyPart
+from stmc.data.sources.segments import table
 
 PLAIN_SHARE = 0.5
 """Share of the draws in which a styled clip is described without its style, so that plain texts reach every style."""
@@ -299,8 +301,13 @@ _CONTENTS = (
     )),
 )  # fmt: skip
 
-CONTENTS: Mapping[str, Content] = MappingProxyType({content.name: content for content in _CONTENTS})
-"""Every content of the dataset by its label."""
+_OF_SEGMENTS = (
+    Content(name, frozenset(map(BodyPart, row["parts"])), row["cyclic"], tuple(row["sentences"]))
+    for name, row in table()["contents"].items()
+)
+
+CONTENTS: Mapping[str, Content] = MappingProxyType({each.name: each for each in (*_CONTENTS, *_OF_SEGMENTS)})
+"""Every content by its name: the Bandai dataset's labels, and what else segments of recordings show."""
 
 _MASCULINE = ("like a man", "in a masculine way", "in a manly manner", "with a masculine manner")
 _OLD = ("like an old person", "like an elderly person", "in an elderly way", "as if very old", "like a grandparent")

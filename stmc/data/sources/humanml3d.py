@@ -146,7 +146,7 @@ class ProcessedHumanML3D:
 
     @cached_property
     def _code(self) -> str:
-        return code("arrays", "representation/layout", "data/humanml3d", "data/cache", "data/spans")
+        return code("arrays", "representation/layout", "data/sources/humanml3d", "data/cache", "data/spans")
 
     def fingerprint(self) -> str:
         """Of every clip in the lists, its captions, the statistics, the lists and the code."""

@@ -1,0 +1,134 @@
+"""CMU's motion capture database as one of those that scripts/prepare.py knows.
+
+Knows what preparing is and which segments of the recordings show what; how those are read and converted is `cmu`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body_model import Skeleton
+from stmc.data.cache import Cache, Clip, assemble, fingerprint
+from stmc.data.preparation import LayoutError, Watch, code, in_parallel
+from stmc.data.sources import cmu
+from stmc.data.sources.bandai_sentences import CONTENTS, describe, mirrored_content
+from stmc.data.sources.segments import Segment, segments, splits
+from stmc.motion import Motion
+from stmc.representation.smpl import SmplRepresentation
+
+STYLE = "normal"
+"""Of all clips: CMU labels none."""
+
+_CODE = ("data/sources/*", "data/bvh", "data/cache", "data/sentences", "body", "body_model", "geometry", "motion")
+_CODE += ("inverse_kinematics", "representation/layout", "representation/smpl")
+
+Rows = list[tuple[Clip, Float[Tensor, "frames features"]]]
+
+
+@dataclass(frozen=True)
+class CmuClips:
+    """`source` is a folder with subjects' `.asf` and `.amc` files, conversions to `.bvh`, or both, in any folders below
+    it; or a `.tar.xz` of one. A `Preparation`. Takes a few minutes; nothing of a run that was killed is kept."""
+
+    source: str | Path
+    fps: float | int
+
+    @property
+    def _source(self) -> Path:
+        return Path(self.source).expanduser()
+
+    def check(self) -> None:
+        """Raises `LayoutError` where there is no such file or folder."""
+        if not self._source.exists():
+            raise LayoutError(f"source={self.source} does not exist; it should be a folder of recordings or a .tar.xz")
+
+    def fingerprint(self) -> str:
+        """Of the archive or every file of the folder, the code, the segments and the frame rate."""
+        assets = Path(__file__).parents[2] / "assets"
+        inputs = [self._source, assets / "segments.json", assets / "skeleton.json"]
+        return fingerprint(inputs, [self.fps, code(*_CODE)])
+
+    def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
+        """See `Preparation`. Recordings without segments are left alone; others that cannot be used are named."""
+        wanted, skipped, sources = segments("cmu"), [], []
+        for source in cmu.read_sources(self._source):
+            if isinstance(source, tuple):
+                skipped.append(source)
+            elif source.name in wanted:
+                sources.append(source)
+        found = {source.name for source in sources} | {name.partition(" ")[0] for name, _ in skipped}
+        skipped += [(name, "not among the recordings") for name in wanted if name not in found]
+        jobs = ((source.name, (convert, source, self.fps)) for source in sources)
+        return gather(watch(in_parallel(jobs, workers), len(sources)), self.fps, skipped)
+
+
+def convert(source: cmu.Source, fps: float | int) -> Rows:
+    """The segments of one recording and their mirror images as 205 features on the default skeleton.
+
+    The recording is encoded as a whole, and heights are those above its own floor: a segment that does not touch the
+    ground (a sitter's feet may not) does not know where it is. Raises `ValueError` with what is wrong with it.
+    """
+    skeleton = Skeleton(Skeleton.default().offsets.double())
+    motion = cmu.read(source, skeleton, fps)
+    rows: Rows = []
+    for mirrored, moved in ((False, motion), (True, motion.mirrored())):
+        features = encoded(Motion.posed(moved.rotations, moved.translation, fps, skeleton))
+        for number, segment in enumerate(segments("cmu")[source.name]):
+            first, last = round(segment.start * fps), min(round(segment.end * fps), len(features))
+            if last - first < 2:
+                raise cmu.CmuError(f"{len(features) / fps:g} s are too short for a segment from {segment.start:g} s on")
+            rows.append((_clip(segment, number, mirrored), features[first:last]))
+    return rows
+
+
+def encoded(motion: Motion) -> Float[Tensor, "frames features"]:
+    """Its features, with the pelvis' height above the floor (z = 0) and not above the motion's lowest joint."""
+    representation = SmplRepresentation()
+    features = representation.encode(motion)
+    features[:, representation.layout["root_height"]] = motion.translation[:, 2:]
+    return features.float()
+
+
+def gather(recordings: Iterable[tuple[str, Rows | str]], fps: float | int, skipped: list[tuple[str, str]]) -> Cache:
+    """The cache of all converted recordings, in the order of their names, without a fingerprint. Raises `ValueError`
+    where none is left."""
+    converted: dict[str, Rows] = {}
+    for name, rows in recordings:
+        if isinstance(rows, str):
+            skipped.append((name, rows))
+        else:
+            converted[name] = rows
+    if not converted:
+        first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
+        raise ValueError(f"no recording could be used, {len(skipped)} were skipped{first}")
+    clips, features = assemble(list(_in_order(converted)))
+    texts = {clip.texts: describe(clip.content, clip.style) for clip in clips}
+    return Cache(fps, "smpl", features, clips, texts, tuple(skipped))
+
+
+def _in_order(converted: dict[str, Rows]) -> Iterator[tuple[Clip, Tensor]]:
+    for name in sorted(converted):
+        yield from converted[name]
+
+
+def _clip(segment: Segment, number: int, mirrored: bool) -> Clip:
+    """Of a segment, or of its mirror image; where its frames are is still to be set."""
+    name, content = f"{segment.recording}/{number}", segment.content
+    content = mirrored_content(content) if mirrored else content
+    return Clip(
+        name=f"M/{name}" if mirrored else name,
+        content=content,
+        style=STYLE,
+        texts=f"{content}/{STYLE}",
+        parts=tuple(sorted(CONTENTS[content].parts)),
+        cyclic=CONTENTS[content].cyclic,
+        mirrored=mirrored,
+        split=splits().get(segment.recording, "train"),
+        start=0,
+        end=1,
+    )
