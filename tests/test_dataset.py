@@ -341,7 +341,8 @@ def test_any_body_with_other_parts_can_be_a_host_and_shows_its_own_text_only_whe
         clips.append(Clip(f"{name}-{number}", name, "", name, (part,), False, False, "train", start, start + frames))
         start += frames
     texts = {name: ((name, 1.0),) for name in ("turn", "left", "right")}
-    data = Cache(20.0, "smpl", torch.zeros(start, 205), tuple(clips), texts)
+    features = torch.linspace(0, 1, start)[:, None].repeat(1, 205)
+    data = Cache(20.0, "smpl", features, tuple(clips), texts)
     corpus = Corpus(data, LetterCounts(), SmplRepresentation().layout)
     settings = {"crops": 0.0, "silent": 0.0, "trim": 0.0, "pool": 1, "pieces": 1, "composed": 1.0}
     [walking] = ClipBatches(corpus, "train", Sampling(rows=96, **settings)).draws(0)
