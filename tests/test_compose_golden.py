@@ -1,5 +1,6 @@
 """Stitching, complete sampling runs and the padding on MTT: parity with the published code."""
 
+import functools
 import zlib
 
 import numpy as np
@@ -21,6 +22,7 @@ def golden_columns(folder, layout: str) -> dict[BodyPart, list[int]]:
     return {BodyPart(part): own for part, own in golden(folder, "body_part_indexes.json")[layout].items()}
 
 
+@functools.cache
 def mtt(folder) -> dict[int, Timeline]:
     return {
         entry["id"]: timeline(*[(str(i), *frames, *parts) for i, (*frames, parts) in enumerate(entry["prompts"])])
