@@ -1,7 +1,6 @@
 """Measures what a model can do, by the geometry of its samples: `python scripts/abilities.py model=RUN`."""
 
 import json
-from functools import partial
 from pathlib import Path
 
 import hydra
@@ -25,8 +24,8 @@ def main(config: DictConfig) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     results = {}
     with Progress() as progress:
-        task = progress.add_task("Sampling", total=len(config.spreads) * len(abilities()))
-        for spread in config.spreads:
+        task = progress.add_task("Sampling", total=len(config.noise_scales) * len(abilities()))
+        for scale in config.noise_scales:
             for ability in abilities():
                 motions = model.generate(
                     [ability.timeline] * config.samples,
@@ -34,16 +33,16 @@ def main(config: DictConfig) -> None:
                     guidance=config.guidance,
                     overlap=config.overlap,
                     steps=config.steps,
-                    sampler=partial(stmc.ddpm, spread=spread),
+                    noise_scale=scale,
                 )
-                results.setdefault(ability.name, {})[spread] = measured(ability, motions)
+                results.setdefault(ability.name, {})[scale] = measured(ability, motions)
                 figure = partial(pictures(motions[0], ability.timeline).savefig, format="png", dpi=80)
-                write_whole(folder / f"{ability.name.replace(' ', '_')}_{spread}.png", figure)
+                write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)
                 progress.advance(task)
     if config.cache:
         results["real"] = real(Cache.read(Path(config.cache)), model)
     write_text(folder / "abilities.json", json.dumps(results, indent=1) + "\n")
-    report(results, config.spreads)
+    report(results, config.noise_scales)
 
 
 def measured(ability, motions) -> dict[str, float]:
@@ -68,22 +67,22 @@ def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
     return {content: float(np.nanmean(values)) for content, values in sorted(contents.items())}
 
 
-def report(results: dict, spreads: list[str]) -> None:
+def report(results: dict, noise_scales: list[str]) -> None:
     columns = ("shown", "m/s", "°", "slide cm", "div cm")
-    table = Table("", "expected", *(f"{column}, {spread}" for spread in spreads for column in columns))
+    table = Table("", "expected", *(f"{column}, {scale}" for scale in noise_scales for column in columns))
     for name, rows in results.items():
         if name == "real":
             continue
         cells = [
             text
-            for spread in spreads
-            for row in [rows[spread]]
+            for scale in noise_scales
+            for row in [rows[scale]]
             for text in (
                 f"{row['shown']:.0%}", f"{row['speed']:.2f}", f"{row['turn']:.0f}", f"{row['sliding_cm']:.2f}",
                 f"{row['diversity_cm']:.1f}",
             )
         ]  # fmt: skip
-        table.add_row(name, f"{rows[spreads[0]]['expected']:.0%}", *cells)
+        table.add_row(name, f"{rows[noise_scales[0]]['expected']:.0%}", *cells)
     Console().print(table)
     for content, value in results.get("real", {}).items():
         Console().print(f"real {content}: feet slide {value:.2f} cm per frame of contact")

@@ -12,7 +12,7 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
-from stmc.results.naming import method
+from stmc.results.naming import method_row
 
 
 @hydra.main(config_path="../configs", config_name="benchmark", version_base="1.3")
@@ -37,7 +37,7 @@ def main(config: DictConfig) -> None:
     difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
     plans = model.plans(timelines)
     table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {model.device}")
-    names = [f"time of STMC / {method(name).label}, {place or 'the bundled model'}" for name, place in rivals]
+    names = [f"time of STMC / {method_row(name).label}, {place or 'the bundled model'}" for name, place in rivals]
     for name, ratios in zip(["time per timeline, alone / in the batch", *names], zip(*rows, strict=True), strict=True):
         table.add_row(name, f"{median(ratios):.2f}")
     table.add_row("largest difference of a joint, batch against alone", f"{difference:.1e} m")

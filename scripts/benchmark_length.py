@@ -25,7 +25,7 @@ from rich.table import Table
 import stmc
 from stmc.files import write_text, write_whole
 from stmc.results.axes import DASHED, dress, grid, legend
-from stmc.results.naming import method
+from stmc.results.naming import method_row
 from stmc.viewing.colours import palette
 from stmc.viewing.tracks import INK
 
@@ -124,7 +124,7 @@ def table(rows: list[dict]) -> Table:
         seconds = f"{row['seconds']:.2f}" if "seconds" in row else "–"
         memory = [f"{row[name] / MEBIBYTE:.0f} MiB" for name in ("peak_bytes", "sampling_bytes")]
         table.add_row(
-            method(row["method"]).label, f"{row['length']:g} s", f"{row['relative_time']:.2f}", seconds, *memory
+            method_row(row["method"]).label, f"{row['length']:g} s", f"{row['relative_time']:.2f}", seconds, *memory
         )
     return table
 
@@ -149,7 +149,7 @@ def draw(axes: Axes, rows: list[dict], key: str, unit: int) -> None:
         own = [row for row in rows if (row["method"], row["model"]) == run and row[key] > 0]
         lengths, values = [row["length"] for row in own], [row[key] / unit for row in own]
         named = [other for other, _ in runs].count(run[0]) > 1
-        label = f"{method(run[0]).label}, {Path(run[1] or 'bundled').name}" if named else method(run[0]).label
+        label = f"{method_row(run[0]).label}, {Path(run[1] or 'bundled').name}" if named else method_row(run[0]).label
         axes.plot(lengths, values, color=colour, marker="o", markersize=4, linewidth=1.6, label=label)
         if own:
             straight = [values[-1] / lengths[-1] * length for length in lengths]

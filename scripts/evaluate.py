@@ -25,15 +25,14 @@ from safetensors.torch import load_file, save_file
 
 import stmc
 from stmc.benchmarks import Benchmark
-from stmc.denoisers import FlowMdm
-from stmc.diffusion import SAMPLERS
+from stmc.composing import find_method, settled
 from stmc.files import write_text, write_whole
-from stmc.model import OWN_LATE
-from stmc.representation import JointsFrom
 from stmc.results import Result, read_results, write_results
-from stmc.results.naming import ALONE, METHODS, REAL
-from stmc.results.records import Setting
+from stmc.results.naming import REAL
+from stmc.results.records import SETTINGS, Setting
 from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
+from stmc.sampling import Sampling
+from stmc.settings import record_of
 
 
 @hydra.main(config_path="../configs", config_name="evaluate", version_base="1.3")
@@ -48,7 +47,7 @@ def main(config: DictConfig) -> None:
             name: stmc.load(place, device=config.device, precision=config.precision)
             for name, place in config.models.items()
         }
-        settings = list(dict.fromkeys(chosen(config.experiment, models)))
+        settings = list(dict.fromkeys(chosen(config.experiment, models, tuple(config.trusted))))
         benchmark = instantiate(config.benchmark)(judge=evaluator)
         results = begun(folder, about(config))
         with Progress(
@@ -69,40 +68,18 @@ def main(config: DictConfig) -> None:
         raise SystemExit(str(error)) from error
 
 
-def chosen(experiment: DictConfig, models: dict[str, stmc.Model]) -> Iterator[Setting]:
+def chosen(experiment: DictConfig, models: dict[str, stmc.Model], trusted: tuple[str, ...]) -> Iterator[Setting]:
     """All combinations of an experiment, each with what does not apply to it left out, and the model's own where the
-    experiment leaves it open. FlowMDM's own method is of its networks alone. Raises `ValueError` for unknown names."""
-    for name, given, choices in (
-        ("methods", experiment.methods, [name for name in METHODS if name != REAL]),
-        ("settings.sampler", experiment.settings.sampler, SAMPLERS),
-    ):
-        if unknown := [each for each in given if each not in choices]:
-            raise ValueError(f"experiment.{name}: unknown {unknown[0]!r}; choose from {', '.join(choices)}")
-    if experiment.real:
-        yield Setting(REAL, "", *[None] * (len(Setting._fields) - 2))
+    experiment leaves it open. A method that needs a text for every frame is of such networks alone. Raises
+    `SettingError` for unknown names and values that do not fit."""
+    methods = {name: find_method(name, trusted) for name in experiment.methods}
     grid = itertools.product(*experiment.settings.values())
-    combinations = [dict(zip(experiment.settings, values, strict=True)) for values in grid]
-    for (name, model), method, values in itertools.product(models.items(), experiment.methods, combinations):
-        flow = isinstance(model.denoiser, FlowMdm)
-        if method == "flow_mdm" and not flow:
-            continue
-        own = {
-            "steps": model.schedule.steps,
-            "guidance": model.guidance,
-            "spread": model.spread,
-            "late": model.late,
-            "absolute": round(1 - model.denoiser.absolute_from / model.schedule.steps, 6) if flow else None,
-        }
-        values = {key: own.get(key) if value is None else value for key, value in values.items()}
-        if values["sampler"] != "ddpm":
-            values["spread"] = None
-        if method not in OWN_LATE:
-            values["late"] = None
-        if not flow:
-            values["absolute"] = None
-        if method in (ALONE, "one_text", "sinc", "flow_mdm"):
-            values["overlap"] = None
-        yield Setting(method, name, **values)
+    combinations = [record_of(Sampling, dict(zip(experiment.settings, values, strict=True))) for values in grid]
+    if experiment.real:
+        yield Setting(REAL)
+    for (name, model), method, asked in itertools.product(models.items(), methods, combinations):
+        if model.network.per_frame_text or not methods[method].per_frame_text:
+            yield Setting(method, name, settled(asked, methods[method], model.own_sampling))
 
 
 def about(config: DictConfig) -> dict:
@@ -149,7 +126,7 @@ def run(
         motions, seconds = sampled(benchmark, models[setting.denoiser], setting, seed, config, progress)
         scores = benchmark.measured(setting.method, motions, seed)
         rmtree(unfinished(setting, seed, config))
-    return Result(seed=seed, metrics=scores.metrics | seconds, curves=scores.curves, **setting._asdict())
+    return Result(seed=seed, metrics=scores.metrics | seconds, curves=scores.curves, **vars(setting))
 
 
 def sampled(
@@ -173,7 +150,11 @@ def sampled(
         if not path.exists():
             seeds = [seed * len(timelines) + number for number in numbers]
             began = time.perf_counter()
-            batch = generated(model, setting, [timelines[number] for number in numbers], seeds, benchmark.joints_from)
+            chosen = [timelines[number] for number in numbers]
+            method = find_method(setting.method, config.trusted)
+            batch = model.generate(
+                chosen, seed=seeds, method=method, joints_from=benchmark.joints_from, **setting.sampling.given
+            )
             spent, made = spent + time.perf_counter() - began, made + len(batch)
             write_whole(path, partial(save_file, packed(batch)))
         motions |= dict(zip(numbers, unpacked(load_file(path), model.fps), strict=True))
@@ -185,27 +166,8 @@ def sampled(
 
 def unfinished(setting: Setting, seed: int, config: DictConfig) -> Path:
     """Where the motions of a run wait for the others."""
-    name = "_".join(str(value) for value in (*setting, seed))
+    name = "_".join(str(setting.value(name)) for name in SETTINGS) + f"_{seed}"
     return Path(config.output).expanduser() / "unfinished" / re.sub(r"[^\w.-]+", "_", name)
-
-
-def generated(
-    model: stmc.Model, setting: Setting, timelines: list[stmc.Timeline], seeds: list[int], joints_from: JointsFrom
-) -> list[stmc.Motion]:
-    sampler = SAMPLERS[setting.sampler]
-    if setting.absolute is not None:
-        model.denoiser.absolute_from = round((1 - setting.absolute) * model.schedule.steps)
-    return model.generate(
-        timelines,
-        seed=seeds,
-        guidance=setting.guidance,
-        overlap=setting.overlap or 0.0,
-        steps=setting.steps,
-        sampler=partial(sampler, spread=setting.spread) if setting.spread else sampler,
-        method="stmc" if setting.method == ALONE else setting.method,
-        late=setting.late or 0.0,
-        joints_from=joints_from,
-    )
 
 
 PACKED = ("rotations", "translation", "joints")

@@ -7,7 +7,7 @@ from functools import partial
 from importlib.resources import files
 from itertools import chain, count
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import hydra
 import torch
@@ -16,20 +16,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import stmc
-from stmc.diffusion import SAMPLERS, Spread
+from stmc.composing import find_method
 from stmc.files import write_text
-from stmc.model import Method, Precision, check_late
+from stmc.model import Precision
 from stmc.run import fingerprint
+from stmc.sampling import Sampling
+from stmc.settings import about, record_of
 
-CHOICES = {
-    "sampler": tuple(SAMPLERS),
-    "method": get_args(Method),
-    "spread": (None, *get_args(Spread)),
-    "precision": get_args(Precision),
-}
 FORMATS = ("npz", "bvh", "html")
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
-DECIDING = ("seed", "method", "late", "sampler", "spread", "steps", "guidance", "overlap", "precision")
+DECIDING = ("seed", "method", "precision", *about(Sampling))
 Job = tuple[str, stmc.Timeline, int]
 """A motion to be: its files' name, its timeline, its seed."""
 
@@ -37,10 +33,8 @@ Job = tuple[str, stmc.Timeline, int]
 @hydra.main(config_path="../configs", config_name="sample", version_base="1.3")
 def main(config: DictConfig) -> None:
     console = Console()
-    check(config)
     try:
-        if config.late is not None:
-            check_late(config.late, config.method)
+        check(config)
         source = Path(config.timeline or str(files("stmc") / "assets/timelines/walk_and_wave.json")).expanduser()
         timelines = list(named(stmc.Timeline.read_all(source), source.stem))
         made_by = fingerprint(config.model)
@@ -49,6 +43,7 @@ def main(config: DictConfig) -> None:
             console.print(f"every motion is in {config.output} already")
             return
         model = stmc.load(config.model, device=config.device, precision=config.precision)
+        model.settings(find_method(config.method, config.trusted), **sampling(config))
         model.plans([timeline for _, timeline, _ in jobs], config.overlap)  # what cannot be planned fails now
     except (ValueError, OSError) as error:
         raise SystemExit(str(error)) from error
@@ -62,14 +57,20 @@ def main(config: DictConfig) -> None:
 
 def check(config: DictConfig) -> None:
     """Refuses what would fail only after minutes of sampling."""
-    for key, choices in CHOICES.items():
-        if config[key] not in choices:
-            raise SystemExit(f"{key}={config[key]}: choose from {', '.join(filter(None, choices))}")
+    if config.precision not in get_args(Precision):
+        raise SystemExit(f"precision={config.precision}: choose from {', '.join(get_args(Precision))}")
+    find_method(config.method, config.trusted)
+    sampling(config)
     if not config.formats or set(config.formats) - set(FORMATS):
         raise SystemExit(f"formats={list(config.formats)}: choose from {', '.join(FORMATS)}")
-    for key in ("samples", "batch", "steps"):
-        if config[key] is not None and config[key] < 1:
+    for key in ("samples", "batch"):
+        if config[key] < 1:
             raise SystemExit(f"{key}={config[key]}: at least 1")
+
+
+def sampling(config: DictConfig) -> dict[str, Any]:
+    """The settings of `Sampling` that are said."""
+    return dict(record_of(Sampling, {name: config[name] for name in about(Sampling)}).given)
 
 
 def named(timelines: list[stmc.Timeline], stem: str) -> Iterator[tuple[str, stmc.Timeline]]:
@@ -135,20 +136,14 @@ def sampled(
 
 
 def generate(model: stmc.Model, jobs: list[Job], config: DictConfig, progress: Progress) -> list[stmc.Motion]:
-    sampler = SAMPLERS[config.sampler]
-    steps = config.steps or model.schedule.steps
-    task = progress.add_task(f"Denoising {len(jobs)}", total=steps)
+    task = progress.add_task(f"Denoising {len(jobs)}")
     try:
         return model.generate(
             [timeline for _, timeline, _ in jobs],
             seed=[seed for _, _, seed in jobs],
-            guidance=config.guidance,
-            overlap=config.overlap,
-            steps=config.steps,
-            sampler=partial(sampler, spread=config.spread or model.spread) if config.sampler == "ddpm" else sampler,
-            method=config.method,
-            late=config.late,
-            track=partial(progress.track, total=steps, task_id=task),
+            method=find_method(config.method, config.trusted),
+            progress=partial(progress.track, task_id=task),
+            **sampling(config),
         )
     finally:
         progress.remove_task(task)

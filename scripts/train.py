@@ -6,7 +6,6 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import get_args
 
 import hydra
 import torch
@@ -15,12 +14,14 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
+from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
-from stmc.data.dataset import ClipBatches, Corpus
-from stmc.diffusion import Spread
+from stmc.data.dataset import Corpus
 from stmc.files import locked, write_whole
 from stmc.model import Model
 from stmc.run import PARTS, build, check
+from stmc.sampling import Sampling
+from stmc.settings import SettingError, record_of
 from stmc.text import Cached
 from stmc.training import Denoising, Hook, Trainer, find_accelerator
 
@@ -29,8 +30,10 @@ logger = logging.getLogger(__name__)
 
 @hydra.main(config_path="../configs", config_name="train", version_base="1.3")
 def main(config: DictConfig) -> None:
-    if config.spread not in get_args(Spread):
-        raise SystemExit(f"spread={config.spread}: choose from {', '.join(get_args(Spread))}")
+    try:
+        own_sampling(config)
+    except SettingError as error:
+        raise SystemExit(str(error)) from error
     if config.threads:
         torch.set_num_threads(config.threads)
     hardware = find_accelerator(config.device)
@@ -89,6 +92,11 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     trainer.run()
 
 
+def own_sampling(config: DictConfig) -> Sampling:
+    """How the model is sampled unless told otherwise."""
+    return record_of(Sampling, {"noise_scale": config.noise_scale})
+
+
 def record(config: DictConfig, corpus: Corpus) -> Model:
     """The model as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
@@ -105,7 +113,7 @@ def record(config: DictConfig, corpus: Corpus) -> Model:
         fps=corpus.fps,
         longest=int(instantiate(config.data.sampling).longest * corpus.fps),
         prediction=config.objective.prediction,
-        spread=config.spread,
+        sampling=own_sampling(config),
         config={part: described[part] for part in PARTS},
     )
 

@@ -13,8 +13,9 @@ from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
-from stmc.data.dataset import ClipBatches, Corpus
+from stmc.data.dataset import Corpus
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
 from stmc.files import locked, write_text

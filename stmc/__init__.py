@@ -17,7 +17,8 @@ _HOMES = {
     "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline", "Motion": "motion",
     "motion_of_joints": "inverse_kinematics", "Skeleton": "body_model", "Model": "model", "load": "run", "save": "run",
     "load_evaluator": "run", "read": "export", "write": "export", "view": "viewing", "page": "viewing",
-    "figure": "viewing", "pictures": "viewing", "plot_plan": "viewing",
+    "figure": "viewing", "pictures": "viewing", "plot_plan": "viewing", "Sampling": "sampling",
+    "Method": "composing", "stitched": "composing", "find_method": "composing", "Denoiser": "denoisers",
 }  # fmt: skip
 
 __all__ = sorted(_HOMES)

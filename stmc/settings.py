@@ -7,6 +7,7 @@ Knows dataclasses; knows no setting, no file and no command line.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -74,9 +75,7 @@ def about(record: type) -> dict[str, About]:
 
 def check(record: Any) -> None:
     """Raises `SettingError` for the first setting of a record that does not fit; for `__post_init__`."""
-    hints = get_type_hints(type(record))
-    for name, each in about(type(record)).items():
-        check_value(name, getattr(record, name), hints[name], each)
+    _check_values(type(record), {name: getattr(record, name) for name in about(type(record))})
 
 
 def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
@@ -88,12 +87,33 @@ def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
             near = get_close_matches(str(name), known, 1)
             meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
             raise SettingError(f"unknown setting {shown(name)}: {meant}")
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    hints = get_type_hints(kind)
-    for name, each in about(kind).items():
-        if name in given:
-            check_value(name, given[name], hints[name], each)
-    return kind(**given)
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    _check_values(kind, values)
+    return kind(**values)
+
+
+def takes(kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Of a function with `**settings`: its signature shows the settings of the record `kind` instead, for help and
+    completion. The function makes the record itself, with `record_of`."""
+
+    def shows(function: Callable[..., Any]) -> Callable[..., Any]:
+        signature = inspect.signature(function)
+        own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+        settings = [
+            inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
+            for each in dataclasses.fields(kind)
+        ]
+        function.__signature__ = signature.replace(parameters=[*own, *settings])
+        return function
+
+    return shows
+
+
+def _check_values(kind: type, values: Mapping[str, Any]) -> None:
+    hints, known = get_type_hints(kind), about(kind)
+    for name in values:
+        if name in known:
+            check_value(name, values[name], hints[name], known[name])
 
 
 def check_value(name: str, value: Any, hint: Any, each: About | None = None) -> None:
@@ -107,7 +127,7 @@ def check_value(name: str, value: Any, hint: Any, each: About | None = None) -> 
         words = " or ".join(dict.fromkeys(map(_words, kinds)))
         raise SettingError(f"{name}={shown(value)}: {words} needed{f', {each.fits}' if each.fits else ''}")
     items = value if isinstance(value, tuple) else (value,)
-    if each.choices and (bad := [item for item in items if item not in each.choices]):
+    if each.choices and (bad := [item for item in items if isinstance(item, str) and item not in each.choices]):
         raise SettingError(f"{name}={shown(bad[0])}: choose from {', '.join(each.choices)}")
     if isinstance(value, (int, float)) and not all(_LIMITS[limit][1](value, at) for limit, at in each.limits):
         raise SettingError(f"{name}={shown(value)}: must be {each.fits}")
@@ -115,6 +135,7 @@ def check_value(name: str, value: Any, hint: Any, each: About | None = None) -> 
 
 _WORDS: Mapping[Any, str] = {
     int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list", NoneType: "null",
+    Callable: "a function",
 }  # fmt: skip
 
 
@@ -133,6 +154,8 @@ def _is(value: Any, kind: Any) -> bool:
         return isinstance(value, int) and not isinstance(value, bool)
     if get_origin(kind) is Literal:
         return value in get_args(kind)
+    if get_origin(kind) is Callable:
+        return callable(value)
     if get_origin(kind) is tuple:
         return isinstance(value, tuple) and all(_is(item, get_args(kind)[0]) for item in value)
     return isinstance(value, kind)

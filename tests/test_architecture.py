@@ -17,9 +17,9 @@ TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob(
 
 TIERS = [
     {"untrusted"},
-    {"arrays", "body", "files", "geometry", "settings", "statistics", "tensors"},
+    {"arrays", "body", "files", "geometry", "renamed", "settings", "statistics", "tensors"},
     {"body_model", "denoisers", "diffusion", "motion", "text", "timeline"},
-    {"inverse_kinematics", "planning"},
+    {"inverse_kinematics", "planning", "sampling"},
     {"export", "representation", "training"},
     {"composing", "data", "evaluators", "metrics", "study", "viewing"},
     {"results"},
@@ -40,7 +40,7 @@ FORBIDDEN = {
     "export": {"diffusion", "denoisers", "composing"},
     "study": {"diffusion", "denoisers", "composing", "viewing"},
     "viewing": {"diffusion", "denoisers", "composing"},
-    "results": {"diffusion", "denoisers", "composing", "metrics"},
+    "results": {"metrics", "model"},
     "benchmarks": {"composing", "evaluators"},
     "training": {"data", "representation", "timeline", "motion"},
 }

@@ -2,19 +2,23 @@
 
 import functools
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from conftest import golden, golden_sets
-from mosaic import last, padding_of, plans_of, timeline
+from mosaic import FPS, last, padding_of, plans_of, timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.composing import NULL, collage, crop_lengths, guided_crops, lerp, sinc
+from stmc.composing import METHODS, NULL, Run, collage, crop_lengths, guided_crops, lerp, sinc
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule, ddpm
 from stmc.planning import Plan
+from stmc.representation import SmplRepresentation
+from stmc.sampling import Sampling
+from stmc.statistics import Statistics
 from stmc.timeline import Timeline
 
 
@@ -106,13 +110,13 @@ class GoldenRun:
 
         draw = self.draw()
         x = draw(self.data["noise_shape_stmc"])
-        return states, list(ddpm(predict, self.schedule, x, draw, spread="variance"))
+        return states, list(ddpm(predict, self.schedule, x, draw, noise_scale="variance"))
 
     @torch.no_grad()
     def crops(self, plans: list[Plan], shape, seed: str) -> Tensor:
         draw = self.draw(seed)
         crops = guided_crops(self.network, self.schedule, plans, self.embeddings(), float(self.data["guidance"]))
-        return last(ddpm(crops, self.schedule, draw(shape), draw, spread="variance"))
+        return last(ddpm(crops, self.schedule, draw(shape), draw, noise_scale="variance"))
 
 
 def assert_golden(actual: Tensor, expected: np.ndarray) -> None:
@@ -132,6 +136,39 @@ def test_a_complete_run_of_stmc_is_that_of_the_published_code(folder):
         assert_golden(x0[at], run.data[f"x0pred_t{t}"])
         assert_golden(states[at + 1], run.data[f"xt_after_t{t}"])
     assert_golden(x0[-1], run.data["x0_stmc"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_the_method_stmc_paper_is_the_published_code_s(folder, monkeypatch):
+    golden_run = GoldenRun(folder)
+    draw, shape = golden_run.draw(), golden_run.data["noise_shape_stmc"]
+    monkeypatch.setattr(Run, "noise", lambda self, plans, seeds=None: lambda _=None: draw(shape))
+    method, layout = METHODS["stmc_paper"], SmplRepresentation().layout
+    assert {part: set(own) for part, own in layout.columns.items()} == {
+        part: set(own) for part, own in golden_run.columns.items()
+    }
+    asked = Sampling(steps=100, sampler="ddpm", guidance=float(golden_run.data["guidance"]), overlap=0.5)
+    run = Run(
+        timelines=golden_run.timelines,
+        seeds=(0,) * len(golden_run.timelines),
+        sampling=replace(asked, **method.fixed),
+        schedule=golden_run.schedule,
+        fps=FPS,
+        longest=200,
+        overlap=int(golden_run.data["overlap"]),
+        layout=layout,
+        statistics=Statistics(torch.zeros(205), torch.ones(205)),
+        guided=lambda plans, guidance: guided_crops(
+            golden_run.network, golden_run.schedule, plans, golden_run.embeddings(), guidance
+        ),
+        guided_sequences=lambda plans, guidance: pytest.fail("no sequences are needed"),
+        fixed_length=None,
+        device=torch.device("cpu"),
+        progress=lambda steps, total: steps,
+    )
+    with torch.no_grad():
+        assert_golden(method.sample(run), golden_run.data["x0_stmc"])
 
 
 @pytest.mark.golden

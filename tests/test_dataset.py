@@ -12,8 +12,9 @@ from toys import FPS, LAYOUT, LetterCounts, cache
 
 from stmc.body import BodyPart
 from stmc.body_model import Skeleton
+from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import NULL, SEAM, ClipBatches, Corpus, Draws, Sampling
+from stmc.data.dataset import NULL, SEAM, Corpus, Draws
 from stmc.representation import Field, Layout, SmplRepresentation
 from stmc.statistics import Statistics
 
@@ -341,7 +342,7 @@ def test_any_body_with_other_parts_can_be_a_host_and_shows_its_own_text_only_whe
         clips.append(Clip(f"{name}-{number}", name, "", name, (part,), False, False, "train", start, start + frames))
         start += frames
     texts = {name: ((name, 1.0),) for name in ("turn", "left", "right")}
-    features = torch.linspace(0, 1, start)[:, None].repeat(1, 205)
+    features = torch.arange(start * 205.0).reshape(start, 205)
     data = Cache(20.0, "smpl", features, tuple(clips), texts)
     corpus = Corpus(data, LetterCounts(), SmplRepresentation().layout)
     settings = {"crops": 0.0, "silent": 0.0, "trim": 0.0, "pool": 1, "pieces": 1, "composed": 1.0}

@@ -16,7 +16,7 @@ from torch import Tensor
 from stmc.diffusion import Noise, Schedule, ddim, ddpm, dpm_solver, guide
 
 SCHEDULES = {"cosine 100": Schedule.cosine(100), "linear 1000": Schedule.linear(1000)}
-SAMPLERS = {"ddpm": partial(ddpm, spread="std"), "ddim": ddim, "dpm_solver": dpm_solver}
+SAMPLERS = {"ddpm": partial(ddpm, noise_scale="std"), "ddim": ddim, "dpm_solver": dpm_solver}
 
 
 def drawn(seed: int = 0, dtype: torch.dtype = torch.float64):
@@ -199,7 +199,7 @@ def test_ddim_with_eta_one_is_ddpm(steps):
     def nonlinear(x: Tensor, t: int) -> Tensor:
         return torch.tanh(x + t / 100)
 
-    ancestral = list(ddpm(nonlinear, schedule, x, drawn(4), steps, spread="std"))
+    ancestral = list(ddpm(nonlinear, schedule, x, drawn(4), steps, noise_scale="std"))
     implicit = list(ddim(nonlinear, schedule, x, drawn(4), steps, eta=1.0))
     for a, b in zip(ancestral, implicit, strict=True):
         torch.testing.assert_close(a, b, atol=1e-9, rtol=0)
@@ -278,7 +278,7 @@ def test_single_precision_stays_single_and_finite(sampler):
 def test_wrong_spreads_and_etas_are_errors():
     x, schedule = torch.zeros(1, 2, 3), SCHEDULES["cosine 100"]
     with pytest.raises(ValueError, match="std, variance"):
-        next(inspect.unwrap(ddpm)(lambda x, t: x, schedule, x, drawn(), spread="narrow"))
+        next(inspect.unwrap(ddpm)(lambda x, t: x, schedule, x, drawn(), noise_scale="narrow"))
     for eta in (-0.1, 0.5):
         with pytest.raises(ValueError, match=f"eta={eta}"):
             next(ddim(lambda x, t: x, schedule, x, eta=eta))

@@ -14,8 +14,9 @@ from torch.nn.functional import normalize
 from toys import LAYOUT, LetterCounts, cache
 from walker import walking
 
+from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import ClipBatches, Corpus, Sampling
+from stmc.data.dataset import Corpus
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator, GuoEvaluator, Posterior, Tmr, TmrObjective
 from stmc.evaluators.objective import contrast, divergence, kl_terms

@@ -198,7 +198,7 @@ def test_a_whole_chain_over_three_texts_is_as_published(folder):
 
     x = frames(data["x_T"])
     assert torch.equal(draw(x.shape), x)
-    x0 = list(ddpm(watched_predict, schedule, x, draw, spread="std"))
+    x0 = list(ddpm(watched_predict, schedule, x, draw, noise_scale="std"))
     for i, (iteration, t) in enumerate(zip(data["kept_iterations"], data["kept_t"], strict=True)):
         assert states[iteration][1] == t
         close(x0[iteration], frames(data["pred_xstart"][i]))

@@ -227,7 +227,7 @@ def test_fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folde
 
     schedule = Schedule.cosine(50)
     x_last = frames(data["x_T"])
-    x0 = list(ddpm(predict, schedule, x_last, draw, spread="std"))
+    x0 = list(ddpm(predict, schedule, x_last, draw, noise_scale="std"))
     assert len(x0) == int(data["n_noise_draws"])
     for t in data["snapshot_t"].tolist():
         at = len(x0) - 1 - t

@@ -107,7 +107,7 @@ def test_the_last_ten_steps_are_those_of_the_published_code(folder):
         return torch.from_numpy(noises.standard_normal(tuple(shape)).astype(np.float32))
 
     last = schedule.respaced(tuple(range(10)))
-    final = list(ddpm(predict, last, x, draw, spread="std"))[-1]
+    final = list(ddpm(predict, last, x, draw, noise_scale="std"))[-1]
     after = {9 - i: state for i, state in enumerate(states[1:])} | {0: final}
     for t in (9, 5, 1, 0):
         close(after[t], data[f"x_after_t{t}"])

@@ -47,7 +47,8 @@ def test_what_mdm_smpl_is_sampled_with_is_that_of_the_published_code(tmp_path):
     checkpoints.mdm_smpl(tmp_path / "theirs")
     model = stmc.load(convert(tmp_path / "theirs", tmp_path / "ours"))
     assert (model.schedule.steps, model.fps, model.longest, model.prediction) == (100, 20, 200, "x0")
-    assert (model.guidance, model.spread, model.denoiser.window) == (2.5, "variance", None)
+    assert (model.own_sampling.guidance, model.own_sampling.noise_scale) == (2.5, "variance")
+    assert model.network.fixed_length is None
     state = torch.load(tmp_path / "theirs" / FILES[checkpoints.mdm_smpl], weights_only=True)["state_dict"]
     for side, statistics in (("motion", model.motion_statistics), ("text", model.text_statistics)):
         assert torch.equal(statistics.mean, state[f"{side}_normalizer.mean"])
@@ -59,7 +60,8 @@ def test_what_mdm_is_sampled_with_is_that_of_the_published_code(tmp_path):
     checkpoints.mdm(tmp_path / "theirs")
     model = stmc.load(convert(tmp_path / "theirs", tmp_path / "ours"))
     assert (model.schedule.steps, model.fps, model.longest, model.prediction) == (1000, 20, 196, "x0")
-    assert (model.guidance, model.spread, model.denoiser.window) == (2.5, "std", 196)
+    assert (model.own_sampling.guidance, model.own_sampling.noise_scale) == (2.5, "std")
+    assert model.network.fixed_length == 196
     np.testing.assert_array_equal(model.motion_statistics.mean, np.load(tmp_path / "theirs" / "Mean.npy"))
     np.testing.assert_array_equal(model.motion_statistics.std, np.load(tmp_path / "theirs" / "Std.npy"))
     assert not model.text_encoder.encode([""])[0].any()
@@ -71,7 +73,8 @@ def test_what_motion_diffuse_is_sampled_with_is_that_of_the_published_code(tmp_p
     checkpoints.motion_diffuse(tmp_path / "theirs")
     model = stmc.load(convert(tmp_path / "theirs", tmp_path / "ours"))
     assert (model.schedule.steps, model.fps, model.longest, model.prediction) == (1000, 20, 196, "eps")
-    assert (model.guidance, model.spread, model.denoiser.window) == (1.0, "std", None)
+    assert (model.own_sampling.guidance, model.own_sampling.noise_scale) == (1.0, "std")
+    assert model.network.fixed_length is None
     np.testing.assert_array_equal(model.motion_statistics.std, np.load(tmp_path / "theirs" / "meta" / "std.npy"))
     assert model.text_encoder.name == "openai/clip-vit-base-patch32 positions"
     assert float(model.schedule.beta[-1]) == pytest.approx(0.02)
@@ -127,10 +130,10 @@ def test_weights_in_a_file_with_a_moving_average_are_the_ones_that_args_ask_for(
         assert torch.equal(weight, network.embed_text.weight)
 
 
-def test_fifty_steps_with_masked_frames_need_no_window(tmp_path):
+def test_fifty_steps_with_masked_frames_need_no_fixed_length(tmp_path):
     checkpoints.mdm(tmp_path, diffusion_steps=50, mask_frames=True, text_encoder_type="clip")
     model = read(tmp_path).model
-    assert model.schedule.steps == 50 and model.denoiser.window is None
+    assert model.schedule.steps == 50 and model.denoiser.fixed_length is None
     assert float(model.schedule.beta[0]) == pytest.approx(0.00175, rel=1e-2)
 
 

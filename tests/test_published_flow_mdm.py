@@ -74,7 +74,7 @@ def test_a_checkpoint_becomes_a_model_that_is_sampled_as_published(tmp_path, dat
     assert isinstance(model.representation, BabelRepresentation if babel else HumanML3DRepresentation)
     assert model.denoiser.horizon == 9
     assert model.denoiser.absolute_from == (876 if babel else 941)
-    assert (model.fps, model.longest, model.guidance, model.spread) == (
+    assert (model.fps, model.longest, model.own_sampling.guidance, model.own_sampling.noise_scale) == (
         (30, 250, 1.5, "std") if babel else (20, 196, 2.5, "std")
     )
     assert torch.equal(model.schedule.alpha_bar, Schedule.cosine(1000).alpha_bar)

@@ -89,10 +89,10 @@ def test_a_step_with_mdm_is_that_of_the_published_integration(folder):
     table[NULL] = torch.zeros_like(table[NULL])
     x = frames(drawn(data["x_seed"], data["x_shape"]))
     close(x[:, :4], frames(data["x_first4"]))
-    assert x.shape[1] == max(canvas_lengths(given, network.window))
-    how, seen = {"mixed": network.mixed, "window": network.window}, []
+    assert x.shape[1] == max(canvas_lengths(given, network.fixed_length))
+    how, seen = {"supports_padding": network.supports_padding, "fixed_length": network.fixed_length}, []
     crops = guided_crops(network, schedule, given, table, float(data["scale"]), **how)
-    predict = collage(lambda x, t: seen.append(crops(x, t)) or seen[-1], given, COLUMNS, network.window)
+    predict = collage(lambda x, t: seen.append(crops(x, t)) or seen[-1], given, COLUMNS, network.fixed_length)
     x0 = predict(x, t)
     close(seen[0][:, :2], frames(data["crop_preds_first2"]), limit_at(t))
     longest = int(data["max_t"].max())
@@ -111,11 +111,12 @@ def test_a_step_with_motion_diffuse_is_that_of_the_published_integration(folder)
     words = words_of(features, data["eot"])
     texts = [crop.text or NULL for plan in given for crop in plan.crops]
     table = {text: words[index] for text, index in zip(texts, data["crop_text_index"], strict=True)}
-    assert crop_lengths(given, network.window) == tuple(data["lengths"])
+    assert crop_lengths(given, network.fixed_length) == tuple(data["lengths"])
     x = drawn(data["x_seed"], tuple(data["x_shape"]))
     length = int(data["max_t"].max())
-    crops, seen = guided_crops(network, schedule, given, table, 1.0, "eps", mixed=network.mixed), []
-    predict = collage(lambda x, t: seen.append((x, crops(x, t))) or seen[-1][1], given, COLUMNS, network.window)
+    crops = guided_crops(network, schedule, given, table, 1.0, "eps", supports_padding=network.supports_padding)
+    seen = []
+    predict = collage(lambda x, t: seen.append((x, crops(x, t))) or seen[-1][1], given, COLUMNS, network.fixed_length)
     x0 = predict(x[:, :length], t)
     noisy, clean = seen[0]
     close(schedule.from_x0(clean, noisy, t, "eps")[:, :2], data["crop_eps_first2"], limit_at(t))

@@ -19,7 +19,7 @@ from stmc.body import BodyPart
 from stmc.composing import collage, crop_lengths, guided_crops, inpaint, kept_shares, lerp, slerp
 from stmc.diffusion import Schedule, ddim, ddpm
 from stmc.geometry import matrix_to_rows, rows_to_matrix
-from stmc.planning import Crop, Plan, Tile, handshake, multi_diffusion, plan, second_take, soft, transition_spans
+from stmc.planning import Crop, Plan, Tile, cross_fade, handshake, multi_diffusion, plan, second_take, transition_spans
 from stmc.representation import SMPL_LAYOUT
 
 SCHEDULE = Schedule.cosine(12)
@@ -64,7 +64,7 @@ def test_a_handshake_fades_from_one_crop_into_the_next():
 
 def test_soft_edges_come_and_go_along_straight_lines():
     [laid_out] = plans_of(TWO)
-    softened = soft(laid_out)
+    softened = cross_fade(laid_out)
     assert softened.crops == laid_out.crops == (Crop("walk", 0, 35), Crop("run", 25, 70), Crop(None, 25, 35))
     rise = torch.tensor([0.1, 0.3, 0.5, 0.7, 0.9] + [1.0] * 5)
     expected = torch.zeros(3, 70)
@@ -80,7 +80,7 @@ def test_soft_edges_come_and_go_along_straight_lines():
 def test_soft_edges_never_jump_and_leave_the_middle_of_a_transition_as_it_is(drawn, overlap, longest):
     """A weight changes by no more than one over half a transition, but where transitions meet or the timeline ends."""
     laid_out = plan(drawn, FPS, overlap, longest)
-    softened = soft(laid_out)
+    softened = cross_fade(laid_out)
     assert softened.crops == laid_out.crops
     for part in BodyPart:
         spans = transition_spans(laid_out, part)
@@ -147,7 +147,7 @@ def test_a_second_take_goes_from_transition_to_transition():
 def test_the_collage_follows_whatever_rule_made_its_plan(rule):
     plans = [rule(each) for each in plans_of(WALK_WAVE, STAND_NOD, GAP)]
     table = embeddings(plans)
-    crops = guided_crops(Constant(), SCHEDULE, plans, table, weight=1.0)
+    crops = guided_crops(Constant(), SCHEDULE, plans, table, guidance=1.0)
     expected = torch.zeros(3, max(each.frames for each in plans), 10)
     for i, each in enumerate(plans):
         value = torch.tensor([float(table[crop.text or ""]) for crop in each.crops])
@@ -323,7 +323,7 @@ class DoubleTake:
             collage(crops, [self.shaken], self.columns),
             self.schedule.respaced(tuple(range(self.steps - 1))),
         )
-        return last(ddpm(predict, short, x, lambda shape: self.mixed(next(noise)), spread="std"))
+        return last(ddpm(predict, short, x, lambda shape: self.mixed(next(noise)), noise_scale="std"))
 
     def second_take(self, content: Tensor) -> Tensor:
         noise = iter(self.second_noise[1:])
@@ -334,7 +334,7 @@ class DoubleTake:
             self.placed(frames(self.data["second_take_first_input"])),
             self.schedule.respaced(tuple(range(self.steps - self.skip))),
         )
-        return last(ddpm(predict, short, x, lambda shape: self.placed(next(noise)), spread="std"))
+        return last(ddpm(predict, short, x, lambda shape: self.placed(next(noise)), noise_scale="std"))
 
 
 def drawn_frames(rng: np.random.Generator, shape: tuple[int, ...]) -> Tensor:

@@ -16,6 +16,7 @@ import stmc
 from stmc.diffusion import ddim
 from stmc.model import Model
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, RunError, bundled
+from stmc.sampling import Sampling
 from stmc.text import MiniLM
 from stmc.timeline import Timeline
 
@@ -79,12 +80,18 @@ def test_a_loaded_model_saves_the_same_files_again(run, tmp_path):
 
 
 def test_how_it_is_sampled_comes_with_the_model_and_older_runs_have_the_usual_ones(model, run, tmp_path):
-    own = stmc.save(dataclasses.replace(model, guidance=1.0, spread="std", late=0.25), tmp_path / "own", "")
+    own = stmc.save(
+        dataclasses.replace(model, sampling=Sampling(guidance=1.0, noise_scale="std", stitch_from=0.25)),
+        tmp_path / "own",
+        "",
+    )
     back = stmc.load(own)
-    assert (back.guidance, back.spread, back.late) == (1.0, "std", 0.25)
-    edit(run, guidance=None, spread=None, late=None)
+    assert back.sampling == Sampling(guidance=1.0, noise_scale="std", stitch_from=0.25)
+    edit(own, noise_scale=None, stitch_from=None, spread="std", late=0.25)
+    assert stmc.load(own).sampling == back.sampling, "keys of earlier versions"
+    edit(run, guidance=None, noise_scale=None, stitch_from=None)
     usual = stmc.load(run)
-    assert (usual.guidance, usual.spread, usual.late) == (2.5, "variance", 0.0)
+    assert usual.own_sampling == Sampling(100, "ddpm", "variance", 2.5, 0.5, 0.0)
 
 
 def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, run, tmp_path):
@@ -203,9 +210,9 @@ def test_a_config_that_is_none_is_named(run, text):
         ({"longest": 0}, "longest=0: must be at least 1"),
         ({"longest": 10**30}, "longest=1000000000000000000000000000000: a finite number needed"),
         ({"prediction": "noise"}, "prediction='noise': one of x0, eps, v, score needed"),
-        ({"guidance": "much"}, "guidance='much': a number needed"),
-        ({"late": 1.0}, r"late=1\.0: must be at least 0 and below 1"),
-        ({"spread": "wide"}, "spread='wide': one of std, variance needed"),
+        ({"guidance": "much"}, "guidance='much': a number or null needed"),
+        ({"late": 1.0}, r"stitch_from=1\.0: must be at least 0 and below 1"),
+        ({"spread": "wide"}, "noise_scale='wide': one of std, variance or null needed"),
         ({"denoiser": 3}, "denoiser must say what to build as `_target_`, not 3"),
         ({"denoiser": {"width": 16}}, "denoiser must say what to build"),
         ({"denoiser": PARTS["denoiser"] | {"depth": 3}}, "denoiser.depth: .* has no such argument; it has features"),

@@ -22,6 +22,7 @@ import stmc
 from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, fingerprint
+from stmc.settings import SettingError
 
 TIMELINES = """\
 walk forwards # 0 # 2 # legs
@@ -91,9 +92,9 @@ def prepared(work, source) -> tuple[Path, str]:
 def training(work: Path) -> tuple[str, ...]:
     small = ("denoiser=mdm_smpl_small", "denoiser.width=32", "denoiser.feedforward=64", "denoiser.layers=1")
     few = ("training.steps=4", "training.log_every=2", "training.validate_every=4", "training.checkpoint_every=4")
-    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1", "draw_every=4")
+    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1", "draw_every=4", "draw=[nod # 0 # 1 # head]")
     places = (f"run={work / 'run'}", f"data.folder={work / 'cache'}", f"text_cache={work / 'texts'}")
-    return (*places, *small, *few, *batches, "device=cpu", "threads=1", "training.warmup=1", "spread=std")
+    return (*places, *small, *few, *batches, "device=cpu", "threads=1", "training.warmup=1", "noise_scale=std")
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +159,7 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
     run = trained
     model = stmc.load(run)
     assert model.fps == 20
-    assert model.spread == "std"
+    assert model.own_sampling.noise_scale == "std"
     assert {CARD, CONFIG, STATISTICS, WEIGHTS, "train.csv", "validation.csv"} <= {path.name for path in run.iterdir()}
     with (run / "train.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -170,9 +171,9 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
     assert str(work) not in (run / CONFIG).read_text(), "a run can be moved"
 
 
-def test_training_refuses_a_spread_that_sampling_would():
-    with pytest.raises(SystemExit, match="spread=wide: choose from std, variance"):
-        loaded("train").main.__wrapped__(configured("train", "spread=wide", "run=nowhere"))
+def test_training_refuses_a_noise_scale_that_sampling_would():
+    with pytest.raises(SystemExit, match="noise_scale='wide'"):
+        loaded("train").main.__wrapped__(configured("train", "noise_scale=wide", "run=nowhere"))
 
 
 def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
@@ -228,7 +229,7 @@ def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample,
     [motion] = tiny().generate(timeline, steps=2)
     sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
     assert jobs_left(sample, config) == 0
-    for change in ("guidance=2", "overlap=0.6", "method=sinc", "sampler=ddim", "spread=std", "seed=1"):
+    for change in ("guidance=2", "overlap=0.6", "method=sinc", "sampler=ddim", "noise_scale=std", "seed=1"):
         assert jobs_left(sample, settings(*base, change)) == 1, change
     assert jobs_left(sample, settings(*base[:3], "steps=3")) == 1
     assert jobs_left(sample, settings(*base, "samples=3")) == 2
@@ -310,18 +311,18 @@ def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("sampler=euler", "sampler=euler: choose from ddpm, ddim, dpm_solver"),
-        ("method=magic", "method=magic: choose from stmc, stmc_soft, sinc"),
-        ("spread=wide", "spread=wide: choose from std, variance"),
+        ("sampler=euler", "sampler='euler': choose from ddpm, ddim, dpm_solver"),
+        ("method=magic", "method='magic': choose from one_text, single_track"),
+        ("noise_scale=wide", "noise_scale='wide'"),
         ("formats=[fbx]", "choose from npz, bvh, html"),
         ("formats=[]", "choose from npz, bvh, html"),
         ("samples=0", "samples=0: at least 1"),
         ("batch=0", "batch=0: at least 1"),
-        ("steps=0", "steps=0: at least 1"),
+        ("steps=0", "steps=0: must be at least 1"),
     ],
 )
 def test_a_setting_that_cannot_be_meant_is_refused_before_anything_is_loaded(sample, override, message):
-    with pytest.raises(SystemExit, match=message.replace("[", r"\[")):
+    with pytest.raises((SystemExit, SettingError), match=message.replace("[", r"\[")):
         sample.check(settings(override))
 
 
@@ -331,8 +332,8 @@ def test_a_setting_that_cannot_be_meant_is_refused_before_anything_is_loaded(sam
         ("timeline={0}/none.txt", "none.txt"),
         ("timeline={0}/bad.txt", r"bad\.txt, line 1"),
         ("model={0}/nowhere", "is not a run directory"),
-        ("overlap=-1", "overlap -20 must be 0"),
-        ("late=1", "late=1: the share of the steps before stitching"),
+        ("overlap=-1", "overlap=-1: must be at least 0"),
+        ("stitch_from=1", "stitch_from=1: must be at least 0 and below 1"),
     ],
 )
 def test_what_the_user_got_wrong_ends_in_a_sentence(sample, run, tmp_path, override, message):

@@ -14,7 +14,8 @@ from jaxtyping import TypeCheckError
 from torch import nn
 from toys import LAYOUT, LetterCounts, cache
 
-from stmc.data.dataset import ClipBatches, Corpus, Sampling
+from stmc.data.batches import ClipBatches, Sampling
+from stmc.data.dataset import Corpus
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion.schedule import Schedule
 from stmc.training import (

@@ -28,7 +28,7 @@ from stmc.metrics.smoothness import quarter_points, transition_window
 from stmc.metrics.timelines import DEFINED, PUBLISHED, Formulas, GroundTruth, Span, measured_points, semantics
 from stmc.motion import Motion
 from stmc.representation import JointsFrom, SmplRepresentation
-from stmc.results.naming import ALONE
+from stmc.sampling import INDEPENDENT
 from stmc.timeline import Prompt, Timeline, TimelineError
 
 PER_TEXT = 12
@@ -89,7 +89,7 @@ class MultiTrack:
 
     def timelines(self, method: str) -> list[Timeline]:
         """Those of the benchmark; for "independent" each of their prompts as a timeline."""
-        if method != ALONE:
+        if method != INDEPENDENT:
             return list(self.asked)
         prompts = [prompt for timeline in self.asked for prompt in timeline.prompts]
         return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
@@ -106,7 +106,7 @@ class MultiTrack:
         spans = self._spans(method, [len(motion) for motion in motions])
         scores = self.formulas.scores(motions, spans, self.judge, self.truth, seed)
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
-        if method == ALONE:
+        if method == INDEPENDENT:
             return Scores(metrics)
         metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
         points = [measured_points(each, len(motion)) for each, motion in zip(spans, motions, strict=True)]
@@ -157,7 +157,7 @@ class MultiTrack:
         numbers, spans = {atom.text: number for number, atom in enumerate(self.atoms)}, []
         for timeline, length in zip(self.timelines(method), lengths, strict=True):
             whole = [(0, length)] * len(timeline.prompts)
-            asked = whole if method in ("one_text", ALONE) else timeline.spans(self.judge.fps)
+            asked = whole if method in ("one_text", INDEPENDENT) else timeline.spans(self.judge.fps)
             named = zip(asked, timeline.prompts, strict=True)
             spans.append([(start, min(end, length), numbers[prompt.text]) for (start, end), prompt in named])
         return spans

@@ -47,7 +47,7 @@ class Benchmark(Protocol):
         ...
 
     def timelines(self, method: str) -> list[Timeline]:
-        """What a method (a name of `results.naming.METHODS`) is to make motions of, in order: always the same."""
+        """What a method (a name of `composing.METHODS`) is to make motions of, in order: always the same."""
         ...
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:

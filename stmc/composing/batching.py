@@ -38,10 +38,10 @@ class Row:
 class Guided:
     """A predictor of rows, [rows, frames, features], with classifier-free guidance: a `Predict`.
 
-    Rows with a text are denoised with it and without it, the others once; a `weight` of 1 or 0 needs one pass. Passes
+    Rows with a text are denoised with it and without it, the others once; a `guidance` of 1 or 0 needs one pass. Passes
     are grouped by length into as few calls as keep the share of padding within `padding` and the frames of one call
-    within `budget`, but for a longer row alone. `mixed`: texts of different numbers of words share calls, padded. What
-    stands beyond the frames that are seen of a row comes out as zero.
+    within `budget`, but for a longer row alone. `supports_padding`: texts of different numbers of words share calls.
+    What stands beyond the frames that are seen of a row comes out as zero.
     """
 
     def __init__(
@@ -49,21 +49,27 @@ class Guided:
         denoiser: Callable[..., Tensor],
         schedule: Schedule,
         rows: Sequence[Row],
-        weight: float | int,
+        guidance: float | int,
         prediction: Prediction,
         padding: float,
         budget: int,
-        mixed: bool,
+        supports_padding: bool,
     ) -> None:
-        self._denoiser, self._schedule, self._prediction, self._weight = denoiser, schedule, prediction, weight
+        self._denoiser, self._schedule, self._prediction, self._guidance = (
+            denoiser, schedule, prediction, guidance
+        )  # fmt: skip
         self._shape = (len(rows), max(row.seen for row in rows))
-        passes = _passes(rows, weight)
-        alike = [passes] if mixed else _by_words(passes)
+        passes = _passes(rows, guidance)
+        alike = [passes] if supports_padding else _by_words(passes)
         batches = [_Batch.of(call) for group in alike for call in _calls(group, padding, budget)]
         told = torch.tensor([row.text is not None for row in rows])
         self._needed = sum(rows[each.row].frames for each in passes)
         self._denoised = sum(len(batch.rows) * batch.frames for batch in batches)
         self._moved = Moved(lambda x: ([batch.to(x) for batch in batches], told.to(x.device)))
+
+    def __repr__(self) -> str:
+        rows, frames = self._shape
+        return f"Guided({rows} rows of up to {frames} frames, guidance {self._guidance}, {self.padding:.1%} padding)"
 
     @property
     def padding(self) -> float:
@@ -82,7 +88,7 @@ class Guided:
             x0 = x0 if batch.mask is None else x0.masked_fill(~batch.mask[..., None], 0)
             both[batch.told, batch.rows, : batch.frames] = x0
         null, text = both
-        return torch.where(told[:, None, None], guide(text, null, self._weight), null)
+        return torch.where(told[:, None, None], guide(text, null, self._guidance), null)
 
 
 class _Pass(NamedTuple):
@@ -95,13 +101,13 @@ class _Pass(NamedTuple):
     segment: Tensor | None
 
 
-def _passes(rows: Sequence[Row], weight: float | int) -> list[_Pass]:
+def _passes(rows: Sequence[Row], guidance: float | int) -> list[_Pass]:
     """Everything that one step has to denoise: no second pass without a text, or where guidance ignores one of two."""
     passes = []
     for number, row in enumerate(rows):
-        if row.text is not None and weight != 0:
+        if row.text is not None and guidance != 0:
             passes.append(_Pass(number, True, row.seen, row.text, row.segment))
-        if row.text is None or weight != 1:
+        if row.text is None or guidance != 1:
             passes.append(_Pass(number, False, row.seen, row.null, row.segment))
     return passes
 

@@ -60,21 +60,21 @@ def guided_crops(
     schedule: Schedule,
     plans: Sequence[Plan],
     embeddings: Mapping[str, Float[Tensor, "_ width"]],
-    weight: float | int = 2.5,
+    guidance: float | int = 2.5,
     prediction: Prediction = "x0",
     padding: float = 0.1,
     budget: int = 32768,
-    mixed: bool = False,
-    window: int | None = None,
+    supports_padding: bool = False,
+    fixed_length: int | None = None,
 ) -> Guided:
     """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance: see `Guided`.
 
     `embeddings` gives the normalised embedding [words, width] of every text in `distinct_texts(plans)`. What stands
     beyond a crop's end is not seen, and comes out as zero.
 
-    `mixed`: texts of different numbers of words share calls, padded. Only for denoisers that padded words do not
+    `supports_padding`: texts of different numbers of words share calls. Only for denoisers that padded words do not
     disturb, such as `MdmSmpl` with its `words` set: the published network moves the frames behind the longest text.
-    `window`: every crop has as many frames, whatever its own length (see `Network.window`), and all are predicted.
+    `fixed_length`: every crop has as many frames, whatever its own length (see `Network`), and all are predicted.
 
     Raises `ValueError` for a text without an embedding.
     """
@@ -82,9 +82,9 @@ def guided_crops(
     crops = (crop for plan in plans for crop in plan.crops)
     rows = [
         Row(crop.frames, seen, embeddings[NULL], embeddings[crop.text] if crop.text else None)
-        for crop, seen in zip(crops, crop_lengths(plans, window), strict=True)
+        for crop, seen in zip(crops, crop_lengths(plans, fixed_length), strict=True)
     ]
-    return Guided(denoiser, schedule, rows, weight, prediction, padding, budget, mixed)
+    return Guided(denoiser, schedule, rows, guidance, prediction, padding, budget, supports_padding)
 
 
 def guided_sequences(
@@ -92,7 +92,7 @@ def guided_sequences(
     schedule: Schedule,
     plans: Sequence[Plan],
     embeddings: Mapping[str, Float[Tensor, "_ width"]],
-    weight: float | int = 2.5,
+    guidance: float | int = 2.5,
     prediction: Prediction = "x0",
     budget: int = 65536,
 ) -> Guided:
@@ -106,7 +106,7 @@ def guided_sequences(
     if long := [text for text in distinct_texts(plans) if len(embeddings[text]) != 1]:
         raise ValueError(f"a segment's text is one word, but {long[0]!r} has {len(embeddings[long[0]])}")
     rows = [_row(plan, sequence, embeddings) for plan in plans for sequence in body_sequences(plan)]
-    return Guided(denoiser, schedule, rows, weight, prediction, PADDING, budget, mixed=True)
+    return Guided(denoiser, schedule, rows, guidance, prediction, PADDING, budget, supports_padding=True)
 
 
 def _row(plan: Plan, sequence: Sequence[Stretch], embeddings: Mapping[str, Tensor]) -> Row:

@@ -25,22 +25,22 @@ Columns = Mapping[BodyPart, Sequence[int]]
 """Which columns of the features each body part owns; together they own every column once."""
 
 
-def crop_lengths(plans: Sequence[Plan], window: int | None = None) -> tuple[int, ...]:
-    """Frames that a denoiser sees of every crop of all plans, in the order of the batch: its own, or with a `window` as
-    many for each. Raises `ValueError` for a crop longer than the window."""
+def crop_lengths(plans: Sequence[Plan], fixed_length: int | None = None) -> tuple[int, ...]:
+    """Frames that a denoiser sees of every crop of all plans, in the order of the batch: the crop's own, or a
+    `fixed_length`. Raises `ValueError` for a longer crop."""
     lengths = tuple(crop.frames for plan in plans for crop in plan.crops)
-    if window is None:
+    if fixed_length is None:
         return lengths
-    if max(lengths, default=0) > window:
+    if max(lengths, default=0) > fixed_length:
         raise ValueError(
-            f"a crop has {max(lengths)} frames, but the denoiser sees {window}: plan with longest={window}"
+            f"a crop has {max(lengths)} frames, but the denoiser sees {fixed_length}: plan with longest={fixed_length}"
         )
-    return (window,) * len(lengths)
+    return (fixed_length,) * len(lengths)
 
 
-def canvas_lengths(plans: Sequence[Plan], window: int | None = None) -> tuple[int, ...]:
-    """Frames that are sampled for every plan: its own, and with a `window` those that its last crops see behind it."""
-    return tuple(plan.frames + (window or 0) for plan in plans)
+def canvas_lengths(plans: Sequence[Plan], fixed_length: int | None = None) -> tuple[int, ...]:
+    """Frames that are sampled for every plan: its own, and those that its last crops see behind it."""
+    return tuple(plan.frames + (fixed_length or 0) for plan in plans)
 
 
 def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
@@ -48,17 +48,17 @@ def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
     return tuple((seed, crop) for plan, seed in zip(plans, seeds, strict=True) for crop in range(len(plan.crops)))
 
 
-def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, window: int | None = None) -> Predict:
+def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, fixed_length: int | None = None) -> Predict:
     """A predictor of timelines [batch, frames, features] from a predictor of their crops (STMC, section 3.3).
 
     Cuts the timelines into the plans' crops, predicts those, and adds them up with the weights of the tiles: body parts
     side by side, and in time with the unconditional transitions subtracted (DiffCollage). The batch holds one timeline
     for each plan, padded to the longest; beyond a timeline's end the result is zero. `columns` must own every feature
-    exactly once (`ValueError`). With a `window` each crop goes on for as many frames: the timelines have
-    `canvas_lengths(plans, window)` frames, and what the denoiser predicts behind a crop's end is dropped.
+    exactly once (`ValueError`). With a `fixed_length` each crop goes on for as many frames: the timelines have
+    `canvas_lengths(plans, fixed_length)` frames, and what the denoiser predicts behind a crop's end is dropped.
     """
-    cut, stitch = _Cut(plans, window), _Stitch(plans, columns)
-    longest, behind = max(crop_lengths(plans)), window or 0
+    cut, stitch = _Cut(plans, fixed_length), _Stitch(plans, columns)
+    longest, behind = max(crop_lengths(plans)), fixed_length or 0
     return lambda x, t: F.pad(stitch(predict(cut(x), t)[:, :longest]), (0, 0, 0, behind))
 
 
@@ -74,12 +74,12 @@ def sinc(
 
 
 class _Cut:
-    """Timelines [batch, frames, features] → all crops, zeros beyond the end of each, or as long as the window."""
+    """Timelines [batch, frames, features] → all crops, zeros beyond the end of each, or all of one length."""
 
-    def __init__(self, plans: Sequence[Plan], window: int | None) -> None:
-        self._shape = (len(plans), max(canvas_lengths(plans, window)))
+    def __init__(self, plans: Sequence[Plan], fixed_length: int | None) -> None:
+        self._shape = (len(plans), max(canvas_lengths(plans, fixed_length)))
         first = [i * self._shape[1] + crop.start for i, plan in enumerate(plans) for crop in plan.crops]
-        valid = mask(torch.tensor(crop_lengths(plans, window)))
+        valid = mask(torch.tensor(crop_lengths(plans, fixed_length)))
         rows = (torch.tensor(first)[:, None] + torch.arange(valid.shape[1])).where(valid, 0)
         self._indexes = Moved(lambda x: (rows.to(x.device), ~valid[..., None].to(x.device)))
 

@@ -25,7 +25,7 @@ MOST_STEPS = 10_000
 """Of a schedule; published ones have 50 to 1000."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Schedule:
     """A noise schedule: `alpha_bar[t]` is the share of the clean sample's variance that is left at step t."""
 
@@ -35,6 +35,9 @@ class Schedule:
         before = torch.cat([self.alpha_bar.new_ones(1), self.alpha_bar])
         if len(before) < 2 or not bool((before[1:] < before[:-1]).all() & (before[1:] > 0).all()):
             raise ValueError(f"alpha_bar must fall from below 1 towards 0 at every step, not {self.alpha_bar.tolist()}")
+
+    def __repr__(self) -> str:
+        return f"Schedule({self.steps} steps, alpha_bar {self.alpha_bar[0]:.4g} to {self.alpha_bar[-1]:.4g})"
 
     @classmethod
     def cosine(cls, steps: int, s: float = 0.008) -> Schedule:

@@ -5,7 +5,15 @@ Pure data: knows no features, no denoiser and no torch.
 
 from stmc.planning.assignment import Run, assign
 from stmc.planning.plans import Crop, Plan, Span, Tile, plan
-from stmc.planning.rules import handshake, multi_diffusion, second_take, soft, transition_spans
+from stmc.planning.rules import (
+    cross_fade,
+    handshake,
+    multi_diffusion,
+    reweighted,
+    second_take,
+    transition_spans,
+    weighted,
+)
 
 __all__ = [
     "Crop",
@@ -14,10 +22,12 @@ __all__ = [
     "Span",
     "Tile",
     "assign",
+    "cross_fade",
     "handshake",
     "multi_diffusion",
     "plan",
+    "reweighted",
     "second_take",
-    "soft",
     "transition_spans",
+    "weighted",
 ]

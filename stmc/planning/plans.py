@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from stmc.body import BodyPart
 from stmc.planning.assignment import Run, assign
+from stmc.planning.drawing import draw
 from stmc.timeline import Timeline
 
 Span = tuple[int, int]
@@ -90,6 +91,10 @@ class Plan:
             for time, total in zip(times, sums, strict=False):
                 if not math.isclose(total, 1, abs_tol=1e-6):
                     raise ValueError(f"the weights of the {part} sum to {total} and not to 1 from frame {time} on")
+
+    def __str__(self) -> str:
+        """The plan as lines of text: its crops to scale, and which of them each body part follows."""
+        return draw(self)
 
 
 def plan(timeline: Timeline, fps: int | float, overlap: int, longest: int | None = None) -> Plan:

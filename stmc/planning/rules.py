@@ -1,53 +1,51 @@
 """Other rules of composing crops in time, as plans made of plans: what `collage` follows is the rule.
 
 `plan` itself lays out DiffCollage (Zhang et al. 2023): overlapping crops are added up and a crop without text, over the
-overlap alone, is subtracted. Here are the same with soft edges, MultiDiffusion and DoubleTake. They mix predictions of
-x0; since all weights of a frame sum to one, and every reverse step is affine in them, that is the same as mixing the
-steps' results, with one noise for each frame of the timeline. Pure data: knows no features and no denoiser.
+overlap alone, is subtracted. Here are the same with cross-faded edges, MultiDiffusion and DoubleTake. They mix
+predictions of x0; since all weights of a frame sum to one, and every reverse step is affine in them, that is the same
+as mixing the steps' results, with one noise for each frame of the timeline. Pure data: knows no features and no
+denoiser.
+
+A rule of your own is any function `Plan → Plan`. Where it only weighs the plan's crops anew, write down the weights and
+let `reweighted` do the rest.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
-from itertools import groupby, pairwise
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float64
 
 from stmc.body import BodyPart
 from stmc.planning.plans import Crop, Plan, Span, Tile
 
-Shares = Callable[[Sequence[Tile], int], Sequence[float]]
-"""(tiles of one part that cover a frame, in order; the frame) → the weight of each; they sum to one."""
+Weights = Float64[np.ndarray, "_ frames"]
+"""How much each crop, or each tile, counts at each frame of the timeline, for one body part."""
+
+Weigh = Callable[[Weights, Weights], None]
+"""Weighs, in place, one body part's tiles: those that are added and those of transitions, each in order of time, and 1
+where a tile is, else 0. At every frame, all weights are to sum to 1."""
 
 
-def soft(plan: Plan) -> Plan:
+def cross_fade(plan: Plan) -> Plan:
     """The plan's crops, which come and go along straight lines instead of all at once: over the first half of a
     transition the next crop is added more and more, over the second half the one before less and less, and what is
     subtracted follows. Ours: by DiffCollage's own weights a timeline jumps where a transition begins and where it ends.
 
     The plan is one of `planning.plan`, whose parts have a transition between any two of their tiles, or no overlap.
     """
-    tiles: list[Tile] = []
-    for part in BodyPart:
-        own = [tile for tile in plan.tiles if tile.part == part]
-        shown, lost = [tile for tile in own if tile.weight > 0], [tile for tile in own if tile.weight < 0]
-        weights = [dict.fromkeys(range(tile.start, tile.end), 1.0) for tile in shown]
-        for between, (before, after) in zip(lost, pairwise(weights), strict=False):
-            half = (between.end - between.start) / 2
-            for frame in range(between.start, between.end):
-                way = (frame + 0.5 - between.start) / half
-                before[frame] *= min(1.0, 2 - way)
-                after[frame] *= min(1.0, way)
-        covered = Counter(frame for tile in lost for frame in range(tile.start, tile.end))
-        rest = {frame: (1 - sum(each.get(frame, 0.0) for each in weights)) / covered[frame] for frame in covered}
-        weights += [{frame: rest[frame] for frame in range(tile.start, tile.end)} for tile in lost]
-        for tile, by_frame in zip([*shown, *lost], weights, strict=True):
-            tiles += [Tile(tile.crop, part, *span, weight) for span, weight in _spans(by_frame) if weight]
-    return Plan(plan.frames, plan.crops, tuple(tiles))
 
+    def weigh(shown: Weights, transitions: Weights) -> None:
+        for transition, before, after in zip(transitions, shown, shown[1:], strict=False):
+            [frames] = transition.nonzero()
+            way = 2 * (np.arange(len(frames)) + 0.5) / len(frames)
+            before[frames] *= np.minimum(1, 2 - way)
+            after[frames] *= np.minimum(1, way)
+        transitions *= (1 - shown.sum(axis=0)) / np.maximum(1, transitions.sum(axis=0))
 
-def multi_diffusion(plan: Plan) -> Plan:
-    """The plan's crops, without those of the transitions, averaged wherever they overlap (Bar-Tal et al. 2023)."""
-    return _reweighted(plan, _average)
+    return reweighted(plan, weigh)
 
 
 def handshake(plan: Plan) -> Plan:
@@ -56,7 +54,55 @@ def handshake(plan: Plan) -> Plan:
 
     At the k-th of h shared frames, from 0, the next crop has the weight k / h.
     """
-    return _reweighted(plan, _fade)
+
+    def weigh(shown: Weights, transitions: Weights) -> None:
+        transitions[:] = 0
+        last = 0
+        for row, tile in enumerate(shown):
+            [frames] = tile.nonzero()
+            tile[frames] = np.minimum(1, (frames - frames[0]) / max(1, last - frames[0])) if frames[0] < last else 1
+            shown[:row] *= 1 - tile
+            last = max(last, frames[-1] + 1)
+
+    return reweighted(plan, weigh)
+
+
+def multi_diffusion(plan: Plan) -> Plan:
+    """The plan's crops, without those of the transitions, averaged wherever they overlap (Bar-Tal et al. 2023)."""
+    weights = {}
+    for part in BodyPart:
+        there = np.zeros((len(plan.crops), plan.frames))
+        for tile in plan.tiles:
+            if tile.part == part and tile.weight > 0:
+                there[tile.crop, tile.start : tile.end] = 1
+        weights[part] = there / there.sum(axis=0)
+    return weighted(plan, weights)
+
+
+def reweighted(plan: Plan, weigh: Weigh) -> Plan:
+    """The plan with its tiles weighed anew, part by part: see `Weigh`."""
+    weights = {}
+    for part in BodyPart:
+        tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
+        shown, transitions = ([tile for tile in tiles if (tile.weight > 0) == added] for added in (True, False))
+        rows = _present(shown, plan.frames), _present(transitions, plan.frames)
+        weigh(*rows)
+        weights[part] = np.zeros((len(plan.crops), plan.frames))
+        np.add.at(weights[part], [tile.crop for tile in (*shown, *transitions)], np.concatenate(rows))
+    return weighted(plan, weights)
+
+
+def weighted(plan: Plan, weights: Mapping[BodyPart, Weights]) -> Plan:
+    """The plan's crops with these weights [crops, frames], without the crops that count nowhere. Raises `ValueError`
+    where they do not sum to 1, or are of frames that a crop does not have."""
+    used = np.flatnonzero(sum(np.abs(each).sum(axis=1) for each in weights.values())).tolist()
+    tiles = [
+        Tile(number, part, start, end, weight)
+        for part in BodyPart
+        for number, crop in enumerate(used)
+        for start, end, weight in _runs(weights[part][crop])
+    ]
+    return Plan(plan.frames, tuple(plan.crops[crop] for crop in used), tuple(tiles))
 
 
 def second_take(plan: Plan, longest: int | None = None) -> Plan:
@@ -92,44 +138,13 @@ def _centred(own: Span, widest: Span, longest: int) -> Span:
     return start, min(widest[1], start + longest)
 
 
-def _average(tiles: Sequence[Tile], frame: int) -> list[float]:
-    """Of the crops: one may have two tiles, around another that interrupts it."""
-    counts = Counter(tile.crop for tile in tiles)
-    return [1 / len(counts) / counts[tile.crop] for tile in tiles]
+def _present(tiles: Sequence[Tile], frames: int) -> Weights:
+    frame = np.arange(frames)
+    spans = np.array([(tile.start, tile.end) for tile in tiles], dtype=int).reshape(-1, 2, 1)
+    return ((spans[:, 0] <= frame) & (frame < spans[:, 1])).astype(float)
 
 
-def _fade(tiles: Sequence[Tile], frame: int) -> list[float]:
-    weights, last = [1.0], tiles[0].end
-    for tile in tiles[1:]:
-        share = (frame - tile.start) / (last - tile.start)
-        weights = [*((1 - share) * weight for weight in weights), share]
-        last = max(last, tile.end)
-    return weights
-
-
-def _reweighted(plan: Plan, shares: Shares) -> Plan:
-    """The plan with the weights that `shares` gives where tiles overlap, and without the crops that it subtracts."""
-    used = sorted({tile.crop for tile in plan.tiles if tile.weight > 0})
-    number = {crop: new for new, crop in enumerate(used)}
-    tiles = []
-    for part in BodyPart:
-        own = sorted(
-            (tile for tile in plan.tiles if tile.part == part and tile.weight > 0), key=lambda tile: tile.start
-        )
-        edges = sorted({edge for tile in own for edge in (tile.start, tile.end)})
-        weights: dict[int, dict[int, float]] = {tile.crop: {} for tile in own}
-        for start, end in pairwise(edges):
-            covering = [tile for tile in own if tile.start <= start and end <= tile.end]
-            for frame in range(start, end):
-                for tile, share in zip(covering, shares(covering, frame), strict=True):
-                    weights[tile.crop][frame] = weights[tile.crop].get(frame, 0) + share
-        for crop, by_frame in weights.items():
-            tiles += [Tile(number[crop], part, *span, weight) for span, weight in _spans(by_frame) if weight]
-    return Plan(plan.frames, tuple(plan.crops[crop] for crop in used), tuple(tiles))
-
-
-def _spans(by_frame: dict[int, float]) -> list[tuple[Span, float]]:
-    """Runs of consecutive frames with one weight."""
-    frames = sorted(by_frame)
-    runs = groupby(enumerate(frames), key=lambda pair: (pair[1] - pair[0], by_frame[pair[1]]))
-    return [((run[0][1], run[-1][1] + 1), weight) for (_, weight), run in ((key, list(run)) for key, run in runs)]
+def _runs(weights: np.ndarray) -> list[tuple[int, int, float]]:
+    """Runs [start, end) of consecutive frames with one weight, but for 0."""
+    edges = [0, *(np.flatnonzero(np.diff(weights)) + 1).tolist(), len(weights)]
+    return [(start, end, float(weights[start])) for start, end in pairwise(edges) if weights[start]]

@@ -29,6 +29,7 @@ from stmc.published.checkpoint import (
     without,
     without_tables,
 )
+from stmc.sampling import Sampling
 from stmc.settings import shown
 from stmc.statistics import Statistics
 
@@ -87,8 +88,7 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
         skeleton=representation.skeleton,
         fps=data.fps,
         longest=data.longest,
-        guidance=data.guidance,
-        spread="std",
+        sampling=Sampling(guidance=data.guidance, noise_scale="std"),
         config=config,
     )
     steps, first = settings["diffusion_steps"], network.absolute_from

@@ -25,6 +25,7 @@ from stmc.published.checkpoint import (
     without,
     without_tables,
 )
+from stmc.sampling import Sampling
 from stmc.settings import shown
 
 DEFAULTS = {
@@ -87,15 +88,14 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
         skeleton=parts["representation"].skeleton,
         fps=FPS,
         longest=FRAMES,
-        guidance=2.5 if settings["cond_mask_prob"] else 1.0,
-        spread="std",
+        sampling=Sampling(guidance=2.5 if settings["cond_mask_prob"] else 1.0, noise_scale="std"),
         config=config,
     )
     facts = [
         f"MDM (Tevet et al. 2023), {settings['arch']}, {settings['diffusion_steps']} steps, trained on HumanML3D.",
         f"Weights: {path.name}{', their moving average' if settings['use_ema'] else ''}.",
         "Sampled as published: the textbook's DDPM, guidance 2.5"
-        + (", every crop with 196 frames in sight." if network.window else "."),
+        + (", every crop with 196 frames in sight." if network.fixed_length else "."),
     ]
     if leading is not None:
         facts.append(f"The decoder's leading token tells {leading.replace('_', ' ')}.")
@@ -153,7 +153,7 @@ def _described(settings: Mapping[str, Any], leading: str | None, text_model: str
             "text_width": 768 if bert else 512,
             "width": settings["latent_dim"],
             "layers": settings["layers"],
-            "window": None if settings["mask_frames"] else FRAMES,
+            "fixed_length": None if settings["mask_frames"] else FRAMES,
         }
         | ({} if leading is None else {"leading": leading}),
         "schedule": {

@@ -22,6 +22,7 @@ from stmc.published.checkpoint import (
     whole,
     without,
 )
+from stmc.sampling import Sampling
 
 CHECKPOINT = Path("model/latest.tar")
 DEFAULTS = {
@@ -63,8 +64,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         fps=FPS,
         longest=config["denoiser"]["frames"],
         prediction="eps",
-        guidance=1.0,
-        spread="std",
+        sampling=Sampling(guidance=1.0, noise_scale="std"),
         config=config,
     )
     epoch = content.get("ep")

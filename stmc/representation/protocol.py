@@ -23,6 +23,9 @@ JointsFrom = Literal["skeleton", "features"]
 class Representation(Protocol):
     """Motion ⇄ features that are not normalised and do not depend on where the body stands and looks."""
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{each.name} {each.size}' for each in self.layout.fields)})"
+
     @property
     def layout(self) -> Layout:
         """The fields, in their order."""

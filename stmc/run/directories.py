@@ -24,11 +24,13 @@ from stmc.diffusion import Schedule
 from stmc.evaluators import Evaluator, Tmr
 from stmc.files import write_text, write_whole
 from stmc.model import Model, Precision
+from stmc.renamed import with_new_names
 from stmc.representation import Representation
 from stmc.run.configs import RunError, brief, check_plain, config_text, read_config
 from stmc.run.construction import Part, construct, is_ours
 from stmc.run.records import EvaluatorSettings, ModelSettings, settings_of
 from stmc.run.weights import Spec, misfit, read_specs, sketch, specs_of
+from stmc.sampling import Sampling
 from stmc.settings import shown
 from stmc.statistics import Statistics
 from stmc.text import TextEncoder
@@ -92,9 +94,16 @@ def load(
     folder = bundled() if folder is None else Path(folder).expanduser()
     config = _config(folder, PARTS)
     settings = settings_of(ModelSettings, config, folder / CONFIG)
+    sampling = settings_of(Sampling, config, folder / CONFIG)
     parts, statistics, offsets = _restored(folder, config, PARTS, trusted)
     model = Model(
-        **parts, **statistics, skeleton=Skeleton(offsets), config=config, precision=precision, **vars(settings)
+        **parts,
+        **statistics,
+        **vars(settings),
+        skeleton=Skeleton(offsets),
+        config=config,
+        precision=precision,
+        sampling=sampling,
     )
     return model.to(place)
 
@@ -189,7 +198,8 @@ def check(record: Model | Evaluator, trusted: Sequence[str] = ()) -> dict[str, A
     for statistic, shape in _shapes(built, parts).items():
         _check_numbers(_numbers(record)[statistic], shape, f"the model: {statistic}")
     named = {setting: getattr(record, setting) for setting in kind.__dataclass_fields__}
-    return config | vars(settings_of(kind, named, "the model"))
+    sampling = record.sampling.given if isinstance(record, Model) else {}
+    return config | vars(settings_of(kind, named, "the model")) | dict(sampling)
 
 
 def _sketched(
@@ -285,7 +295,7 @@ def _config(folder: Path, parts: Mapping[str, Part]) -> dict[str, Any]:
     missing = [name for name in (CONFIG, WEIGHTS, STATISTICS) if not (folder / name).is_file()]
     if missing:
         raise RunError(f"{folder} is not a run directory: {', '.join(missing)} missing")
-    config = read_config(folder / CONFIG)
+    config = with_new_names(read_config(folder / CONFIG))
     absent = [name for name in parts if name not in config]
     if absent:
         raise RunError(f"{folder / CONFIG}: {', '.join(absent)} missing")

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from stmc.diffusion import Prediction, Spread
-from stmc.model import Model
+from stmc.diffusion import Prediction
 from stmc.run.configs import RunError
 from stmc.settings import SettingError, check, record_of, setting
 
@@ -28,13 +27,10 @@ class EvaluatorSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSettings(EvaluatorSettings):
-    """Of a model: what it predicts, and how it is sampled unless told otherwise, as `Model` says."""
+    """Of a model; how it is sampled unless told otherwise stands beside them: see `Sampling`."""
 
     longest: int = setting(dataclasses.MISSING, "longest crop", unit="frames", at_least=1, at_most=10_000)
-    prediction: Prediction = setting(dataclasses.MISSING, "what the denoiser predicts")  # noqa: RUF009
-    guidance: float | int = setting(Model.guidance, "weight of classifier-free guidance")
-    spread: Spread = setting(Model.spread, "what scales the noise of ddpm")  # noqa: RUF009
-    late: float | int = setting(Model.late, "share of the steps before stitching", at_least=0, below=1)
+    prediction: Prediction = setting(dataclasses.MISSING, "what the denoiser predicts")
 
 
 def settings_of(kind: type[Record], config: Mapping[str, Any], place: str | Path) -> Record:

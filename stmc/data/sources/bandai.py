@@ -28,7 +28,7 @@ from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
 from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe, mirrored_content
 from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
-from stmc.data.sources.segments import Segment, segments
+from stmc.data.sources.segments import Segment, read_segments
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
 from stmc.untrusted import UnreadableError, cut, read_bytes, shown
@@ -269,7 +269,7 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
         (True, mirrored_content(named.content), motion.mirrored()),
     ):
         posed = Motion.posed(moved.rotations, moved.translation, fps, skeleton)
-        cuts = segments("bandai").get(name, ())
+        cuts = read_segments("bandai").get(name, ())
         unsaid = name in MISNAMED or content in {cut.content for cut in cuts}
         clip = Clip(
             name=f"M/{name}" if mirrored else name,

@@ -17,7 +17,7 @@ from stmc.data.cache import Cache, Clip, assemble, fingerprint
 from stmc.data.preparation import LayoutError, Watch, code, in_parallel
 from stmc.data.sources import cmu
 from stmc.data.sources.bandai_sentences import CONTENTS, describe, mirrored_content
-from stmc.data.sources.segments import Segment, segments, splits
+from stmc.data.sources.segments import Segment, read_segments, splits
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
 
@@ -55,7 +55,7 @@ class CmuClips:
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`. Recordings without segments are left alone; others that cannot be used are named."""
-        wanted, skipped, sources = segments("cmu"), [], []
+        wanted, skipped, sources = read_segments("cmu"), [], []
         for source in cmu.read_sources(self._source):
             if isinstance(source, tuple):
                 skipped.append(source)
@@ -78,7 +78,7 @@ def convert(source: cmu.Source, fps: float | int) -> Rows:
     rows: Rows = []
     for mirrored, moved in ((False, motion), (True, motion.mirrored())):
         features = encoded(Motion.posed(moved.rotations, moved.translation, fps, skeleton))
-        for number, segment in enumerate(segments("cmu")[source.name]):
+        for number, segment in enumerate(read_segments("cmu")[source.name]):
             first, last = round(segment.start * fps), min(round(segment.end * fps), len(features))
             if last - first < 2:
                 raise cmu.CmuError(f"{len(features) / fps:g} s are too short for a segment from {segment.start:g} s on")
