@@ -1,5 +1,6 @@
 """Where tests find what is not committed: the golden numbers of the published code, and the real data."""
 
+import functools
 import gzip
 import json
 import os
@@ -36,6 +37,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if getattr(item.function, "is_hypothesis_test", False):
                 item.add_marker("slow")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_minilm():
+    """The bundled text encoder is read once for all tests."""
+    from stmc.text import language_models
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(language_models, "load", functools.cache(language_models.load))
+        yield
 
 
 def golden_sets(area: str) -> list:

@@ -100,7 +100,7 @@ def test_a_whole_run_of_stmc_is_its_equations_timeline_by_timeline():
     x, noises = drawn(2, longest, 10), drawn(5, 2, longest, 10, seed=2)
     stream = iter(noises)
     predict = collage(guided_crops(network, schedule, plans, texts, 2.0), plans, COLUMNS)
-    ours = torch.stack(list(ddpm(predict, schedule, x, lambda shape: next(stream), spread="variance")))
+    ours = torch.stack(list(ddpm(predict, schedule, x, lambda shape: next(stream), noise_scale="variance")))
     for row, prompts in enumerate(TIMELINES):
         slow = Slow(prompts, overlap, weights, {name: text.numpy() for name, text in texts.items()}, 2.0)
         given = (x[row, : slow.frames].numpy(), noises[:, row, : slow.frames].numpy())

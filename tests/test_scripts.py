@@ -92,9 +92,20 @@ def prepared(work, source) -> tuple[Path, str]:
 def training(work: Path) -> tuple[str, ...]:
     small = ("denoiser=mdm_smpl_small", "denoiser.width=32", "denoiser.feedforward=64", "denoiser.layers=1")
     few = ("training.steps=4", "training.log_every=2", "training.validate_every=4", "training.checkpoint_every=4")
-    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1", "draw_every=4", "draw=[nod # 0 # 1 # head]")
+    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1")
+    drawing = ("draw_every=4", "draw=['nod # 0 # 1 # head']")
     places = (f"run={work / 'run'}", f"data.folder={work / 'cache'}", f"text_cache={work / 'texts'}")
-    return (*places, *small, *few, *batches, "device=cpu", "threads=1", "training.warmup=1", "noise_scale=std")
+    return (
+        *places,
+        *small,
+        *few,
+        *batches,
+        *drawing,
+        "device=cpu",
+        "threads=1",
+        "training.warmup=1",
+        "noise_scale=std",
+    )
 
 
 @pytest.fixture(scope="module")
