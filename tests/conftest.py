@@ -4,6 +4,7 @@ import functools
 import gzip
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,17 @@ def golden(folder: Path, name: str):
             return dict(archive)
     text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     return json.loads(text)
+
+
+def checked(subtests: pytest.Subtests, checks: Iterable, *given) -> None:
+    """All checks of one formula as one test, of which each that fails is told by its name.
+
+    A check is a function of what is `given`, or a tuple of one and its further arguments.
+    """
+    for check in checks:
+        function, *more = check if isinstance(check, tuple) else (check,)
+        with subtests.test(" ".join([function.__name__.replace("_", " "), *map(str, more)])):
+            function(*given, *more)
 
 
 def data_file(name: str) -> Path:

@@ -8,7 +8,7 @@ import checkpoints
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from scripting import run
 from test_scripts import script
 from test_text import RunsCode
@@ -413,18 +413,16 @@ def test_every_name_of_the_published_lightning_checkpoint_has_its_place(folder, 
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == 27_007_181
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("mdm"))
-@pytest.mark.parametrize(
-    ("name", "args"),
-    [
-        ("mdm_trans_enc", {}),
-        ("mdm_trans_dec_clip", {"arch": "trans_dec"}),
-        ("mdm_trans_dec_clip_emb", {"arch": "trans_dec", "emb_trans_dec": True}),
-        ("mdm_trans_dec_bert", {"arch": "trans_dec", "text_encoder_type": "bert", "diffusion_steps": 50}),
-    ],
-)
-def test_every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path, name, args):
+ARGS = {
+    "mdm_trans_enc": {},
+    "mdm_trans_dec_clip": {"arch": "trans_dec"},
+    "mdm_trans_dec_clip_emb": {"arch": "trans_dec", "emb_trans_dec": True},
+    "mdm_trans_dec_bert": {"arch": "trans_dec", "text_encoder_type": "bert", "diffusion_steps": 50},
+}
+
+
+def every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path, name):
+    tmp_path = tmp_path / name
     listed = golden(folder.parent / "state_dicts", f"{name}.json")["entries"]
     checkpoints.mdm(tmp_path)
     table = sinusoids(5000, 512)[:, None]
@@ -432,15 +430,13 @@ def test_every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path
         entry["name"]: flat(entry["shape"]) if entry["kind"] == "parameter" else table.clone() for entry in listed
     }
     torch.save(weights, tmp_path / FILES[checkpoints.mdm])
-    (tmp_path / "args.json").write_text(json.dumps(args))
+    (tmp_path / "args.json").write_text(json.dumps(ARGS[name]))
     model = read(tmp_path).model
     parameters = [np.prod(entry["shape"], dtype=int) for entry in listed if entry["kind"] == "parameter"]
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == sum(parameters)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("mdm"))
-def test_every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder, tmp_path):
+def every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder, tmp_path):
     checkpoints.motion_diffuse(tmp_path, more="")
     listed = [
         entry
@@ -451,3 +447,10 @@ def test_every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder
     torch.save({"encoder": weights, "ep": 49, "total_it": 1}, tmp_path / FILES[checkpoints.motion_diffuse])
     model = read(tmp_path).model
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == 87_152_135
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("mdm"))
+def test_every_name_of_the_published_checkpoints_of_mdm_and_motion_diffuse_has_its_place(folder, tmp_path, subtests):
+    checks = [(every_name_of_mdms_published_checkpoints_has_its_place, name) for name in ARGS]
+    checked(subtests, [*checks, every_name_of_motion_diffuses_published_checkpoint_has_its_place], folder, tmp_path)
