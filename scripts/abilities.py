@@ -1,9 +1,12 @@
 """Measures what a model can do, by the geometry of its samples: `python scripts/abilities.py model=RUN`."""
 
 import json
+import sys
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import get_args
 
-import hydra
 import numpy as np
 from omegaconf import DictConfig
 from rich.console import Console
@@ -12,13 +15,32 @@ from rich.table import Table
 
 import stmc
 from stmc.benchmarks.ability import abilities, mean_speed
+from stmc.commands import command
+from stmc.commands.shared import OnDevice
 from stmc.data.cache import Cache
+from stmc.diffusion import NoiseScale
 from stmc.files import write_text, write_whole
 from stmc.metrics import kinematics
+from stmc.model import Precision
+from stmc.settings import setting
 from stmc.viewing import pictures
 
 
-@hydra.main(config_path="../configs", config_name="abilities", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice):
+    model: str | None = setting(None, "run directory; null: the bundled model")
+    samples: int = setting(32, "motions of each ability", at_least=2)
+    seed: int = setting(0, "of the first motion", at_least=0)
+    guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
+    overlap: float | int = setting(0.5, "how long transitions are", unit="s", at_least=0)
+    steps: int | None = setting(None, "of denoising; null: as many as in training", at_least=1)
+    noise_scales: tuple[str, ...] = setting(("std", "variance"), "of DDPM's noise", choices=get_args(NoiseScale))
+    cache: str | None = setting(None, "prepared data, to measure the test split's foot sliding beside the model's")
+    output: str = setting("outputs/abilities", "folder of pictures and numbers")
+    precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+
+
+@command("abilities", Settings, ("model", "output"))
 def main(config: DictConfig) -> None:
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
     folder.mkdir(parents=True, exist_ok=True)
@@ -89,4 +111,4 @@ def report(results: dict, noise_scales: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

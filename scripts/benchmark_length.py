@@ -7,12 +7,13 @@ the shortest timeline of the same run.
 import json
 import sys
 import time
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
-import hydra
 import psutil
 import torch
 from matplotlib.axes import Axes
@@ -23,13 +24,17 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
+from stmc.commands import command
+from stmc.commands.shared import OnDevice, Threaded
 from stmc.files import write_text, write_whole
 from stmc.results.axes import DASHED, dress, grid, legend
 from stmc.results.naming import method_row
+from stmc.settings import setting
 from stmc.viewing.colours import palette
 from stmc.viewing.tracks import INK
 
 MEBIBYTE = 2**20
+TEXTS = ("walk forwards", "turn left", "wave with the right hand", "run", "raise both arms", "turn right")
 
 
 class Measured(NamedTuple):
@@ -42,7 +47,20 @@ class Measured(NamedTuple):
     device: str
 
 
-@hydra.main(config_path="../configs", config_name="benchmark_length", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice, Threaded):
+    runs: tuple[Mapping, ...] = setting(
+        ({"method": "stmc", "model": None},), "methods, each with its model's run directory (null: the bundled one)"
+    )
+    seconds: tuple[float | int, ...] = setting((10, 30, 60, 120, 300, 600), "of each timeline", unit="s", above=0)
+    prompt: float | int = setting(5, "length of each prompt", unit="s", above=0)
+    texts: tuple[str, ...] = setting(TEXTS, "of the prompts, again and again")
+    steps: int = setting(3, "of denoising", at_least=1)
+    repeats: int = setting(3, "of every measurement; the fastest counts", at_least=1)
+    output: str = setting("outputs/length", "folder of length.png and length.json")
+
+
+@command("benchmark_length", Settings)
 def main(config: DictConfig) -> None:
     jobs = [(run.method, run.model, seconds) for run in config.runs for seconds in sorted(config.seconds)]
     settings = OmegaConf.to_container(config, resolve=True)
@@ -164,4 +182,4 @@ def draw(axes: Axes, rows: list[dict], key: str, unit: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

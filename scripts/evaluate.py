@@ -8,15 +8,16 @@ import itertools
 import json
 import platform
 import re
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
+from typing import get_args
 
-import hydra
 import torch
-from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -25,47 +26,61 @@ from safetensors.torch import load_file, save_file
 
 import stmc
 from stmc.benchmarks import Benchmark
+from stmc.commands import command
+from stmc.commands.shared import OnDevice, Threaded
 from stmc.composing import find_method, settled
-from stmc.files import write_text, write_whole
+from stmc.files import remove_leftovers, write_text, write_whole
+from stmc.model import Precision
 from stmc.results import Result, read_results, write_results
 from stmc.results.naming import REAL
 from stmc.results.records import SETTINGS, Setting
 from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
 from stmc.sampling import Sampling
-from stmc.settings import record_of
+from stmc.settings import record_of, setting
 
 
-@hydra.main(config_path="../configs", config_name="evaluate", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice, Threaded):
+    models: Mapping = setting({"MDM-SMPL": None}, "names for the tables: run directories (null: the bundled model)")
+    evaluator: str | None = setting(None, "run directory; null: the bundled one")
+    output: str = setting(
+        "outputs/evaluation", "folder of all experiments on one benchmark: what one has run, the others need not"
+    )
+    seeds: tuple[int, ...] = setting((0, 1, 2), "each is a run of its own", at_least=0)
+    batch: int = setting(50, "timelines at a time; a killed run loses at most so many", at_least=1)
+    precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+    trusted: tuple[str, ...] = setting(
+        (), "packages of your own that models are made of, or methods named of, as in mylab.rules.mine"
+    )
+
+
+@command("evaluate", Settings, ("output",))
 def main(config: DictConfig) -> None:
     """Runs whatever is not in the output yet, then writes the tables and the figure of all that was asked for."""
     console, folder = Console(), Path(config.output).expanduser()
     if config.threads:
         torch.set_num_threads(config.threads)
-    try:
-        evaluator = stmc.load_evaluator(config.evaluator, device=config.device)
-        models = {
-            name: stmc.load(place, device=config.device, precision=config.precision)
-            for name, place in config.models.items()
-        }
-        settings = list(dict.fromkeys(chosen(config.experiment, models, tuple(config.trusted))))
-        benchmark = instantiate(config.benchmark)(judge=evaluator)
-        results = begun(folder, about(config))
-        with Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-            TimeRemainingColumn(), console=console,
-        ) as progress:  # fmt: skip
-            runs = [(setting, seed) for seed in config.seeds for setting in settings]
-            task = progress.add_task("Runs", total=len(runs))
-            for setting, seed in runs:
-                if not any(result.setting == setting and result.seed == seed for result in results):
-                    results.append(run(benchmark, models, setting, seed, config, progress))
-                    write_results(results, folder / "results.jsonl")
-                progress.advance(task)
-        report([result for result in results if (result.setting, result.seed) in runs], config, console)
-    except InstantiationException as error:
-        raise SystemExit(str(error.__cause__ or error)) from error
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
+    evaluator = stmc.load_evaluator(config.evaluator, device=config.device, trusted=config.trusted)
+    models = {
+        name: stmc.load(place, device=config.device, precision=config.precision, trusted=config.trusted)
+        for name, place in config.models.items()
+    }
+    settings = list(dict.fromkeys(chosen(config.experiment, models, tuple(config.trusted))))
+    benchmark = instantiate(config.benchmark)(judge=evaluator)
+    remove_leftovers(folder)
+    results = begun(folder, about(config))
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TimeRemainingColumn(), console=console,
+    ) as progress:  # fmt: skip
+        runs = [(setting, seed) for seed in config.seeds for setting in settings]
+        task = progress.add_task("Runs", total=len(runs))
+        for setting, seed in runs:
+            if not any(result.setting == setting and result.seed == seed for result in results):
+                results.append(run(benchmark, models, setting, seed, config, progress))
+                write_results(results, folder / "results.jsonl")
+            progress.advance(task)
+    report([result for result in results if (result.setting, result.seed) in runs], config, console)
 
 
 def chosen(experiment: DictConfig, models: dict[str, stmc.Model], trusted: tuple[str, ...]) -> Iterator[Setting]:
@@ -197,4 +212,4 @@ def report(results: list[Result], config: DictConfig, console: Console) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

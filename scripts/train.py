@@ -1,39 +1,58 @@
 """Trains a denoiser: `python scripts/train.py run=FOLDER data.folder=CACHE`; devices: `accelerate launch`."""
 
 import logging
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import get_args
 
-import hydra
 import torch
 from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
+from stmc.commands import command
+from stmc.commands.shared import Trained
 from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
 from stmc.data.dataset import Corpus
+from stmc.diffusion import NoiseScale
 from stmc.files import locked, write_whole
 from stmc.model import Model
 from stmc.run import PARTS, build, check
 from stmc.sampling import Sampling
-from stmc.settings import SettingError, record_of
+from stmc.settings import record_of, setting
 from stmc.text import Cached
 from stmc.training import Denoising, Hook, Trainer, find_accelerator
 
 logger = logging.getLogger(__name__)
 
+DRAWN = (
+    "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
+    "turn left # 0 # 5 # legs",
+)
 
-@hydra.main(config_path="../configs", config_name="train", version_base="1.3")
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(Trained):
+    objective: Mapping = setting(
+        {"prediction": "x0", "weights": {}},
+        "prediction: what the denoiser says (x0, eps, v or score); weights: of fields that count more or less than 1",
+    )
+    noise_scale: str = setting(
+        "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
+    )
+    start: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
+    draw_every: int = setting(2000, "steps between pictures", at_least=1)
+    draw: tuple[str, ...] = setting(DRAWN, "timelines of which pictures are drawn")
+
+
+@command("train", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    try:
-        own_sampling(config)
-    except SettingError as error:
-        raise SystemExit(str(error)) from error
     if config.threads:
         torch.set_num_threads(config.threads)
     hardware = find_accelerator(config.device)
@@ -139,4 +158,4 @@ def draw(config: DictConfig, model: Model, step: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -2,17 +2,20 @@
 
 import json
 import logging
+import sys
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import hydra
 import torch
 from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from stmc.commands import command
+from stmc.commands.shared import Trained
 from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
 from stmc.data.dataset import Corpus
@@ -21,6 +24,7 @@ from stmc.evaluators import Evaluator
 from stmc.files import locked, write_text
 from stmc.metrics.retrieval import Retrieval, both_ways, cosines, in_batches
 from stmc.run import EVALUATOR_PARTS, build, check, save_evaluator
+from stmc.settings import setting
 from stmc.text import Cached
 from stmc.training import Hook, Trainer, find_accelerator
 from stmc.training.logs import Table
@@ -28,7 +32,16 @@ from stmc.training.logs import Table
 logger = logging.getLogger(__name__)
 
 
-@hydra.main(config_path="../configs", config_name="train_tmr", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(Trained):
+    objective: Mapping = setting({"_target_": "stmc.evaluators.TmrObjective"}, "what is minimised")
+    sentences: Mapping | None = setting(
+        None, "encoder of whole sentences (+text_encoder@sentences=minilm) for data whose texts are not shared"
+    )
+    similar: float | int = setting(0.8, "texts that it scores above this are no wrong answers to each other", at_most=1)
+
+
+@command("train_tmr", Settings, ("run",))
 def main(config: DictConfig) -> None:
     if config.threads:
         torch.set_num_threads(config.threads)
@@ -146,4 +159,4 @@ def confused(contents: list[str], table: torch.Tensor) -> list[tuple[str, str, i
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

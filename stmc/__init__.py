@@ -3,10 +3,12 @@
     model = stmc.load()
     [motion] = model.generate(stmc.Timeline.parse("walk forwards # 0 # 6 # legs"), seed=0)
 
-Names are imported when they are first used, so that `import stmc` is quick.
+Names and packages are imported when they are first used, so that `import stmc` is quick. What editors and type checkers
+read instead is `__init__.pyi`.
 """
 
 from importlib import import_module
+from pkgutil import iter_modules
 
 __version__ = "0.1.0"
 
@@ -24,12 +26,17 @@ _HOMES = {
 __all__ = sorted(_HOMES)
 
 
+_ROOMS = {module.name for module in iter_modules(__path__) if not module.name.startswith("_")}
+
+
 def __getattr__(name: str):
-    if name not in _HOMES:
-        raise AttributeError(f"module 'stmc' has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"stmc.{_HOMES[name]}"), name)
-    return value
+    if name in _HOMES:
+        value = globals()[name] = getattr(import_module(f"stmc.{_HOMES[name]}"), name)
+        return value
+    if name in _ROOMS:
+        return import_module(f"stmc.{name}")
+    raise AttributeError(f"module 'stmc' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return sorted({*__all__, *_ROOMS, *(name for name in globals() if name.startswith("__"))})

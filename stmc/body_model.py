@@ -9,15 +9,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import torch
 import trimesh
 from einops import rearrange
 from jaxtyping import Float, Int64
-from smplx.lbs import lbs
 from torch import Tensor
 
 from stmc.arrays import ArraysError, read_npz, read_pickle
@@ -121,6 +122,7 @@ class Body:
         return [trimesh.Trimesh(vertices, faces, process=False) for vertices in posed]
 
     def _skinned(self, rotations: Tensor, translation: Tensor) -> Tensor:
+        lbs = _smplx().lbs
         frames = len(translation)
         pose = torch.cat([rotations, self.relaxed[ROTATED:].to(rotations).expand(frames, -1, 3, 3)], dim=1)
         vertices, _ = lbs(
@@ -135,6 +137,14 @@ class Body:
             pose2rot=False,
         )
         return vertices + self.skeleton.smpl_translation(translation)[:, None]
+
+
+def _smplx() -> ModuleType:
+    """What poses bodies: only they need it."""
+    try:
+        return import_module("smplx.lbs")
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("bodies need smplx: pip install 'stmc[smpl]'", name="smplx") from error
 
 
 def load_body(

@@ -75,6 +75,14 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
 
 
+def probe(folder: Path) -> None:
+    """Makes a folder and writes to it, to find out before long work whether that can be done. Raises `OSError`."""
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "is no folder", str(folder))
+    write_whole(folder / "probe", lambda temporary: temporary.write_bytes(b"probe"))
+    (folder / "probe").unlink(missing_ok=True)
+
+
 def remove_leftovers(folder: Path) -> None:
     """Removes the temporary files below `folder` whose process was killed: to be called where a run begins.
 

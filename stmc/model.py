@@ -162,9 +162,8 @@ class Model:
                 "sinc_lerp", "single_track" and "one_text" its baselines (section 4.3); "multi_diffusion",
                 "double_take", "sinc_slerp" and "flow_mdm" are other ways to compose in time.
             progress: Wraps the denoising steps of each phase, `progress(steps, total=100)`, e.g. `tqdm`.
-            settings: Those of `Sampling`; what is not said is the method's or the model's own.
-
             joints_from: See `decode`.
+            settings: Those of `Sampling`; what is not said is the method's or the model's own.
 
         Raises:
             SettingError: For settings that do not fit, or that the method, the sampler or the model does not have.
@@ -181,7 +180,8 @@ class Model:
             timelines = [method.baseline(timeline, self.fps, self.longest) for timeline in timelines]
         self.network.eval()
         features = method.sample(self._run(timelines, seeds, sampling, progress or _silent))
-        return self.decode(features, [timeline.frames(self.fps) for timeline in timelines], joints_from)
+        motions = self.decode(features, [timeline.frames(self.fps) for timeline in timelines], joints_from)
+        return [dataclasses.replace(motion, overlap=sampling.overlap or 0.0) for motion in motions]
 
     def decode(
         self,

@@ -62,15 +62,24 @@ def setting(
     at_most: float | int | None = None,
     below: float | int | None = None,
 ) -> Any:
-    """A field of a record of settings: its default, what it is in a line, and what values fit."""
+    """A field of a record of settings: its default (`MISSING`: it must be given), what it is in a line, and what values
+    fit."""
     limits = {"at_least": at_least, "above": above, "at_most": at_most, "below": below}
     given = tuple((name, limit) for name, limit in limits.items() if limit is not None)
-    return dataclasses.field(default=default, metadata={"about": About(help, unit, tuple(choices), given)})
+    first = {"default_factory": default.copy} if isinstance(default, dict) else {"default": default}
+    return dataclasses.field(**first, metadata={"about": About(help, unit, tuple(choices), given)})
 
 
 def about(record: type) -> dict[str, About]:
     """What every setting of a record says of itself, in order."""
     return {field.name: field.metadata["about"] for field in dataclasses.fields(record) if "about" in field.metadata}
+
+
+def defaults(record: type) -> dict[str, Any]:
+    """The default of every setting of a record, in order; `dataclasses.MISSING` for what must be given."""
+    fields = [field for field in dataclasses.fields(record) if "about" in field.metadata]
+    made = {field.name: field.default_factory for field in fields if field.default_factory is not dataclasses.MISSING}
+    return {field.name: made[field.name]() if field.name in made else field.default for field in fields}
 
 
 def check(record: Any) -> None:
@@ -83,10 +92,7 @@ def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
     names too, with the nearest known one."""
     known = [field.name for field in dataclasses.fields(kind)]
     for name in values:
-        if name not in known:
-            near = get_close_matches(str(name), known, 1)
-            meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
-            raise SettingError(f"unknown setting {shown(name)}: {meant}")
+        check_name(name, known)
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     _check_values(kind, values)
     return kind(**values)
@@ -109,10 +115,21 @@ def takes(kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return shows
 
 
+def check_name(name: Any, known: Iterable[str]) -> None:
+    """Raises `SettingError` for a name that is not known, with the nearest one that is."""
+    known = list(known)
+    if name not in known:
+        near = get_close_matches(str(name), known, 1)
+        meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
+        raise SettingError(f"unknown setting {shown(name)}: {meant}")
+
+
 def _check_values(kind: type, values: Mapping[str, Any]) -> None:
     hints, known = get_type_hints(kind), about(kind)
     for name in values:
         if name in known:
+            if values[name] == "":
+                raise SettingError(f"{name}='': a text needed")
             check_value(name, values[name], hints[name], known[name])
 
 
@@ -129,13 +146,14 @@ def check_value(name: str, value: Any, hint: Any, each: About | None = None) -> 
     items = value if isinstance(value, tuple) else (value,)
     if each.choices and (bad := [item for item in items if isinstance(item, str) and item not in each.choices]):
         raise SettingError(f"{name}={shown(bad[0])}: choose from {', '.join(each.choices)}")
-    if isinstance(value, (int, float)) and not all(_LIMITS[limit][1](value, at) for limit, at in each.limits):
-        raise SettingError(f"{name}={shown(value)}: must be {each.fits}")
+    for item in items:
+        if isinstance(item, (int, float)) and not all(_LIMITS[limit][1](item, at) for limit, at in each.limits):
+            raise SettingError(f"{name}={shown(item)}: must be {each.fits}")
 
 
 _WORDS: Mapping[Any, str] = {
     int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list", NoneType: "null",
-    Callable: "a function",
+    Mapping: "a table of names and values", Callable: "a function",
 }  # fmt: skip
 
 
@@ -154,8 +172,12 @@ def _is(value: Any, kind: Any) -> bool:
         return isinstance(value, int) and not isinstance(value, bool)
     if get_origin(kind) is Literal:
         return value in get_args(kind)
+    if get_origin(kind) in (Union, UnionType):
+        return any(_is(value, each) for each in get_args(kind))
     if get_origin(kind) is Callable:
         return callable(value)
     if get_origin(kind) is tuple:
         return isinstance(value, tuple) and all(_is(item, get_args(kind)[0]) for item in value)
+    if kind is NoneType:
+        return value is None
     return isinstance(value, kind)

@@ -99,5 +99,5 @@ def test_weights_that_are_not_there_are_named(tmp_path):
     (tmp_path / "lines.txt").write_text("walk\n")
     settings = (f"texts={tmp_path / 'lines.txt'}", f"folder={tmp_path / 'cache'}", "text_encoder=clip")
     done = script("embed", *settings, f"text_encoder.source={tmp_path}", folder=tmp_path / "here", check=False)
-    assert done.returncode == 1 and "hf download openai/clip-vit-base-patch32" in done.stdout
+    assert done.returncode == 2 and "hf download openai/clip-vit-base-patch32" in done.stdout
     assert "Traceback" not in done.stdout

@@ -389,7 +389,7 @@ def test_a_full_disk_leaves_no_part_of_a_run_directory(tmp_path, monkeypatch):
 
 
 def test_the_script_says_in_a_sentence_what_is_wrong(tmp_path):
-    with pytest.raises(SystemExit, match="expected one of"):
+    with pytest.raises(ValueError, match="expected one of"):
         run("import_checkpoint", "import_checkpoint", f"source={tmp_path}", f"output={tmp_path / 'o'}")
 
 

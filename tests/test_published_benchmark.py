@@ -244,7 +244,7 @@ def test_the_published_table_is_the_one_that_the_published_formulas_give(work, m
     run(
         "evaluate", "evaluate", "benchmark=mtt", f"benchmark.folder={work}", f"benchmark.amass={work / 'AMASS'}",
         f"models.MDM-SMPL={work / 'model'}", f"evaluator={work / 'tmr'}", f"output={work / 'out'}", "seeds=[1]",
-        "experiment.methods=[one_text, stmc]", "experiment.settings.steps=[2]", "experiment.settings.late=[0]",
+        "experiment.methods=[one_text, stmc]", "experiment.settings.steps=[2]", "experiment.settings.stitch_from=[0]",
         "device=cpu", "precision=fp32", "batch=2", "experiment.figure=null",
     )  # fmt: skip
     found = {result.method: result.metrics for result in read_results(work / "out" / "results.jsonl")}

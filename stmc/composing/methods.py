@@ -207,7 +207,7 @@ def settled(asked: Sampling, method: Method, own: Sampling) -> Sampling:
     found = replace(asked.over(own), **method.fixed)
     taken = settings_taken(found.sampler)
     absent = {name for name in _OF_SAMPLERS if name not in taken} | {
-        name for name in asked.given if getattr(own, name) is None
+        name for name in asked.given if getattr(own, name) is None and name not in _OF_SAMPLERS
     }
     return replace(found, **dict.fromkeys(absent))
 

@@ -33,6 +33,7 @@ from stmc.run.weights import Spec, misfit, read_specs, sketch, specs_of
 from stmc.sampling import Sampling
 from stmc.settings import shown
 from stmc.statistics import Statistics
+from stmc.tensors import found_device
 from stmc.text import TextEncoder
 
 BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_bandai", "tmr_bandai"
@@ -90,7 +91,7 @@ def load(
     """
     if precision not in get_args(Precision):
         raise ValueError(f"unknown precision {shown(precision)}; choose from {', '.join(get_args(Precision))}")
-    place = _device(device)
+    place = found_device(device)
     folder = bundled() if folder is None else Path(folder).expanduser()
     config = _config(folder, PARTS)
     settings = settings_of(ModelSettings, config, folder / CONFIG)
@@ -113,7 +114,7 @@ def load_evaluator(
 ) -> Evaluator:
     """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to; without `folder`, the
     bundled one. `trusted` and errors are those of `load`."""
-    place = _device(device)
+    place = found_device(device)
     folder = bundled(BUNDLED_EVALUATOR) if folder is None else Path(folder).expanduser()
     config = _config(folder, EVALUATOR_PARTS)
     settings = settings_of(EvaluatorSettings, config, folder / CONFIG)
@@ -357,18 +358,3 @@ def _fill(network: torch.nn.Module, path: Path) -> None:
         raise RunError(f"{path} holds weights that are not finite: {', '.join(broken[:3])}")
     network.load_state_dict(weights)
     network.eval().requires_grad_(False)
-
-
-def _device(device: torch.device | str) -> torch.device | str:
-    """A device that there is; "auto" is an accelerator if there is one."""
-    cuda, mps = torch.cuda.is_available(), torch.backends.mps.is_available()
-    if device == "auto":
-        return "cuda" if cuda else "mps" if mps else "cpu"
-    try:
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError, NotImplementedError, TypeError, ValueError) as error:
-        choices = ", ".join(["auto", "cpu", *["cuda"] * cuda, *["mps"] * mps])
-        raise ValueError(
-            f"device {shown(str(device))} is unknown or not available here; choose from {choices}"
-        ) from error
-    return device

@@ -12,7 +12,7 @@ from pathlib import Path
 from stmc.body_model import Body
 from stmc.motion import Motion
 from stmc.timeline import Prompt, Timeline
-from stmc.viewing.colours import NEUTRAL, hand_overs, ink, owners, palette, worn
+from stmc.viewing.colours import NEUTRAL, hand_overs, ink, owners, palette, transition, worn
 from stmc.viewing.mannequin import dressed
 from stmc.viewing.scene import cameras, record
 
@@ -30,22 +30,23 @@ def page(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
-    overlap: int | float = 0.5,
+    overlap: int | float | None = None,
     body: Body | None = None,
 ) -> str:
     """A self-contained HTML page (some 1.5 MB, and as much again for every minute) that loads nothing from anywhere and
     opens from a file.
 
     It plays the motion in a loop with every body part in the colour of the prompt it obeys (neutral in gaps and in the
-    middle of transitions, which last `overlap` seconds), on a floor with the pelvis' path. With a `timeline` (by whose
-    name the page is called unless `title` says otherwise) it shows the texts that hold, and the tracks with a cursor
-    that can be dragged. "#t=2.5" behind the page's address opens it paused at 2.5 seconds. The camera sees the whole
-    motion in a window of any shape, or follows the body: a button says which, and the page follows by itself where the
-    body would be too small to see.
+    middle of transitions, which last `overlap` seconds; None: as long as those that the motion was sampled with), on a
+    floor with the pelvis' path. With a `timeline` (by whose name the page is called unless `title` says otherwise) it
+    shows the texts that hold, and the tracks with a cursor that can be dragged. "#t=2.5" behind the page's address
+    opens it paused at 2.5 seconds. The camera sees the whole motion in a window of any shape, or follows the body: a
+    button says which, and the page follows by itself where the body would be too small to see.
 
     The body is a mannequin with the motion's own bones, or the mesh of `body`.
     """
     title = title or (timeline.name if timeline is not None else "")
+    overlap = transition(motion, overlap)
     colours = worn(timeline, motion.fps, motion.frames, overlap)
     content = record(motion, dressed(motion, body), colours)
     assets = files("stmc") / "assets"
@@ -67,7 +68,7 @@ def view(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
-    overlap: int | float = 0.5,
+    overlap: int | float | None = None,
     body: Body | None = None,
     height: int = 640,
 ) -> None:
