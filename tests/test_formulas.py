@@ -14,8 +14,8 @@ from torch import Tensor
 from walker import walking
 
 from stmc.body import BodyPart
-from stmc.composing import NULL, collage, guided_crops
-from stmc.denoisers import MdmSmpl
+from stmc.composing import NULL, collage, guided_crops, guided_sequences, weave
+from stmc.denoisers import FlowMdm, MdmSmpl
 from stmc.diffusion import Schedule, ddim, ddpm, dpm_solver
 from stmc.evaluators import Tmr, TmrObjective
 from stmc.metrics import realism, retrieval, smoothness
@@ -106,6 +106,38 @@ def test_a_whole_run_of_stmc_is_its_equations_timeline_by_timeline():
         given = (x[row, : slow.frames].numpy(), noises[:, row, : slow.frames].numpy())
         theirs = formulas.ancestral(slow, schedule.alpha_bar.tolist(), range(5), *given, published=True)
         agree(ours[:, row, : slow.frames], np.stack(theirs))
+
+
+class SlowFlow(Slow):
+    """FlowMDM for one timeline: each body part is a sequence of the texts that it obeys, denoised whole."""
+
+    def __call__(self, x: np.ndarray, t: int) -> np.ndarray:
+        whole = np.zeros_like(x)
+        for part, own in zip(BodyPart, self.plus, strict=True):
+            obeyed = list(dict.fromkeys(crop for crop, *_ in own))
+            segment = [obeyed.index(crop) for crop, start, end, *_ in own for _ in range(start, end)]
+            null, told = (
+                equations.flow_mdm(self.weights, 2, 4, t >= 3, x, t, np.concatenate(words), segment)
+                for words in ([self.table[NULL]] * len(obeyed), [self.table[self.texts[crop]] for crop in obeyed])
+            )
+            columns = list(COLUMNS[part])
+            whole[:, columns] = (null + self.guidance * (told - null))[:, columns]
+        return whole
+
+
+@torch.no_grad()
+def test_a_whole_run_of_flow_mdm_is_its_equations_part_by_part():
+    network, weights = filled(FlowMdm(10, 4, 3, width=8, feedforward=8, layers=1, heads=2, horizon=4))
+    [prompts] = TIMELINES[:1]
+    texts = {name: drawn(1, 4, seed=10 + n) for n, name in enumerate([NULL, *(text for text, *_ in prompts)])}
+    schedule, plans = Schedule.cosine(5), plans_of(timeline(*prompts), overlap=0)
+    x, noises = drawn(1, plans[0].frames, 10), drawn(5, 1, plans[0].frames, 10, seed=2)
+    stream = iter(noises)
+    predict = weave(guided_sequences(network, schedule, plans, texts, 2.0), plans, COLUMNS)
+    ours = torch.cat(list(ddpm(predict, schedule, x, lambda shape: next(stream), noise_scale="std")))
+    slow = SlowFlow(prompts, 0, weights, {name: text.numpy() for name, text in texts.items()}, 2.0)
+    theirs = formulas.ancestral(slow, schedule.alpha_bar.tolist(), range(5), x[0].numpy(), noises[:, 0].numpy())
+    agree(ours, np.stack(theirs))
 
 
 # Features -------------------------------------------------------------------------------------------------------------
