@@ -202,17 +202,23 @@ def text_to_motion_is_that_of_the_published_code(folder):
 @pytest.mark.golden
 @pytest.mark.parametrize("folder", golden_sets("stmc"))
 def test_runs_are_those_of_the_published_code(folder, subtests):
-    checked(
-        subtests,
-        [
-            a_complete_run_of_stmc_is_that_of_the_published_code,
-            a_run_without_guidance_is_that_of_the_published_code,
-            a_run_with_statistics_is_that_of_the_published_code,
-            sinc_with_and_without_lerp_is_that_of_the_published_code,
-            text_to_motion_is_that_of_the_published_code,
-        ],
-        folder,
+    checks = (
+        a_complete_run_of_stmc_is_that_of_the_published_code,
+        sinc_with_and_without_lerp_is_that_of_the_published_code,
+        text_to_motion_is_that_of_the_published_code,
     )
+    checked(subtests, checks, folder)
+
+
+@pytest.mark.slow
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_runs_without_guidance_and_with_statistics_are_those_of_the_published_code(folder, subtests):
+    checks = (
+        a_run_without_guidance_is_that_of_the_published_code,
+        a_run_with_statistics_is_that_of_the_published_code,
+    )
+    checked(subtests, checks, folder)
 
 
 @pytest.mark.golden
