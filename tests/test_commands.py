@@ -202,7 +202,7 @@ def check_wild_settings(commands: dict[str, Command], draws: int, seed: int, cap
 
 
 def test_wild_settings_end_in_one_line(found, capsys):
-    check_wild_settings(found, 200, 0, capsys)
+    check_wild_settings(found, 40, 0, capsys)
 
 
 @pytest.mark.slow
