@@ -1,8 +1,10 @@
 """Where tests find what is not committed: the golden numbers of the published code, and the real data."""
 
+import functools
 import gzip
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = Path(os.environ.get("STMC_GOLDEN", ROOT / "../shared/golden"))
 DATA = Path(os.environ.get("STMC_DATA", ROOT / "../shared/data"))
 
-EXAMPLES = {"default": 50, "slow": 1000}
+EXAMPLES = {"default": 25, "slow": 1000}
 """Of a property in each tier, where it does not say itself how many it can afford: the same ones in every run."""
 settings.register_profile(
     "default",
@@ -36,6 +38,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if getattr(item.function, "is_hypothesis_test", False):
                 item.add_marker("slow")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_minilm():
+    """The bundled text encoder is read once for all tests."""
+    from stmc.text import language_models
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(language_models, "load", functools.cache(language_models.load))
+        yield
 
 
 def golden_sets(area: str) -> list:
@@ -64,6 +76,17 @@ def golden(folder: Path, name: str):
             return dict(archive)
     text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     return json.loads(text)
+
+
+def checked(subtests: pytest.Subtests, checks: Iterable, *given) -> None:
+    """All checks of one formula as one test, of which each that fails is told by its name.
+
+    A check is a function of what is `given`, or a tuple of one and its further arguments.
+    """
+    for check in checks:
+        function, *more = check if isinstance(check, tuple) else (check,)
+        with subtests.test(" ".join([function.__name__.replace("_", " "), *map(str, more)])):
+            function(*given, *more)
 
 
 def data_file(name: str) -> Path:

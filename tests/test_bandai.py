@@ -13,9 +13,11 @@ import pytest
 import torch
 from conftest import data_file
 from mocap import UP, bvh_text, posed, skeleton, standing, tumbling
+from studio import Threads
 
 from stmc.body import JOINTS, MIRROR, PARENTS, ROTATED
 from stmc.body_model import Skeleton
+from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.data.sources import bandai
 from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe
@@ -253,7 +255,9 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cache(source) -> Cache:
-    return bandai.gather(bandai.read_clips(source, FPS, workers=1), FPS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        return bandai.gather(bandai.read_clips(source, FPS, workers=1), FPS)
 
 
 def test_every_readable_clip_is_in_the_cache_beside_its_mirror_image_in_the_same_part(cache):
@@ -428,7 +432,7 @@ FIGURES = {
 
 @pytest.fixture(scope="module")
 def real() -> dict[str, Bvh]:
-    """Those above and every two-hundredth clip: the archive has to be read through once."""
+    """Those above and every two-hundredth clip: the archive has to be read through once, which takes its time."""
     archive = data_file("bandai/Bandai-Namco-Research-Motiondataset.tar.xz")
     chosen = {}
     for number, (name, text) in enumerate(bandai.read_sources(archive)):
@@ -440,6 +444,7 @@ def real() -> dict[str, Bvh]:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_clips_keep_their_joints_on_the_one_skeleton(real):
     errors = {name: distances(bandai.retarget(bvh, Skeleton.default()), bvh) for name, bvh in real.items()}
     assert len(errors) > 20
@@ -448,6 +453,7 @@ def test_real_clips_keep_their_joints_on_the_one_skeleton(real):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_the_bundled_skeleton_is_measured_on_the_real_clips(real):
     asset = json.loads((files("stmc") / "assets" / "skeleton.json").read_text("utf-8"))
     assert list(asset) == list(JOINTS)
@@ -458,6 +464,7 @@ def test_the_bundled_skeleton_is_measured_on_the_real_clips(real):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_clips_move_as_their_description_says(real):
     for name, (speed, degrees) in FIGURES.items():
         motion = bandai.retarget(real[name], Skeleton.default())
@@ -467,6 +474,7 @@ def test_real_clips_move_as_their_description_says(real):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_raises_lift_the_hand_that_their_name_says_and_lower_it_again(real):
     for name, raised, other in (
         ("dataset-2_raise-up-left-hand_normal_001", "left", "right"),
@@ -481,6 +489,7 @@ def test_real_raises_lift_the_hand_that_their_name_says_and_lower_it_again(real)
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_every_real_clip_s_name_is_understood(real):
     for name in real:
         named = bandai.ClipName.parse(name)

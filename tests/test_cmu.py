@@ -162,7 +162,7 @@ def test_sources_are_named_once_and_read_with_their_own_or_a_known_skeleton(fold
     names = [source.name for source in found if isinstance(source, cmu.Source)]
     assert names == ["13_11", "16_01", "16_02", "16_03", "16_04", "35_17"]
     assert ("16_03 (subjects/16/16_03.amc)", "a second recording of this name") in found
-    with tarfile.open(tmp_path / "cmu.tar.xz", "w:xz") as archive:
+    with tarfile.open(tmp_path / "cmu.tar.xz", "w:xz", preset=0) as archive:
         archive.add(folder, arcname="cmu")
     assert [each.text for each in cmu.read_sources(tmp_path / "cmu.tar.xz") if isinstance(each, cmu.Source)] == [
         each.text for each in found if isinstance(each, cmu.Source)

@@ -1,12 +1,13 @@
 """Stitching, complete sampling runs and the padding on MTT: parity with the published code."""
 
+import functools
 import zlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from mosaic import FPS, last, padding_of, plans_of, timeline
 from torch import Tensor
 
@@ -25,6 +26,7 @@ def golden_columns(folder, layout: str) -> dict[BodyPart, list[int]]:
     return {BodyPart(part): own for part, own in golden(folder, "body_part_indexes.json")[layout].items()}
 
 
+@functools.cache
 def mtt(folder) -> dict[int, Timeline]:
     return {
         entry["id"]: timeline(*[(str(i), *frames, *parts) for i, (*frames, parts) in enumerate(entry["prompts"])])
@@ -121,9 +123,7 @@ def assert_golden(actual: Tensor, expected: np.ndarray) -> None:
     torch.testing.assert_close(actual, torch.from_numpy(expected), atol=1e-5, rtol=0)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_a_complete_run_of_stmc_is_that_of_the_published_code(folder):
+def a_complete_run_of_stmc_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     states, x0 = run.stmc(float(run.data["guidance"]))
     assert len(x0) == run.schedule.steps
@@ -169,25 +169,19 @@ def test_the_method_stmc_paper_is_the_published_code_s(folder, monkeypatch):
         assert_golden(method.sample(run), golden_run.data["x0_stmc"])
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_a_run_without_guidance_is_that_of_the_published_code(folder):
+def a_run_without_guidance_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     assert_golden(run.stmc(1.0)[1][-1], run.data["x0_stmc_guidance1"])
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_a_run_with_statistics_is_that_of_the_published_code(folder):
+def a_run_with_statistics_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     x0 = run.stmc(float(run.data["guidance"]), stats=True)[1][-1]
     mean, std = (torch.from_numpy(run.data[f"motion_{name}"]) for name in ("mean", "std"))
     assert_golden(x0 * (std + 1e-12) + mean, run.data["x0_stmc_with_stats"])
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_sinc_with_and_without_lerp_is_that_of_the_published_code(folder):
+def sinc_with_and_without_lerp_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     plans = plans_of(*run.timelines, overlap=0)
     assert crop_lengths(plans) == tuple(run.data["lengths_sinc"])
@@ -197,14 +191,34 @@ def test_sinc_with_and_without_lerp_is_that_of_the_published_code(folder):
     assert_golden(lerp(x0, plans, run.columns, int(run.data["overlap"])), run.data["x0_sinc_lerp"])
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_text_to_motion_is_that_of_the_published_code(folder):
+def text_to_motion_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     lengths = run.data["text_lengths"].tolist()
     plans = plans_of(*[timeline((str(i), 0, length)) for i, length in enumerate(lengths)])
     x0 = run.crops(plans, run.data["x0_text"].shape, "text_noise_seed")
     assert_golden(x0, run.data["x0_text"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_runs_are_those_of_the_published_code(folder, subtests):
+    checks = (
+        a_complete_run_of_stmc_is_that_of_the_published_code,
+        sinc_with_and_without_lerp_is_that_of_the_published_code,
+        text_to_motion_is_that_of_the_published_code,
+    )
+    checked(subtests, checks, folder)
+
+
+@pytest.mark.slow
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_runs_without_guidance_and_with_statistics_are_those_of_the_published_code(folder, subtests):
+    checks = (
+        a_run_without_guidance_is_that_of_the_published_code,
+        a_run_with_statistics_is_that_of_the_published_code,
+    )
+    checked(subtests, checks, folder)
 
 
 @pytest.mark.golden

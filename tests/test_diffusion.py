@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_files
+from conftest import checked, golden, golden_files
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
@@ -348,9 +348,7 @@ def golden_schedule(path: Path) -> tuple[Schedule, dict[str, Tensor]]:
     return getattr(Schedule, name)(int(data["T"])), {key: torch.from_numpy(np.asarray(data[key])) for key in data}
 
 
-@pytest.mark.golden
-@GOLDEN_SCHEDULES
-def test_schedules_are_those_of_the_published_code(path):
+def schedules_are_those_of_the_published_code(path):
     schedule, data = golden_schedule(path)
     if "buf_betas" not in data:
         pytest.skip(f"{path.name} holds no tables")
@@ -376,10 +374,7 @@ def test_schedules_are_those_of_the_published_code(path):
         )
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@GOLDEN_SCHEDULES
-def test_noising_posterior_and_predictions_are_those_of_the_published_code(path, precision):
+def noising_posterior_and_predictions_are_those_of_the_published_code(path, precision):
     schedule, data = golden_schedule(path)
     dtype = {"f64": torch.float64, "f32": torch.float32}[precision]
     x0, x, noise, t = *(data[key].to(dtype) for key in ("x0", "xt", "noise")), data["t"]
@@ -402,3 +397,17 @@ def test_noising_posterior_and_predictions_are_those_of_the_published_code(path,
         # Conversions divide by tiny alpha_bar: the error that float allows grows with the size of the numbers.
         unit = max(1.0, expected.abs().max().item()) * (1e-12 if precision == "f64" else 1e-6)
         assert torch.allclose(value, expected, atol=unit, rtol=0), (key, (value - expected).abs().max() / unit)
+
+
+@pytest.mark.golden
+@GOLDEN_SCHEDULES
+def test_schedules_and_what_follows_from_them_are_those_of_the_published_code(path, subtests):
+    checked(
+        subtests,
+        [
+            schedules_are_those_of_the_published_code,
+            (noising_posterior_and_predictions_are_those_of_the_published_code, "f64"),
+            (noising_posterior_and_predictions_are_those_of_the_published_code, "f32"),
+        ],
+        path,
+    )

@@ -5,7 +5,7 @@ import re
 
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from torch import Tensor
 
 from stmc.body_model import Skeleton
@@ -60,9 +60,7 @@ def assert_agrees(value: Tensor, expected: Tensor) -> None:
     assert (value - expected).abs().max() <= LIMIT * expected.abs().max()
 
 
-@FLOW
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_features_agree_with_the_published_ones(folder, dtype):
+def features_agree_with_the_published_ones(folder, dtype):
     for case in cases(folder):
         joints = case["joints_in"].to(dtype)
         assert_agrees(uniform(joints), case["uniform"])
@@ -75,8 +73,7 @@ def test_features_agree_with_the_published_ones(folder, dtype):
             assert ((features - case["feats"])[:, columns].abs() <= limit).all(), name
 
 
-@FLOW
-def test_the_smoothed_heading_is_that_of_the_published_quaternions(folder):
+def the_smoothed_heading_is_that_of_the_published_quaternions(folder):
     for case in cases(folder):
         half = smoothed_heading(case["global_positions"]) / 2
         zero = torch.zeros_like(half)
@@ -86,8 +83,7 @@ def test_the_smoothed_heading_is_that_of_the_published_quaternions(folder):
         assert ((sign * own - published).abs() <= limits(published)[:, None]).all()
 
 
-@FLOW
-def test_the_ways_back_agree_with_the_published_ones(folder):
+def the_ways_back_agree_with_the_published_ones(folder):
     for case in cases(folder):
         assert_agrees(features_to_joints(case["feats"]), case["joints_from_ric"])
         assert_agrees(features_to_posed_joints(case["feats"]), case["joints_from_rot"])
@@ -96,7 +92,20 @@ def test_the_ways_back_agree_with_the_published_ones(folder):
 
 
 @FLOW
-def test_a_real_clip_of_humanml3d_has_the_published_features(folder):
+def test_features_there_and_back_are_the_published_ones(folder, subtests):
+    checked(
+        subtests,
+        [
+            (features_agree_with_the_published_ones, torch.float32),
+            (features_agree_with_the_published_ones, torch.float64),
+            the_smoothed_heading_is_that_of_the_published_quaternions,
+            the_ways_back_agree_with_the_published_ones,
+        ],
+        folder,
+    )
+
+
+def a_real_clip_of_humanml3d_has_the_published_features(folder):
     data = tensors(folder, "guofeats_012314.npz")
     joints = y_up(data["zup_from_stored_vecs"])
     assert_agrees(canonical(uniform(joints)), data["global_positions"])
@@ -105,8 +114,7 @@ def test_a_real_clip_of_humanml3d_has_the_published_features(folder):
     assert_agrees(z_up(features_to_joints(features)), data["zup_from_stored_vecs"][:-1])
 
 
-@FLOW
-def test_a_real_clip_differs_from_the_stored_one_only_where_the_heading_filter_misses_its_last_frame(folder):
+def a_real_clip_differs_from_the_stored_one_only_where_the_heading_filter_misses_its_last_frame(folder):
     data = tensors(folder, "guofeats_012314.npz")
     local = features_to_local_joints(joints_to_features(y_up(data["zup_from_stored_vecs"])))
     error = (z_up(local) - data["local_zup_from_stored_vecs"][:-1]).abs().amax(dim=(-2, -1))
@@ -114,8 +122,7 @@ def test_a_real_clip_differs_from_the_stored_one_only_where_the_heading_filter_m
     assert error.max() < 1.33e-2
 
 
-@FLOW
-def test_a_real_clip_is_posed_within_centimetres_on_the_uniform_skeleton_and_exactly_on_its_own(folder):
+def a_real_clip_is_posed_within_centimetres_on_the_uniform_skeleton_and_exactly_on_its_own(folder):
     joints = tensors(folder, "guofeats_012314.npz")["zup_from_stored_vecs"].double()
     posed = motion_of_joints(joints, 20.0, uniform_skeleton())
     error = (posed.joints[:, :22] - joints).norm(dim=-1)
@@ -126,8 +133,20 @@ def test_a_real_clip_is_posed_within_centimetres_on_the_uniform_skeleton_and_exa
     assert (own.pose(free.rotations, free.translation) - free.joints).norm(dim=-1).max() < 1e-5
 
 
-@STMC
-def test_the_features_of_the_published_evaluation_agree(folder):
+@FLOW
+def test_a_real_clip_of_humanml3d_is_the_published_one(folder, subtests):
+    checked(
+        subtests,
+        [
+            a_real_clip_of_humanml3d_has_the_published_features,
+            a_real_clip_differs_from_the_stored_one_only_where_the_heading_filter_misses_its_last_frame,
+            a_real_clip_is_posed_within_centimetres_on_the_uniform_skeleton_and_exactly_on_its_own,
+        ],
+        folder,
+    )
+
+
+def the_features_of_the_published_evaluation_agree(folder):
     data = tensors(folder, "mtt_eval.npz")
     features = joints_to_features(y_up(data["exp0_joints"][:, :22]))
     assert_agrees(features, data["exp0_guofeats"])
@@ -137,10 +156,21 @@ def test_the_features_of_the_published_evaluation_agree(folder):
     assert_agrees(HumanML3DRepresentation().encode(motion), data["exp0_guofeats"])
 
 
-@STMC
-def test_the_uniform_skeleton_has_the_published_lengths(folder):
+def the_uniform_skeleton_has_the_published_lengths(folder):
     lengths = tensors(folder, "mtt_eval.npz")["target_bone_offsets"].norm(dim=-1)
     assert (uniform_skeleton().offsets[1:22].norm(dim=-1) - lengths[1:]).abs().max() < 1e-6
+
+
+@STMC
+def test_features_of_the_published_evaluation_and_its_skeleton_agree(folder, subtests):
+    checked(
+        subtests,
+        [
+            the_features_of_the_published_evaluation_agree,
+            the_uniform_skeleton_has_the_published_lengths,
+        ],
+        folder,
+    )
 
 
 @pytest.mark.parametrize("folder", golden_sets("mdm"))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from conftest import GOLDEN, golden, golden_sets
+from conftest import GOLDEN, checked, golden, golden_sets
 from published import (
     close,
     close_waves,
@@ -46,9 +46,7 @@ def present(case: dict) -> torch.Tensor:
     return mask(torch.from_numpy(case["lengths"]), case["x"].shape[-1])
 
 
-@pytest.mark.skipif(not GOLDEN.exists(), reason="no golden numbers")
-@pytest.mark.parametrize("name", NAMES)
-def test_names_and_shapes_are_those_of_the_published_checkpoints(name):
+def names_and_shapes_are_those_of_the_published_checkpoints(name):
     if name == "motiondiffuse_t2m":
         network = MotionDiffuse(263, 512)
     elif name == "mdm_trans_enc":
@@ -61,15 +59,21 @@ def test_names_and_shapes_are_those_of_the_published_checkpoints(name):
     assert all(shape == (len(network.positions), 1, network.positions.shape[1]) for shape in tables)
 
 
-@pytest.mark.skipif(not GOLDEN.exists(), reason="no golden numbers")
-def test_the_recipe_of_weights_is_understood():
+def the_recipe_of_weights_is_understood():
     for probe in golden(GOLDEN / "mdm", "weights_convention_probe.json"):
         values = weight(probe["name"], tuple(probe["shape"]), probe["layernorm_weight"], probe["seed"]).flatten()
         assert values[:4].tolist() == probe["first4"] and values[-1].item() == probe["last"]
 
 
-@SETS
-def test_the_encoder_answers_as_the_published_network(folder):
+@pytest.mark.skipif(not GOLDEN.exists(), reason=f"no golden numbers at {GOLDEN} (set STMC_GOLDEN)")
+def test_weights_have_the_names_and_shapes_of_the_published_checkpoints(subtests):
+    names = ((names_and_shapes_are_those_of_the_published_checkpoints, name) for name in NAMES)
+    with torch.device("meta"):
+        checked(subtests, names)
+    checked(subtests, [the_recipe_of_weights_is_understood])
+
+
+def the_encoder_answers_as_the_published_network(folder):
     data = golden(folder, "mdm_enc_forward.npz")
     network = mdm(int(data["weight_seed"]))
     for case in cases(data):
@@ -87,8 +91,7 @@ def test_the_encoder_answers_as_the_published_network(folder):
         close(torch.cat(guided)[:, : expected.shape[1]], expected, limit)
 
 
-@SETS
-def test_every_layer_of_the_encoder_is_that_of_the_published_network(folder):
+def every_layer_of_the_encoder_is_that_of_the_published_network(folder):
     data = golden(folder, "mdm_enc_trace.npz")
     network = mdm(int(data["weight_seed"]))
     x, t, text = frames(data["x"]), torch.from_numpy(data["t"]), words(data)
@@ -109,8 +112,7 @@ def test_every_layer_of_the_encoder_is_that_of_the_published_network(folder):
     close(network._step(steps)[:, 0], data["time_emb"], limit_at(steps))
 
 
-@SETS
-def test_frames_that_are_masked_are_not_attended_to(folder):
+def frames_that_are_masked_are_not_attended_to(folder):
     data = golden(folder, "mdm_enc50_maskframes.npz")
     network = mdm(int(data["weight_seed"]))
     for case in cases(data):
@@ -124,7 +126,19 @@ def test_frames_that_are_masked_are_not_attended_to(folder):
 
 
 @SETS
-def test_the_decoder_answers_as_the_published_network(folder):
+def test_mdm_s_encoder_is_the_published_network(folder, subtests):
+    checked(
+        subtests,
+        [
+            the_encoder_answers_as_the_published_network,
+            every_layer_of_the_encoder_is_that_of_the_published_network,
+            frames_that_are_masked_are_not_attended_to,
+        ],
+        folder,
+    )
+
+
+def the_decoder_answers_as_the_published_network(folder):
     data = golden(folder, "mdm_dec_clip.npz")
     network = mdm_decoder("mdm_trans_dec_clip", int(data["weight_seed"]))
     for case in cases(data):
@@ -133,9 +147,7 @@ def test_the_decoder_answers_as_the_published_network(folder):
         close(network(x, t, torch.zeros_like(text)), frames(case["out_uncond"]), limit_at(t))
 
 
-@SETS
-@pytest.mark.parametrize(("leading", "suffix"), [("step", "head"), ("step_and_text", "8139dda")])
-def test_both_rules_of_the_decoders_leading_token_are_those_of_the_published_network(folder, leading, suffix):
+def both_rules_of_the_decoders_leading_token_are_those_of_the_published_network(folder, leading, suffix):
     data = golden(folder, "mdm_dec_clip_emb.npz")
     network = mdm_decoder("mdm_trans_dec_clip_emb", int(data["weight_seed"]), leading=leading)
     for case in cases(data):
@@ -145,8 +157,7 @@ def test_both_rules_of_the_decoders_leading_token_are_those_of_the_published_net
             torch.testing.assert_close(network(x, t, told), expected, atol=1e-4, rtol=0)
 
 
-@SETS
-def test_the_decoder_reads_the_words_of_distilbert_as_the_published_network(folder):
+def the_decoder_reads_the_words_of_distilbert_as_the_published_network(folder):
     data = golden(folder, "mdm_dec_bert.npz")
     network = mdm_decoder("mdm_trans_dec_bert", int(data["weight_seed"]), text_width=768)
     for case in cases(data):
@@ -159,8 +170,20 @@ def test_the_decoder_reads_the_words_of_distilbert_as_the_published_network(fold
 
 
 @SETS
-@pytest.mark.filterwarnings("ignore:The given NumPy array is not writable")
-def test_schedules_are_those_of_the_published_code(folder):
+def test_mdm_s_decoders_are_the_published_networks(folder, subtests):
+    checked(
+        subtests,
+        [
+            the_decoder_answers_as_the_published_network,
+            (both_rules_of_the_decoders_leading_token_are_those_of_the_published_network, "step", "head"),
+            (both_rules_of_the_decoders_leading_token_are_those_of_the_published_network, "step_and_text", "8139dda"),
+            the_decoder_reads_the_words_of_distilbert_as_the_published_network,
+        ],
+        folder,
+    )
+
+
+def schedules_are_those_of_the_published_code(folder):
     data = golden(folder, "diffusion_tables.npz")
     for name in {key.split("/")[0] for key in data}:
         table = {key.split("/")[1]: value for key, value in data.items() if key.startswith(f"{name}/")}
@@ -197,8 +220,7 @@ def compare_tables(schedule: Schedule, table: dict) -> None:
         np.testing.assert_allclose(found, [table[name][t] for name in names], rtol=0, atol=3e-13)
 
 
-@SETS
-def test_posterior_steps_are_those_of_the_published_code(folder):
+def posterior_steps_are_those_of_the_published_code(folder):
     data = golden(folder, "mdm_posterior_steps.npz")
     schedule = Schedule.cosine(1000)
     for t in data["t_values"].tolist():
@@ -210,8 +232,7 @@ def test_posterior_steps_are_those_of_the_published_code(folder):
         close(mean + variance.sqrt() * noise, frames(step[f"t{t}/sample"]))
 
 
-@SETS
-def test_fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folder):
+def fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folder):
     data = golden(folder, "mdm_enc50_sampling.npz")
     network, text, scale = mdm(int(data["weight_seed"])), words(data), float(data["scale"][0])
     states, noises = [], np.random.default_rng(int(data["noise_seed"]))
@@ -235,3 +256,17 @@ def test_fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folde
         after = states[at + 1] if t else x0[-1]
         close(after, frames(data[f"x_after_t{t}"]), 2e-5)
     assert torch.equal(x_last, frames(drawn(data["xT_seed"], data["x_T"].shape)))
+
+
+@SETS
+@pytest.mark.filterwarnings("ignore:The given NumPy array is not writable")
+def test_mdm_is_sampled_as_by_the_published_code(folder, subtests):
+    checked(
+        subtests,
+        [
+            schedules_are_those_of_the_published_code,
+            posterior_steps_are_those_of_the_published_code,
+            fifty_steps_of_ancestral_sampling_are_those_of_the_published_code,
+        ],
+        folder,
+    )

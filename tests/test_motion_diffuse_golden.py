@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from published import close, close_waves, drawn, limit_at, motion_diffuse, watched, waves, words_of
 from torch import Tensor
 
@@ -28,8 +28,7 @@ def in_order(words: Tensor, ends) -> Tensor:
     return torch.stack(rows)
 
 
-@SETS
-def test_texts_are_read_as_by_the_published_network(folder):
+def texts_are_read_as_by_the_published_network(folder):
     data = golden(folder, "md_text.npz")
     network = motion_diffuse(int(data["weight_seed"]))
     read = network.read(texts(folder))
@@ -40,8 +39,7 @@ def test_texts_are_read_as_by_the_published_network(folder):
     close(words[:, -2:], data["xf_out_last2"])
 
 
-@SETS
-def test_the_network_answers_as_the_published_one(folder):
+def the_network_answers_as_the_published_one(folder):
     data = golden(folder, "md_forward.npz")
     network = motion_diffuse(int(data["weight_seed"]))
     steps = torch.from_numpy(data["timestep_embedding_t"])
@@ -56,8 +54,7 @@ def test_the_network_answers_as_the_published_one(folder):
         close(out, case["out"], limit_at(case["t"]))
 
 
-@SETS
-def test_every_block_is_that_of_the_published_network(folder):
+def every_block_is_that_of_the_published_network(folder):
     data = golden(folder, "md_trace.npz")
     network = motion_diffuse(int(data["weight_seed"]))
     blocks = network.temporal_decoder_blocks
@@ -77,7 +74,19 @@ def test_every_block_is_that_of_the_published_network(folder):
 
 
 @SETS
-def test_posterior_steps_from_noise_are_those_of_the_published_code(folder):
+def test_motion_diffuse_is_the_published_network(folder, subtests):
+    checked(
+        subtests,
+        [
+            texts_are_read_as_by_the_published_network,
+            the_network_answers_as_the_published_one,
+            every_block_is_that_of_the_published_network,
+        ],
+        folder,
+    )
+
+
+def posterior_steps_from_noise_are_those_of_the_published_code(folder):
     data = golden(folder, "md_posterior_steps.npz")
     schedule = Schedule.linear(1000)
     for t in data["t_values"].tolist():
@@ -90,8 +99,7 @@ def test_posterior_steps_from_noise_are_those_of_the_published_code(folder):
         close(mean + variance.sqrt() * noise, data[f"t{t}/sample"])
 
 
-@SETS
-def test_the_last_ten_steps_are_those_of_the_published_code(folder):
+def the_last_ten_steps_are_those_of_the_published_code(folder):
     data = golden(folder, "md_last10_steps.npz")
     network, schedule = motion_diffuse(int(data["weight_seed"])), Schedule.linear(1000)
     x, length = torch.from_numpy(data["x_9"]), torch.from_numpy(data["length"])
@@ -111,3 +119,15 @@ def test_the_last_ten_steps_are_those_of_the_published_code(folder):
     after = {9 - i: state for i, state in enumerate(states[1:])} | {0: final}
     for t in (9, 5, 1, 0):
         close(after[t], data[f"x_after_t{t}"])
+
+
+@SETS
+def test_motion_diffuse_is_sampled_as_by_the_published_code(folder, subtests):
+    checked(
+        subtests,
+        [
+            posterior_steps_from_noise_are_those_of_the_published_code,
+            the_last_ten_steps_are_those_of_the_published_code,
+        ],
+        folder,
+    )

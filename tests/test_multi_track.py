@@ -20,7 +20,7 @@ import stmc
 from stmc.benchmarks import Benchmark, MultiTrack
 from stmc.benchmarks.atomic_prompts import AtomicPrompt, construct, read_atoms
 from stmc.benchmarks.ground_truth import cache_footage
-from stmc.benchmarks.multi_track import open_mtt
+from stmc.benchmarks.multi_track import PER_TEXT, open_mtt
 from stmc.body import BodyPart
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.denoisers import FlowMdm
@@ -188,7 +188,7 @@ def test_the_open_benchmark_takes_its_real_motion_from_the_test_split(tmp_path):
     prepared(texts).write(tmp_path / "cache")
     opened = open_mtt(AnyText(), tmp_path / "cache", first=3)
     assert len(opened.asked) == 3
-    assert len(opened.truth.real) == 12 * len(texts)
+    assert len(opened.truth.real) == PER_TEXT * len(texts)
     prepared(texts[1:]).write(tmp_path / "other")
     with pytest.raises(CacheError, match=f"no clip of the test split shows '{texts[0]}'"):
         open_mtt(AnyText(), tmp_path / "other")
@@ -211,7 +211,14 @@ def work(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("evaluation")
     save(tiny(), folder / "model", "card")
     save_evaluator(evaluator(), folder / "tmr", "card")
-    prepared([atom.text for atom in read_atoms(BUNDLED / "prompts.json")]).write(folder / "cache")
+    assets = folder / "assets" / "open_mtt"
+    assets.mkdir(parents=True)
+    entries = [json.loads((BUNDLED / name).read_text("utf-8")) for name in ("timelines.json", "prompts.json")]
+    timelines = entries[0][:2]
+    asked = {prompt["text"] for timeline in timelines for track in timeline["tracks"] for prompt in track}
+    (assets / "timelines.json").write_text(json.dumps(timelines))
+    (assets / "prompts.json").write_text(json.dumps([each for each in entries[1] if each["text"] in asked]))
+    prepared(sorted(asked)).write(folder / "cache")
     return folder
 
 
@@ -232,9 +239,10 @@ def evaluated(work: Path, *settings: str) -> None:
 
 
 @pytest.fixture
-def quick(monkeypatch) -> None:
-    """FID compares with few real clips: it is not what is tested."""
+def quick(monkeypatch, work) -> None:
+    """Two of the bundled timelines and their prompts, FID with few real clips: they are not what is tested."""
     monkeypatch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
+    monkeypatch.setattr("stmc.benchmarks.multi_track.files", lambda package: work)
 
 
 def test_the_script_compares_goes_on_and_refuses_what_does_not_compare(work, quick):

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from appendix_b import by_the_rules
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from hypothesis import example, given
 from hypothesis import strategies as st
 from strategies import quietly, timelines
@@ -61,9 +61,7 @@ def assert_published(prompts: list, overlap: int, results: list) -> bool:
     return not isinstance(expected, str)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_plans_of_the_published_timelines_are_the_published_ones(folder):
+def plans_of_the_published_timelines_are_the_published_ones(folder):
     expected = golden(folder, "mtt_plans.json.gz")
     for case in expected["timelines"]:
         parts = [parts for _, _, parts in case["prompts"]]
@@ -77,10 +75,7 @@ def test_plans_of_the_published_timelines_are_the_published_ones(folder):
         assert selected in [variant["noext_bp_info"] for variant in case["variants"]]
 
 
-@pytest.mark.golden
-@quietly
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_plans_of_random_timelines_are_admissible_to_the_published_code(folder):
+def plans_of_random_timelines_are_admissible_to_the_published_code(folder):
     cases = golden(folder, "fuzz_plans.json.gz")["cases"]
     planned = [assert_published(case["prompts"], case["overlap"], case["results"]) for case in cases]
     for case, has_plan in zip(cases, planned, strict=True):
@@ -89,6 +84,20 @@ def test_plans_of_random_timelines_are_admissible_to_the_published_code(folder):
     never = sum(all("error" in result for result in case["results"]) for case in cases)
     sometimes = sum(any("error" in result for result in case["results"]) for case in cases)
     assert never <= planned.count(False) <= sometimes < len(cases) / 2
+
+
+@pytest.mark.golden
+@quietly
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_plans_are_the_published_ones(folder, subtests):
+    checked(
+        subtests,
+        [
+            plans_of_the_published_timelines_are_the_published_ones,
+            plans_of_random_timelines_are_admissible_to_the_published_code,
+        ],
+        folder,
+    )
 
 
 def assert_selected(prompts: list, results: list) -> None:
@@ -105,10 +114,7 @@ LATE = "gap_first_prompt_starts_late(start_at_zero=False)"
 ILLEGAL = {"negative_length_prompt": "must be later than start", "empty_timeline": "the timeline is empty"}
 
 
-@pytest.mark.golden
-@quietly
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_corner_cases_are_planned_as_published_or_better(folder):
+def corner_cases_are_planned_as_published_or_better(folder):
     cases = golden(folder, "degenerate_plans.json")["cases"]
     for name in cases.keys() - ILLEGAL.keys() - {LATE, "single_prompt_zero_length"}:
         for run, results in cases[name]["runs"].items():
@@ -117,23 +123,33 @@ def test_corner_cases_are_planned_as_published_or_better(folder):
             assert_published(cases[name]["prompts"], overlap, results)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-@pytest.mark.parametrize("name", ILLEGAL)
-def test_corner_cases_without_a_meaning_are_refused(folder, name):
+def corner_cases_without_a_meaning_are_refused(folder, name):
     with pytest.raises(TimelineError, match=ILLEGAL[name]):
         in_frames(golden(folder, "degenerate_plans.json")["cases"][name]["prompts"])
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_a_late_start_is_an_unconditional_crop_where_the_published_code_leaves_zeros(folder):
+def a_late_start_is_an_unconditional_crop_where_the_published_code_leaves_zeros(folder):
     case = golden(folder, "degenerate_plans.json")["cases"][LATE]
     _, _, tiles, _ = published(case["runs"]["overlap=10,stmc"][0], 10)
     ours = plan(in_frames(case["prompts"]), 1, 10)
     assert ours.crops[2] == Crop(None, 0, 15)
     kept = [[tile for tile in runs if tile[0] != 2] for runs in in_published_form(ours)[2]]
     assert kept == tiles
+
+
+@pytest.mark.golden
+@quietly
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_corner_cases_are_planned_as_published_or_better_or_refused(folder, subtests):
+    checked(
+        subtests,
+        [
+            corner_cases_are_planned_as_published_or_better,
+            *((corner_cases_without_a_meaning_are_refused, each) for each in ILLEGAL),
+            a_late_start_is_an_unconditional_crop_where_the_published_code_leaves_zeros,
+        ],
+        folder,
+    )
 
 
 # Any timeline

@@ -8,7 +8,7 @@ import checkpoints
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from scripting import run
 from test_scripts import script
 from test_text import RunsCode
@@ -33,10 +33,9 @@ def test_a_checkpoint_becomes_a_run_directory_with_the_same_network(tmp_path, wr
     network = write(tmp_path / "theirs")
     source = tmp_path / "theirs" / FILES[write] if by_file else tmp_path / "theirs"
     model = stmc.load(convert(source, tmp_path / "ours"))
-    expected = network.state_dict()
-    assert {name: value.tolist() for name, value in model.denoiser.state_dict().items()} == {
-        name: value.tolist() for name, value in expected.items()
-    }
+    weights, expected = model.denoiser.state_dict(), network.state_dict()
+    assert set(weights) == set(expected)
+    assert all(torch.equal(weights[name], value) for name, value in expected.items())
     assert type(model.denoiser) is type(network)
     x, text = torch.randn(1, 7, model.representation.width), torch.randn(1, 1, 512)
     t = torch.tensor([3])
@@ -95,12 +94,17 @@ def test_an_imported_model_samples_with_the_scripts(tmp_path):
     assert motion.frames == 30 and motion.joints.isfinite().all()
 
 
-@pytest.mark.parametrize("write", WRITERS)
+@pytest.fixture(scope="module", params=WRITERS)
+def imported(request, tmp_path_factory) -> stmc.Model:
+    folder = tmp_path_factory.mktemp("imported")
+    request.param(folder / "theirs")
+    return read(folder / "theirs", text_model=str(checkpoints.clip(folder / "clip"))).model
+
+
 @pytest.mark.parametrize("method", ["stmc", "sinc", "sinc_lerp", "single_track", "one_text"])
-def test_every_method_runs_with_every_imported_model(tmp_path, write, method):
+def test_every_method_runs_with_every_imported_model(imported, method):
     """Also for prompts longer than the model knows; a motion does not depend on its batch."""
-    write(tmp_path / "theirs")
-    model = read(tmp_path / "theirs", text_model=str(checkpoints.clip(tmp_path / "clip"))).model
+    model = imported
     timelines = [
         stmc.Timeline.parse("walk # 0 # 11 # legs\nturn left # 1 # 3 # head"),
         stmc.Timeline.parse("raise # 0 # 1 # right arm"),
@@ -409,18 +413,16 @@ def test_every_name_of_the_published_lightning_checkpoint_has_its_place(folder, 
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == 27_007_181
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("mdm"))
-@pytest.mark.parametrize(
-    ("name", "args"),
-    [
-        ("mdm_trans_enc", {}),
-        ("mdm_trans_dec_clip", {"arch": "trans_dec"}),
-        ("mdm_trans_dec_clip_emb", {"arch": "trans_dec", "emb_trans_dec": True}),
-        ("mdm_trans_dec_bert", {"arch": "trans_dec", "text_encoder_type": "bert", "diffusion_steps": 50}),
-    ],
-)
-def test_every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path, name, args):
+ARGS = {
+    "mdm_trans_enc": {},
+    "mdm_trans_dec_clip": {"arch": "trans_dec"},
+    "mdm_trans_dec_clip_emb": {"arch": "trans_dec", "emb_trans_dec": True},
+    "mdm_trans_dec_bert": {"arch": "trans_dec", "text_encoder_type": "bert", "diffusion_steps": 50},
+}
+
+
+def every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path, name):
+    tmp_path = tmp_path / name
     listed = golden(folder.parent / "state_dicts", f"{name}.json")["entries"]
     checkpoints.mdm(tmp_path)
     table = sinusoids(5000, 512)[:, None]
@@ -428,15 +430,13 @@ def test_every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path
         entry["name"]: flat(entry["shape"]) if entry["kind"] == "parameter" else table.clone() for entry in listed
     }
     torch.save(weights, tmp_path / FILES[checkpoints.mdm])
-    (tmp_path / "args.json").write_text(json.dumps(args))
+    (tmp_path / "args.json").write_text(json.dumps(ARGS[name]))
     model = read(tmp_path).model
     parameters = [np.prod(entry["shape"], dtype=int) for entry in listed if entry["kind"] == "parameter"]
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == sum(parameters)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("mdm"))
-def test_every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder, tmp_path):
+def every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder, tmp_path):
     checkpoints.motion_diffuse(tmp_path, more="")
     listed = [
         entry
@@ -447,3 +447,10 @@ def test_every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder
     torch.save({"encoder": weights, "ep": 49, "total_it": 1}, tmp_path / FILES[checkpoints.motion_diffuse])
     model = read(tmp_path).model
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == 87_152_135
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("mdm"))
+def test_every_name_of_the_published_checkpoints_of_mdm_and_motion_diffuse_has_its_place(folder, tmp_path, subtests):
+    checks = [(every_name_of_mdms_published_checkpoints_has_its_place, name) for name in ARGS]
+    checked(subtests, [*checks, every_name_of_motion_diffuses_published_checkpoint_has_its_place], folder, tmp_path)

@@ -7,7 +7,7 @@ import checkpoints
 import numpy as np
 import pytest
 import torch
-from conftest import GOLDEN
+from conftest import GOLDEN, checked
 from flow import entries, parameters
 from published import weight
 
@@ -132,14 +132,17 @@ def test_statistics_that_are_none_are_refused(tmp_path, value):
 
 
 @pytest.mark.golden
-@pytest.mark.skipif(not (GOLDEN / "flow").exists(), reason="no golden numbers")
-@SETS
-def test_every_name_of_the_published_checkpoints_has_its_place(tmp_path, dataset):
+@pytest.mark.skipif(not (GOLDEN / "flow").exists(), reason=f"no golden numbers at {GOLDEN / 'flow'} (set STMC_GOLDEN)")
+def test_every_name_of_the_published_checkpoints_has_its_place(tmp_path, subtests):
+    checked(subtests, [(every_name_has_its_place, dataset) for dataset in FILE], tmp_path)
+
+
+def every_name_has_its_place(tmp_path, dataset):
+    tmp_path = tmp_path / dataset
     write(tmp_path, dataset)
-    name = f"full_{dataset}"
-    shapes = parameters(name)
+    shapes = parameters(f"full_{dataset}")
     learned = {key: weight(key, shape, False, 0) for key, shape in shapes.items()}
-    assert set(learned) | set(tables(512)) >= set(entries(name))
+    assert set(learned) | set(tables(512)) >= set(entries(f"full_{dataset}"))
     torch.save(learned | tables(512), tmp_path / FILE[dataset])
     network = read(tmp_path).model.denoiser
     assert len(network.seqTransEncoder.attn_layers.layers) == 16

@@ -4,7 +4,7 @@ their published integrations."""
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from published import close, drawn, frames, limit_at, mdm, motion_diffuse, words_of
 from torch import Tensor
 
@@ -38,15 +38,12 @@ def plans(folder, name: str) -> list[Plan]:
     return found
 
 
-@SETS
-def test_columns_of_the_body_parts_are_those_of_the_published_code(folder):
+def columns_of_the_body_parts_are_those_of_the_published_code(folder):
     published = golden(folder, "stmc_timelines.json")["body_part_indices"]
     assert {BodyPart.parse(part): tuple(own) for part, own in published.items()} == COLUMNS
 
 
-@SETS
-@pytest.mark.parametrize("network", ["mdm", "md"])
-def test_a_step_with_given_answers_is_that_of_the_published_integrations(folder, network):
+def a_step_with_given_answers_is_that_of_the_published_integrations(folder, network):
     """MDM's crops all go on for as many frames; of MotionDiffuse each keeps its own length."""
     data, given = golden(folder, f"stmc_{network}_stub_step.npz"), plans(folder, "A")
     eps = network == "md"
@@ -78,8 +75,7 @@ def test_a_step_with_given_answers_is_that_of_the_published_integrations(folder,
         close(sample[:, : expected["sample_first4"].shape[1]], expected["sample_first4"])
 
 
-@SETS
-def test_a_step_with_mdm_is_that_of_the_published_integration(folder):
+def a_step_with_mdm_is_that_of_the_published_integration(folder):
     data, given = golden(folder, "stmc_mdm_model_step.npz"), plans(folder, "B")
     network, schedule, t = mdm(int(data["weight_seed"])), Schedule.cosine(1000), int(data["t"])
     table = {
@@ -103,8 +99,7 @@ def test_a_step_with_mdm_is_that_of_the_published_integration(folder):
     np.testing.assert_allclose(variance.item(), data["variance"], rtol=1e-5)
 
 
-@SETS
-def test_a_step_with_motion_diffuse_is_that_of_the_published_integration(folder):
+def a_step_with_motion_diffuse_is_that_of_the_published_integration(folder):
     data, given = golden(folder, "stmc_md_model_step.npz"), plans(folder, "B")
     network, schedule, t = motion_diffuse(int(data["weight_seed"])), Schedule.linear(1000), int(data["t"])
     features = torch.stack([drawn(seed, (77, 1, 512))[:, 0] for seed in data["feat_seeds"]])
@@ -126,3 +121,18 @@ def test_a_step_with_motion_diffuse_is_that_of_the_published_integration(folder)
     tail, _ = schedule.posterior(torch.zeros_like(x[:, -4:]), x[:, -4:], t)
     close(tail, data["mean_tail4"])
     np.testing.assert_allclose(variance.item(), data["variance"], rtol=1e-5)
+
+
+@SETS
+def test_a_step_is_that_of_the_published_integrations(folder, subtests):
+    checked(
+        subtests,
+        [
+            columns_of_the_body_parts_are_those_of_the_published_code,
+            (a_step_with_given_answers_is_that_of_the_published_integrations, "mdm"),
+            (a_step_with_given_answers_is_that_of_the_published_integrations, "md"),
+            a_step_with_mdm_is_that_of_the_published_integration,
+            a_step_with_motion_diffuse_is_that_of_the_published_integration,
+        ],
+        folder,
+    )

@@ -1,4 +1,4 @@
-"""From motion capture to motions to look at, as a user goes: the scripts, on a toy data set, as processes."""
+"""From motion capture to motions to look at, as a user goes: the scripts, on a toy data set."""
 
 import csv
 import io
@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,11 @@ import torch
 from mocap import about, bvh_text, posed
 from scripting import ROOT, configured, loaded
 from scripting import run as in_this_process
+from studio import Threads
 from tiny import tiny
 
 import stmc
+from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, fingerprint
 
@@ -72,32 +75,43 @@ def source(work) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def prepared(work, source) -> tuple[Path, subprocess.CompletedProcess]:
-    settings = (f"source={source}", f"folder={work / 'cache'}", "workers=1")
-    return work / "cache", script("prepare", *settings, folder=work / "here")
+def preparing(work: Path, source: Path) -> tuple[str, ...]:
+    return (f"source={source}", f"folder={work / 'cache'}", "workers=1")
 
 
 @pytest.fixture(scope="module")
-def trained(work, prepared) -> tuple[Path, subprocess.CompletedProcess]:
+def prepared(work, source) -> tuple[Path, str]:
+    """The folder of the cache, and what was said meanwhile."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
+        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        in_this_process("prepare", "prepare", *preparing(work, source))
+    return work / "cache", " ".join(said.getvalue().split())
+
+
+def training(work: Path) -> tuple[str, ...]:
     small = ("denoiser=mdm_smpl_small", "denoiser.width=32", "denoiser.feedforward=64", "denoiser.layers=1")
     few = ("training.steps=4", "training.log_every=2", "training.validate_every=4", "training.checkpoint_every=4")
-    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1", "draw_every=4")
-    done = script(
-        "train",
-        f"run={work / 'run'}",
-        f"data.folder={prepared[0]}",
-        f"text_cache={work / 'texts'}",
+    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1")
+    drawing = ("draw_every=4", "draw=['nod # 0 # 1 # head']")
+    places = (f"run={work / 'run'}", f"data.folder={work / 'cache'}", f"text_cache={work / 'texts'}")
+    return (
+        *places,
         *small,
         *few,
         *batches,
+        *drawing,
         "device=cpu",
         "threads=1",
         "training.warmup=1",
         "noise_scale=std",
-        folder=work / "here",
     )
-    return work / "run", done
+
+
+@pytest.fixture(scope="module")
+def trained(work, prepared) -> Path:
+    in_this_process("train", "train", *training(work))
+    return work / "run"
 
 
 @pytest.fixture(scope="module")
@@ -107,23 +121,23 @@ def timeline(work) -> Path:
 
 
 @pytest.fixture(scope="module")
-def sampled(work, trained, timeline) -> tuple[Path, subprocess.CompletedProcess]:
-    return work / "out", script("sample", *sampling(work, timeline), folder=work / "here")
+def sampled(work, trained, timeline) -> Path:
+    in_this_process("sample", "sample", *sampling(work, timeline))
+    return work / "out"
 
 
 def sampling(work: Path, timeline: Path) -> tuple[str, ...]:
     return (f"timeline={timeline}", f"model={work / 'run'}", f"output={work / 'out'}", "steps=2", "device=cpu")
 
 
-def test_preparing_makes_a_cache_names_what_it_skipped_and_leaves_the_rest_alone(prepared, work):
-    folder, done = prepared
+def test_preparing_makes_a_cache_and_names_what_it_skipped(prepared):
+    folder, said = prepared
     cache = Cache.read(folder)
     assert len(cache.clips) == 30
     assert {clip.content for clip in cache.clips} == {"walk", "raise-up-left-hand", "raise-up-right-hand"}
     assert {clip.split for clip in cache.clips} == {"train", "val", "test"}
-    assert "skipped dataset-1_bow_normal_001" in done.stdout
-    assert "30 clips" in done.stdout
-    assert list((work / "here").iterdir()) == []
+    assert "skipped dataset-1_bow_normal_001" in said
+    assert "30 clips" in said
 
 
 def test_preparing_again_sees_that_nothing_changed(prepared, source, capsys):
@@ -131,6 +145,17 @@ def test_preparing_again_sees_that_nothing_changed(prepared, source, capsys):
     in_this_process("prepare", "prepare", f"source={source}", f"folder={prepared[0]}")
     assert "is up to date" in " ".join(capsys.readouterr().out.split())
     assert {path: path.stat().st_mtime_ns for path in prepared[0].iterdir()} == before
+
+
+@pytest.mark.slow
+def test_the_scripts_as_processes_prepare_train_and_sample_and_leave_nothing_where_they_were_started(tmp_path, source):
+    (tmp_path / "two.txt").write_text(TIMELINES)
+    here = tmp_path / "here"
+    assert "30 clips" in script("prepare", *preparing(tmp_path, source), folder=here).stdout
+    script("train", *training(tmp_path), folder=here)
+    script("sample", *sampling(tmp_path, tmp_path / "two.txt"), folder=here)
+    assert len(list((tmp_path / "out").iterdir())) == 8
+    assert list(here.iterdir()) == []
 
 
 @pytest.mark.slow
@@ -142,7 +167,7 @@ def test_preparing_what_is_not_there_is_a_sentence_and_no_traceback(work):
 
 
 def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
-    run, _ = trained
+    run = trained
     model = stmc.load(run)
     assert model.fps == 20
     assert model.own_sampling.noise_scale == "std"
@@ -158,7 +183,7 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
 
 
 def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
-    folder, _ = sampled
+    folder = sampled
     names = [f"two_{number:04d}_0.{kind}" for number in (0, 1) for kind in ("bvh", "html", "json", "npz")]
     assert sorted(path.name for path in folder.iterdir()) == names
     for name, frames in (("two_0000_0", 40), ("two_0001_0", 20)):
@@ -173,7 +198,7 @@ def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
 
 
 def test_sampling_again_makes_nothing_but_what_is_missing(sampled, work, timeline):
-    folder, _ = sampled
+    folder = sampled
     (folder / "two_0001_0.bvh").unlink()
     before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
     in_this_process("sample", "sample", *sampling(work, timeline))
@@ -329,7 +354,7 @@ def test_a_log_hears_of_the_steps_now_and_then(sample, monkeypatch):
     console = sample.Console(file=io.StringIO())
     with sample.told(console) as progress:
         task = progress.add_task("", total=3)
-        assert list(sample.followed(range(3), progress, task, 3, 8)) == [0, 1, 2]
+        assert list(sample.followed(range(3), 3, progress, task, 8)) == [0, 1, 2]
     assert "denoising 8: step 3 of 3" in console.file.getvalue()
 
 
@@ -345,6 +370,6 @@ def test_the_page_shows_the_transitions_that_were_sampled(sample, run, tmp_path)
 
 
 def test_the_record_of_a_motion_can_be_read_by_people(sampled):
-    record = json.loads((sampled[0] / "two_0000_0.json").read_text())
+    record = json.loads((sampled / "two_0000_0.json").read_text())
     assert record["seed"] == 0
     assert record["prompts"][0] == ["walk forwards", 0.0, 2.0, ["legs"]]

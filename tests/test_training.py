@@ -157,7 +157,7 @@ def test_steps_of_noising_are_uniform_and_noise_is_standard():
 
 
 def test_the_loss_falls_and_the_average_learns_too(tmp_path):
-    model = trainer(tmp_path, steps=120, precision="fp32").run()
+    model = trainer(tmp_path, steps=48, rate=1e-2, precision="fp32").run()
     first, *_, last = rows(tmp_path / "train.csv")
     assert float(last["loss"]) < 0.6 * float(first["loss"])
     first, *_, last = rows(tmp_path / "validation.csv")
@@ -234,7 +234,7 @@ def test_the_average_follows_at_the_warmed_up_decay():
 
 def test_a_run_stopped_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
     whole = trainer(tmp_path / "whole").run().state_dict()
-    for moment in (1, 4, 7, 12, 15):
+    for moment in (1, 7, 12):
 
         def kill(step, _, moment=moment):
             if step == moment:

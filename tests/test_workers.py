@@ -22,6 +22,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9")
 def test_workers_end_when_their_parent_is_killed(tmp_path):
     (tmp_path / "sleeper.py").write_text(SLEEPER)
