@@ -16,7 +16,7 @@ from stmc.data.bvh import parse_bvh
 from stmc.data.sentences import CONTENTS
 from stmc.data.sources import cmu, cmu_clips
 from stmc.data.sources.asf import AcclaimError, parse_amc, parse_asf
-from stmc.data.sources.segments import Segment, segments, splits, table, unseen
+from stmc.data.sources.segments import Segment, segments_of, splits, table, unseen
 from stmc.geometry import axis_angle_to_matrix, global_rotations
 
 UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
@@ -162,14 +162,14 @@ def test_sources_are_named_once_and_read_with_their_own_or_a_known_skeleton(fold
     names = [source.name for source in found if isinstance(source, cmu.Source)]
     assert names == ["13_11", "16_01", "16_02", "16_03", "16_04", "35_17"]
     assert ("16_03 (subjects/16/16_03.amc)", "a second recording of this name") in found
-    with tarfile.open(tmp_path / "cmu.tar.xz", "w:xz") as archive:
+    with tarfile.open(tmp_path / "cmu.tar.xz", "w:xz", preset=0) as archive:
         archive.add(folder, arcname="cmu")
     assert [each.text for each in cmu.read_sources(tmp_path / "cmu.tar.xz") if isinstance(each, cmu.Source)] == [
         each.text for each in found if isinstance(each, cmu.Source)
     ]
     (tmp_path / "07").mkdir()
     (tmp_path / "07" / "07_01.amc").write_text("")
-    assert list(cmu.read_sources(tmp_path / "07"))[0][1].startswith("no skeleton")
+    assert next(cmu.read_sources(tmp_path / "07"))[1].startswith("no skeleton")
 
 
 def test_a_place_without_recordings_is_an_error(tmp_path):
@@ -192,7 +192,7 @@ def cache(folder, tmp_path_factory):
 
 
 def test_the_cache_holds_every_segment_beside_its_mirror_image_and_names_what_is_missing(cache):
-    rows = [segment for name in ("13_11", "16_01", "16_02", "16_03", "35_17") for segment in segments("cmu")[name]]
+    rows = [segment for name in ("13_11", "16_01", "16_02", "16_03", "35_17") for segment in segments_of("cmu")[name]]
     assert [clip.content for clip in cache.clips if not clip.mirrored] == [segment.content for segment in rows]
     assert len(cache.clips) == 2 * len(rows)
     for clip in cache.clips:
@@ -207,8 +207,8 @@ def test_heights_are_above_the_recording_s_floor_and_not_above_the_segment_s_low
     recorded = actor(frames=600)
     source = cmu.Source("16_01", recorded.amc(), recorded.asf())
     motion = cmu.read(source, BODY, 20)
-    [(clip, features), *_] = cmu_clips.convert(source, 20)
-    first = round(segments("cmu")["16_01"][0].start * 20)
+    [(_, features), *_] = cmu_clips.convert(source, 20)
+    first = round(segments_of("cmu")["16_01"][0].start * 20)
     torch.testing.assert_close(
         features[:, 0].double(), motion.translation[first : first + len(features), 2], atol=1e-6, rtol=0
     )
@@ -219,20 +219,20 @@ def test_heights_are_above_the_recording_s_floor_and_not_above_the_segment_s_low
 
 def test_every_segment_lies_in_time_and_shows_a_known_content():
     for dataset in ("cmu", "bandai"):
-        for name, rows in segments(dataset).items():
+        for name, rows in segments_of(dataset).items():
             for row in rows:
                 assert isinstance(row, Segment) and row.recording == name
                 assert 0 <= row.start < row.end and row.content in CONTENTS
         assert len({tuple(row) for row in table()[dataset]}) == len(table()[dataset])
-    assert {row.content for rows in segments("cmu").values() for row in rows} >= set(splits()) & set(CONTENTS)
+    assert {row.content for rows in segments_of("cmu").values() for row in rows} >= set(splits()) & set(CONTENTS)
 
 
 def test_every_content_can_be_learnt_and_nothing_held_out_is_unknown():
     training = {
-        row.content for name, rows in segments("cmu").items() for row in rows if splits().get(name) is None
-    } | {row.content for rows in segments("bandai").values() for row in rows}
+        row.content for name, rows in segments_of("cmu").items() for row in rows if splits().get(name) is None
+    } | {row.content for rows in segments_of("bandai").values() for row in rows}
     assert set(table()["contents"]) <= training
-    assert set(splits()) <= set(segments("cmu"))
+    assert set(splits()) <= set(segments_of("cmu"))
 
 
 def test_a_content_has_many_sentences_and_three_that_no_training_sees():

@@ -27,7 +27,7 @@ from stmc.data.bvh import Bvh, BvhError, parse_bvh
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
 from stmc.data.sentences import CONTENTS, STYLES, describe, mirrored_content
-from stmc.data.sources.segments import Segment, segments
+from stmc.data.sources.segments import Segment, segments_of
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
 
@@ -210,12 +210,13 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
     ):
         posed = Motion.posed(moved.rotations, moved.translation, fps, skeleton)
         features = representation.encode(posed).float()
-        cuts = segments("bandai").get(name, ())
+        cuts = segments_of("bandai").get(name, ())
+        actions = {cut.content for cut in cuts}  # one of several: the whole clip has no text
         clip = Clip(
             name=f"M/{name}" if mirrored else name,
             content=content,
             style=named.style,
-            texts=UNSAID if name in MISNAMED or content in {cut.content for cut in cuts} else f"{content}/{named.style}",
+            texts=UNSAID if name in MISNAMED or content in actions else f"{content}/{named.style}",
             parts=tuple(sorted(CONTENTS[content].parts)),
             cyclic=CONTENTS[content].cyclic,
             mirrored=mirrored,

@@ -48,9 +48,9 @@ class Corpus:
 
     `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
     sentences' words, unless they are given; `skeleton` is the cache's, if it has its own. Features that vary by less
-    than `floor` are divided by it (of one field of the layout each, or of all): a field of several data sets can be
-    constant in the largest. What is more than `limit` standard deviations from the mean is put there. Contents with
-    fewer than `least` training clips have no texts: one clip of several actions teaches no word.
+    than their field's `floor` are divided by it: what hardly varies in most clips may in some. What is more than
+    `limit` standard deviations from the mean is put there. Contents with fewer than `least` training clips have no
+    texts: one clip of several actions teaches no word.
     Raises `ValueError` where the layout is not the cache's or nothing is left to train on.
     """
 
@@ -59,7 +59,7 @@ class Corpus:
         cache: Cache,
         encoder: TextEncoder,
         layout: Layout,
-        floor: float | Mapping[str, float] = FLOOR,
+        floor: Mapping[str, float] | None = None,
         least: int = 5,
         limit: float = math.inf,
         text: Statistics | None = None,
@@ -85,18 +85,15 @@ class Corpus:
         self.legs, self._owned = parts.index(BodyPart.LEGS), owned.to(device)
         self.features = cache.features.to(device)
         frames = torch.cat([torch.arange(clip.start, clip.end) for clip in training])
-        floors = _floors(layout, floor)
-        self.motion = (cache.statistics or Statistics.of(cache.features[frames], floors)).to(device)
-        self._limit = limit
+        floors = torch.tensor(layout.filled(floor or {}, FLOOR))
+        self.motion, self._limit = (cache.statistics or Statistics.of(cache.features[frames], floors)).to(device), limit
         self._embed(cache, encoder, text, device)
         # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]
         travelled = self.features[:, self.velocity].double().cumsum(dim=0)
         self._travelled = torch.cat([torch.zeros_like(travelled[:1]), travelled])
 
-    def _embed(
-        self, cache: Cache, encoder: TextEncoder, text: Statistics | None, device: torch.device | str
-    ) -> None:
+    def _embed(self, cache: Cache, encoder: TextEncoder, text: Statistics | None, device: torch.device | str) -> None:
         keys = {clip.texts for clip, known in zip(cache.clips, self.described, strict=True) if known}
         self.sentences = ["", *sorted({text for key in keys for text, _ in cache.texts[key]} - {""})]
         words, lengths = encoder.encode(self.sentences)
@@ -376,13 +373,6 @@ class ClipBatches:
         frames = np.floor(np.minimum(source / speed, (source - 1) / speed + 1) + 1e-9).astype(int)
         body, none = Stretches(clip, begin + offset, begin + length, frames, speed), np.zeros(count, dtype=int)
         return Draws(body, sentence, replace(body, frames=none), none, sentence)
-
-
-def _floors(layout: Layout, floor: float | Mapping[str, float]) -> Float[Tensor, " features"]:
-    floors = torch.full((layout.width,), FLOOR if isinstance(floor, Mapping) else floor)
-    for name, of_field in floor.items() if isinstance(floor, Mapping) else ():
-        floors[layout[name]] = of_field
-    return floors
 
 
 def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:

@@ -25,8 +25,8 @@ SEATED, UPRIGHT = 0.62, 0.75
 """Metres: a pelvis below the one sits or squats, above the other it stands."""
 
 OFF_THE_FLOOR, FLIGHT = 0.06, 0.12
-"""A foot this far (metres) above the lowest point of both has left the floor; a body with both there for so many seconds
-has jumped."""
+"""A foot this far (metres) above the lowest point of both has left the floor; a body with both there for so many
+seconds has jumped."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ def pelvis_height(motion: Motion) -> Float[Tensor, " frames"]:
     return motion.translation[:, 2]
 
 
-def feet(motion: Motion) -> Float[Tensor, "frames 2"]:
+def foot_heights(motion: Motion) -> Float[Tensor, "frames 2"]:
     """Heights of the left and the right toes above the lowest point of both."""
     heights = torch.stack([joint(motion, "left_foot")[:, 2], joint(motion, "right_foot")[:, 2]], dim=1)
     return heights - heights.min()
 
 
-def speed(motion: Motion, name: str, beside: str | None = None) -> Float[Tensor, " frames"]:
+def joint_speed(motion: Motion, name: str, beside: str | None = None) -> Float[Tensor, " frames"]:
     """Metres per second of a joint, or of its place beside another joint; one frame shorter."""
     place = joint(motion, name) - (joint(motion, beside) if beside else 0.0)
     return place.diff(dim=0).norm(dim=-1) * motion.fps
@@ -75,7 +75,7 @@ def stretches(mask: Bool[Tensor, " frames"]) -> list[tuple[int, int]]:
 
 def flights(motion: Motion) -> list[tuple[int, int]]:
     """Frames in which neither foot is on the floor, long enough for a jump."""
-    runs = stretches(feet(motion).amin(dim=1) > OFF_THE_FLOOR)
+    runs = stretches(foot_heights(motion).amin(dim=1) > OFF_THE_FLOOR)
     return [(first, last) for first, last in runs if last - first >= FLIGHT * motion.fps]
 
 
@@ -86,7 +86,7 @@ def jumps(motion: Motion) -> bool:
 
 def lands(motion: Motion) -> bool:
     """Whether some foot stands on the floor in one of the last three frames."""
-    return bool((feet(motion)[-3:] < OFF_THE_FLOOR).any())
+    return bool((foot_heights(motion)[-3:] < OFF_THE_FLOOR).any())
 
 
 def way(motion: Motion) -> float:
@@ -109,7 +109,7 @@ def cycles(values: Float[Tensor, " frames"], extent: float) -> int:
 def stays(motion: Motion) -> bool:
     """Whether an upright body stays where it is: the pelvis within 10 cm, feet down, hands all but still."""
     drift = (motion.translation[:, :2] - motion.translation[:1, :2]).norm(dim=-1).max()
-    hands = max(float(speed(motion, f"{side}_wrist").mean()) for side in ("left", "right"))
+    hands = max(float(joint_speed(motion, f"{side}_wrist").mean()) for side in ("left", "right"))
     return bool(drift < 0.1) and hands < 0.3 and bool((pelvis_height(motion) > UPRIGHT).all())
 
 
@@ -152,16 +152,18 @@ def _kicks(motion: Motion, side: str) -> bool:
 
 
 def _swings_leg(motion: Motion, side: str) -> bool:
-    return bool((speed(motion, f"{side}_ankle", beside="pelvis") > 4.0).any())
+    return bool((joint_speed(motion, f"{side}_ankle", beside="pelvis") > 4.0).any())
 
 
 def _punches(motion: Motion, side: str, often: int = 1) -> bool:
-    fast = speed(motion, f"{side}_wrist", beside="neck") > 1.8
+    fast = joint_speed(motion, f"{side}_wrist", beside="neck") > 1.8
     return len(stretches(fast)) >= often
 
 
 def _boxes(motion: Motion) -> bool:
-    thrown = sum(len(stretches(speed(motion, f"{side}_wrist", beside="neck") > 1.5)) for side in ("left", "right"))
+    thrown = sum(
+        len(stretches(joint_speed(motion, f"{side}_wrist", beside="neck") > 1.5)) for side in ("left", "right")
+    )
     return thrown >= motion.duration / 1.5
 
 
@@ -185,7 +187,7 @@ def _knee_up(motion: Motion, side: str) -> bool:
 
 def _wipes(motion: Motion, side: str) -> bool:
     raised = joint(motion, f"{side}_wrist")[:-1, 2] > joint(motion, f"{side}_shoulder")[:-1, 2] - 0.15
-    moving = speed(motion, f"{side}_wrist", beside="neck") > 0.3
+    moving = joint_speed(motion, f"{side}_wrist", beside="neck") > 0.3
     return float((raised & moving).float().mean()) > 0.35
 
 
@@ -195,12 +197,12 @@ def _reaches(motion: Motion, side: str) -> bool:
 
 def _one_legged(motion: Motion) -> float:
     """The share of the frames with one foot 12 cm above the other."""
-    heights = feet(motion)
+    heights = foot_heights(motion)
     return float(((heights[:, 0] - heights[:, 1]).abs() > 0.12).float().mean())
 
 
 def _hops(motion: Motion) -> bool:
-    return _one_legged(motion) > 0.5 and cycles(feet(motion).amin(dim=1), 0.04) >= 2
+    return _one_legged(motion) > 0.5 and cycles(foot_heights(motion).amin(dim=1), 0.04) >= 2
 
 
 def _jumping_jacks(motion: Motion) -> bool:
@@ -218,7 +220,7 @@ def _mops(motion: Motion) -> bool:
     hands = [joint(motion, f"{side}_wrist") for side in ("left", "right")]
     together = (hands[0] - hands[1]).norm(dim=-1) < 0.8
     low = torch.stack([hand[:, 2] for hand in hands]).amin(dim=0) < 1.05
-    busy = max(float(speed(motion, f"{side}_wrist", beside="pelvis").mean()) for side in ("left", "right"))
+    busy = max(float(joint_speed(motion, f"{side}_wrist", beside="pelvis").mean()) for side in ("left", "right"))
     return float((together & low).float().mean()) > 0.7 and 0.25 < busy < 1.5 and way(motion) < 2.5
 
 

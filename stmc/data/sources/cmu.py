@@ -1,8 +1,8 @@
 """CMU's motion capture database: its recordings in the formats they are passed around in, on SMPL's joints.
 
 Knows the official layout (`SS/SS.asf`, `SS/SS_TT.amc`), the conversions to BVH for MotionBuilder and for Daz, and the
-way from their bones to SMPL's. Knows no contents: see `cmu_clips`. Source: mocap.cs.cmu.edu, free for all uses, not to be
-resold. "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from
+way from their bones to SMPL's. Knows no contents: see `cmu_clips`. Source: mocap.cs.cmu.edu, free for all uses, not to
+be resold. "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from
 NSF EIA-0196217."
 """
 
@@ -23,8 +23,8 @@ from torch.nn.functional import normalize
 
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data.bvh import Bvh, BvhError, parse_bvh
-from stmc.data.sources.asf import AcclaimError, parse_amc, parse_asf
+from stmc.data.bvh import Bvh, parse_bvh
+from stmc.data.sources.asf import parse_amc, parse_asf
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, shortest_arc
 from stmc.inverse_kinematics import joints_to_rotations
 from stmc.motion import Motion
@@ -62,8 +62,8 @@ FORMATS: tuple[Mapping[str, str], ...] = (
         "rCollar rShldr rForeArm rHand rThigh rShin rFoot",
     ),
 )
-"""Native, MotionBuilder's in two spellings, and Daz's: SMPL's joint → the source's. SMPL's spine2 moves with spine1, its
-feet with the ankles. The forearm's second half (`lwrist`, `LeftHand`) is not the hand, which begins at its end."""
+"""Native, MotionBuilder's in two spellings, and Daz's: SMPL's joint → the source's. SMPL's spine2 moves with spine1,
+its feet with the ankles. The forearm's second half (`lwrist`, `LeftHand`) is not the hand, which begins at its end."""
 
 DAZ = FORMATS[3]
 
@@ -81,7 +81,7 @@ CONTACT = 0.03
 """The floor lies where the lower toe is in this share of the frames: deeper ones are noise."""
 
 SPIKE, SPIKE_FRAMES = 90.0, 15
-"""A bone that turns by more than so many degrees from one frame to the next, and back within so many frames, did not."""
+"""A bone that turns by more than so many degrees in a frame, and back within so many frames, did not."""
 
 LONGEST_LEAP = 0.6
 """Metres that no pelvis moves within a twentieth of a second: such a recording is damaged."""
@@ -192,7 +192,8 @@ def _format(recording: Bvh) -> Mapping[str, str]:
     for names in FORMATS:
         if set(names.values()) <= set(recording.names):
             return names
-    raise CmuError(f"unknown skeleton with joints {', '.join(recording.names[:6])}, …; known: native, MotionBuilder, Daz")
+    joints = ", ".join(recording.names[:6])
+    raise CmuError(f"unknown skeleton with joints {joints}, …; known are the native one, MotionBuilder's and Daz's")
 
 
 def _without_t_pose(recording: Bvh, names: Mapping[str, str]) -> Bvh:

@@ -1,6 +1,7 @@
 """CMU's motion capture database as one of those that scripts/prepare.py knows.
 
-Knows what preparing is and which segments of the recordings show what; how recordings are read and converted is `cmu`'s.
+Knows what preparing is and which segments of the recordings show what; how recordings are read and converted is
+`cmu`'s.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from stmc.data.cache import Cache, Clip, assemble, fingerprint
 from stmc.data.preparation import LayoutError, Watch, code, in_parallel
 from stmc.data.sentences import CONTENTS, describe, mirrored_content
 from stmc.data.sources import cmu
-from stmc.data.sources.segments import Segment, segments, splits
+from stmc.data.sources.segments import Segment, segments_of, splits
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
 
@@ -55,7 +56,7 @@ class CmuClips:
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`. Recordings without segments are left alone; others that cannot be used are named."""
-        wanted, skipped, sources = segments("cmu"), [], []
+        wanted, skipped, sources = segments_of("cmu"), [], []
         for source in cmu.read_sources(self._source):
             if isinstance(source, tuple):
                 skipped.append(source)
@@ -71,14 +72,14 @@ def convert(source: cmu.Source, fps: float | int) -> Rows:
     """The segments of one recording and their mirror images as 205 features on the default skeleton.
 
     The recording is encoded as a whole, and heights are those above its own floor: a segment that does not touch the
-    ground (a sitter's feet may not) does not know where it is. Raises `ValueError` with what is wrong with the recording.
+    ground does not know where that is. Raises `ValueError` with what is wrong with the recording.
     """
     skeleton = Skeleton(Skeleton.default().offsets.double())
     motion = cmu.read(source, skeleton, fps)
     rows: Rows = []
     for mirrored, moved in ((False, motion), (True, motion.mirrored())):
         features = encoded(Motion.posed(moved.rotations, moved.translation, fps, skeleton))
-        for number, segment in enumerate(segments("cmu")[source.name]):
+        for number, segment in enumerate(segments_of("cmu")[source.name]):
             first, last = round(segment.start * fps), min(round(segment.end * fps), len(features))
             if last - first < 2:
                 raise cmu.CmuError(f"{len(features) / fps:g} s are too short for a segment from {segment.start:g} s on")
