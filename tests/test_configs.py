@@ -8,7 +8,7 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 from scripting import ROOT, configured
 from test_motion import walk
-from toys import LAYOUT, LetterCounts, cache
+from toys import LetterCounts
 
 from stmc.data.cache import Cache, Clip
 from stmc.data.dataset import Corpus
@@ -17,20 +17,16 @@ from stmc.representation import SmplRepresentation
 CONFIGS = ROOT / "configs"
 NAMES = sorted(str(path.relative_to(CONFIGS).with_suffix("")) for path in CONFIGS.rglob("*.yaml"))
 CLIP = Clip("walk-1", "walk", "normal", "walk", ("legs",), True, False, "train", 0, 12)
-CORPUS = Corpus(
-    Cache(20, "smpl", SmplRepresentation().encode(walk()).float(), (CLIP,), {"walk": (("walk", 1.0),)}),
-    LetterCounts(),
-    SmplRepresentation.layout,
-    least=1,
-)
+CACHE = Cache(20, "smpl", SmplRepresentation().encode(walk()).float(), (CLIP,) * 5, {"walk": (("walk", 1.0),)})
+CORPUS = Corpus(CACHE, LetterCounts(), SmplRepresentation.layout)
 FROM_THE_DATA = {
     "features": 11,
     "text_width": 8,
-    "cache": cache(),
+    "cache": CACHE,
     "encoder": LetterCounts(),
     "source": ".",
     "annotations": ".",
-    "layout": LAYOUT,
+    "layout": SmplRepresentation.layout,
     "corpus": CORPUS,
 }
 """Arguments that a script supplies, not a YAML."""
