@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from stmc.metrics.actions import ACTIONS
 from stmc.metrics.kinematics import forward_speed, swings, turn, wrist_height
 from stmc.motion import Motion
 from stmc.timeline import Timeline
@@ -71,6 +72,7 @@ def questions() -> Mapping[str, Question]:
     raise it no higher."""
     sides = {"left": ("left",), "right": ("right",), "both": ("left", "right")}
     return {
+        **ACTIONS,
         "walk": lambda motion: 0.4 <= mean_speed(motion) <= 2,
         "walk-back": lambda motion: mean_speed(motion) < -0.2,
         "run": lambda motion: mean_speed(motion) > 1.5,

@@ -148,28 +148,35 @@ def _both(measure: Callable[[Motion, str], bool]) -> Question:
 
 
 def _kicks(motion: Motion, side: str) -> bool:
-    return bool((joint(motion, f"{side}_ankle")[:, 2] > 0.6).any()) and _swings_leg(motion, side)
+    return bool((joint(motion, f"{side}_ankle")[:, 2] > 0.6).any()) and _swings_leg(motion, side, 4.0)
 
 
-def _swings_leg(motion: Motion, side: str) -> bool:
-    return bool((joint_speed(motion, f"{side}_ankle", beside="pelvis") > 4.0).any())
+def _swings_leg(motion: Motion, side: str, least: float = 5.5) -> bool:
+    return bool((joint_speed(motion, f"{side}_ankle", beside="pelvis") > least).any())
 
 
-def _punches(motion: Motion, side: str, often: int = 1) -> bool:
-    fast = joint_speed(motion, f"{side}_wrist", beside="neck") > 1.8
-    return len(stretches(fast)) >= often
+def forward_reach(motion: Motion, side: str) -> Float[Tensor, " frames"]:
+    """Metres by which a wrist is in front of its shoulder."""
+    arm = joint(motion, f"{side}_wrist") - joint(motion, f"{side}_shoulder")
+    return (arm * motion.facing.to(arm)).sum(dim=-1)
 
 
-def _boxes(motion: Motion) -> bool:
-    thrown = sum(
-        len(stretches(joint_speed(motion, f"{side}_wrist", beside="neck") > 1.5)) for side in ("left", "right")
-    )
-    return thrown >= motion.duration / 1.5
+def thrusts(motion: Motion, side: str) -> int:
+    """How often a fist at the chest's height or above shoots forward to an almost straight arm."""
+    reach, few = forward_reach(motion, side), max(1, round(0.25 * motion.fps))
+    high = joint(motion, f"{side}_wrist")[few:, 2] > joint(motion, "spine3")[few:, 2] - 0.05
+    return len(stretches((reach[few:] - reach[:-few] > 0.22) & (reach[few:] > 0.36) & high))
 
 
-def _sips(motion: Motion, side: str) -> bool:
+def _at_the_mouth(motion: Motion, side: str) -> float:
+    """Seconds for which a wrist is near the face."""
     near = (joint(motion, f"{side}_wrist") - joint(motion, "head")).norm(dim=-1) < 0.28
-    return int(near.sum()) > 0.3 * motion.fps
+    return int(near.sum()) / motion.fps
+
+
+def _drinks(motion: Motion) -> bool:
+    seconds = sorted(_at_the_mouth(motion, side) for side in ("left", "right"))
+    return seconds[1] > 0.3 and seconds[0] < seconds[1] / 2 and way(motion) < 0.3
 
 
 def _above_head(motion: Motion, side: str) -> Bool[Tensor, " frames"]:
@@ -182,13 +189,15 @@ def _circles(motion: Motion, side: str) -> bool:
 
 
 def _knee_up(motion: Motion, side: str) -> bool:
-    return bool((joint(motion, f"{side}_knee")[:, 2] > motion.translation[:, 2] - 0.18).any())
+    high = joint(motion, f"{side}_knee")[:, 2] > pelvis_height(motion) - 0.18
+    return bool((high & (pelvis_height(motion) > UPRIGHT)).any())
 
 
 def _wipes(motion: Motion, side: str) -> bool:
-    raised = joint(motion, f"{side}_wrist")[:-1, 2] > joint(motion, f"{side}_shoulder")[:-1, 2] - 0.15
+    raised = joint(motion, f"{side}_wrist")[:-1, 2] > joint(motion, f"{side}_shoulder")[:-1, 2] - 0.2
     moving = joint_speed(motion, f"{side}_wrist", beside="neck") > 0.3
-    return float((raised & moving).float().mean()) > 0.35
+    ahead = forward_reach(motion, side)[:-1] > 0.2
+    return float((raised & moving & ahead).float().mean()) > 0.3 and way(motion) < 1.0 and motion.duration > 2
 
 
 def _reaches(motion: Motion, side: str) -> bool:
@@ -220,8 +229,9 @@ def _mops(motion: Motion) -> bool:
     hands = [joint(motion, f"{side}_wrist") for side in ("left", "right")]
     together = (hands[0] - hands[1]).norm(dim=-1) < 0.8
     low = torch.stack([hand[:, 2] for hand in hands]).amin(dim=0) < 1.05
-    busy = max(float(joint_speed(motion, f"{side}_wrist", beside="pelvis").mean()) for side in ("left", "right"))
-    return float((together & low).float().mean()) > 0.7 and 0.25 < busy < 1.5 and way(motion) < 2.5
+    strokes = max(cycles(forward_reach(motion, side), 0.12) for side in ("left", "right"))
+    bent = float(lean(motion)[:, 0].median()) > math.radians(8)
+    return float((together & low).float().mean()) > 0.7 and bent and strokes >= 1 and way(motion) < 2.5
 
 
 def _picks_up(motion: Motion, side: str) -> bool:
@@ -237,8 +247,8 @@ def _turns_over(motion: Motion) -> bool:
 
 
 def _treads(motion: Motion) -> bool:
-    lifted = sum(cycles(joint(motion, f"{side}_foot")[:, 2], 0.06) for side in ("left", "right"))
-    return lifted >= 2.0 * motion.duration and way(motion) < 0.6
+    lifted = [cycles(joint(motion, f"{side}_ankle")[:, 2], 0.05) for side in ("left", "right")]
+    return sum(lifted) >= 1.6 * motion.duration and min(lifted) > 0 and way(motion) < 0.6
 
 
 def _stops(motion: Motion) -> bool:
@@ -273,9 +283,9 @@ ACTIONS: Mapping[str, Question] = MappingProxyType({
     "reach-up": _either(_reaches),
     "kick": _either(_kicks),
     "kick-ball": _either(_swings_leg),
-    "punch": _either(_punches),
-    "box": _boxes,
-    "drink": _either(_sips),
+    "punch": _either(lambda motion, side: thrusts(motion, side) > 0),
+    "box": lambda motion: thrusts(motion, "left") + thrusts(motion, "right") >= max(1.0, motion.duration / 4),
+    "drink": _drinks,
     "wash-window": _either(_wipes),
     "mop": _mops,
     "balance": lambda motion: _one_legged(motion) > 0.5 and way(motion) < 0.4 and not flights(motion),

@@ -1,0 +1,100 @@
+"""Asks a model for every action that geometry can tell: `python scripts/actions.py model=RUN cache=[…]`."""
+
+import json
+from functools import partial
+from pathlib import Path
+from statistics import median
+
+import hydra
+import numpy as np
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import stmc
+from stmc.data.cache import Cache, read_caches
+from stmc.data.sentences import CONTENTS
+from stmc.data.sources.segments import unseen
+from stmc.files import write_text
+from stmc.metrics.ability import Question, questions
+from stmc.metrics.actions import rates
+from stmc.motion import Motion
+from stmc.timeline import Prompt, Timeline
+from stmc.viewing import pictures
+
+WINDOW = 4.0
+"""Seconds of a cyclic clip that are asked at once, and of a cyclic content that are sampled."""
+
+
+@hydra.main(config_path="../configs", config_name="actions", version_base="1.3")
+def main(config: DictConfig) -> None:
+    model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
+    cache, console = read_caches(config.cache), Console()
+    real = recorded(cache, model, config.clips)
+    asked = {name: question for name, question in questions().items() if name in real and unseen(name)}
+    if unknown := set(config.contents or ()) - set(asked):
+        raise SystemExit(f"contents {', '.join(sorted(unknown))}: choose from {', '.join(asked)}")
+    results = {}
+    for name in track(config.contents or list(asked), "Sampling", console=console):
+        seconds = min(WINDOW, median(motion.duration for motion in real[name]))
+        shares = {text: shown(config, model, asked[name], name, text, seconds) for text in sentences(config, name)}
+        others = {other: motions for other, motions in real.items() if other != name}
+        known = rates(asked[name], real[name], others)
+        share = float(np.mean(list(shares.values())))
+        results[name] = {"shown": share, "ceiling": known.ceiling, "chance": known.chance, "sentences": shares}
+        write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
+    report(results, console)
+
+
+def sentences(config: DictConfig, name: str) -> tuple[str, ...]:
+    """Sentences that no training sees; or, where asked for, those that it does."""
+    return (CONTENTS[name].sentences if config.seen else unseen(name))[: config.sentences]
+
+
+def shown(config: DictConfig, model: stmc.Model, question: Question, name: str, text: str, seconds: float) -> float:
+    """The share of the samples that show the action; a picture of the first is drawn."""
+    parts = CONTENTS[name].parts
+    timeline = Timeline((Prompt(text, 0.0, round(seconds, 1), parts),), name=f"{name}: {text}")
+    sampler = partial(stmc.ddpm, spread=config.spread)
+    seeds = [config.seed + number for number in range(config.samples)]
+    motions = model.generate(
+        [timeline] * config.samples, seed=seeds, guidance=config.guidance, steps=config.steps, sampler=sampler
+    )
+    if config.pictures:
+        path = Path(config.output) / f"{name}_{text.replace(' ', '_')}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pictures(motions[0], title=timeline.name).savefig(path, dpi=60)
+    return sum(map(question, motions)) / len(motions)
+
+
+def recorded(cache: Cache, model: stmc.Model, most: int) -> dict[str, list[Motion]]:
+    """Up to `most` real motions of every content, spread over its clips; of cyclic clips, windows."""
+    places: dict[str, list[tuple[int, int]]] = {}
+    window = round(WINDOW * cache.fps)
+    for clip in cache.clips:
+        if cache.texts[clip.texts] and not clip.mirrored:
+            cut = clip.cyclic and clip.end - clip.start > window
+            starts = range(clip.start, clip.end - window + 1, 2 * window) if cut else (clip.start,)
+            ends = [(start, start + window if cut else clip.end) for start in starts]
+            places.setdefault(clip.content, []).extend(ends)
+    return {
+        content: [
+            model.representation.decode(cache.features[start:end], cache.fps, model.skeleton)
+            for start, end in found[:: max(1, len(found) // most)][:most]
+        ]
+        for content, found in places.items()
+    }
+
+
+def report(results: dict, console: Console) -> None:
+    table = Table("content", "shown", "real motion", "chance")
+    for name, row in results.items():
+        table.add_row(name, *(f"{row[column]:.0%}" for column in ("shown", "ceiling", "chance")))
+    means = [np.mean([row[column] for row in results.values()]) for column in ("shown", "ceiling", "chance")]
+    table.add_row("mean", *(f"{mean:.0%}" for mean in means))
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
