@@ -103,29 +103,28 @@ class Source:
 
 
 def read_sources(source: Path) -> Iterator[Source | tuple[str, str]]:
-    """Every recording below a folder or in an archive, by name; for one that cannot be told, its name and the reason.
+    """Every recording below a folder or in an archive; for one that cannot be told, its name and the reason.
 
-    Raises `FileNotFoundError` where there is neither, and `ValueError` for one without recordings or a damaged archive.
+    One is in memory at a time: the whole database is several gigabytes. Raises `FileNotFoundError` where there is no
+    such place, and `ValueError` for one without recordings or a damaged archive.
     """
-    source = Path(source)
+    source, seen = Path(source), set()
     if not source.exists():
         raise FileNotFoundError(f"{source} does not exist; it should be a folder or a .tar.xz with .amc or .bvh files")
-    texts = dict(_archive(source) if source.is_file() else _folder(source))
-    skeletons = {place.stem: text for place, text in texts.items() if place.suffix == ".asf"}
-    recordings = sorted((place.stem, place) for place in texts if place.suffix in (".amc", ".bvh"))
-    if not recordings:
-        raise ValueError(f"{source} contains no .amc or .bvh file")
-    seen = set()
-    for name, place in recordings:
+    skeletons = {place.stem: text for place, text in _files(source, (".asf",))}
+    for place, text in _files(source, (".amc", ".bvh")):
+        name = place.stem
         if name in seen:
             yield f"{name} ({place})", "a second recording of this name"
         elif place.suffix == ".bvh":
-            yield Source(name, texts[place])
+            yield Source(name, text)
         elif found := _skeleton_of(name, skeletons):
-            yield Source(name, texts[place], skeletons[found])
+            yield Source(name, text, skeletons[found])
         else:
             yield name, "no skeleton: neither its subject's .asf nor a known substitute is there"
         seen.add(name)
+    if not seen:
+        raise ValueError(f"{source} contains no .amc or .bvh file")
 
 
 def _skeleton_of(name: str, skeletons: Mapping[str, str]) -> str | None:
@@ -134,18 +133,20 @@ def _skeleton_of(name: str, skeletons: Mapping[str, str]) -> str | None:
     return next((choice for choice in choices if choice in skeletons), None)
 
 
-def _folder(path: Path) -> Iterator[tuple[PurePosixPath, str]]:
-    for file in sorted(path.rglob("*")):
-        if file.suffix in (".asf", ".amc", ".bvh"):
-            yield PurePosixPath(file.relative_to(path).as_posix()), file.read_text("ascii", errors="replace")
+def _files(source: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, str]]:
+    if source.is_file():
+        yield from _archived(source, kinds)
+        return
+    for file in sorted(path for path in source.rglob("*") if path.suffix in kinds):
+        yield PurePosixPath(file.relative_to(source).as_posix()), file.read_text("ascii", errors="replace")
 
 
-def _archive(path: Path) -> Iterator[tuple[PurePosixPath, str]]:
+def _archived(path: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, str]]:
     try:
         with tarfile.open(path) as archive:
             for member in archive:
                 place = PurePosixPath(member.name)
-                if member.isfile() and place.suffix in (".asf", ".amc", ".bvh"):
+                if member.isfile() and place.suffix in kinds:
                     yield place, archive.extractfile(member).read().decode("ascii", errors="replace")
     except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
         raise ValueError(f"{path} is not a .tar.xz, or it is truncated or damaged: {error}") from error
