@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import lzma
 import math
 import re
-import tarfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +25,7 @@ from stmc.data.bvh import Bvh, BvhError, parse_bvh
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
 from stmc.data.sentences import CONTENTS, STYLES, describe, mirrored_content
+from stmc.data.sources.archives import read_texts
 from stmc.data.sources.segments import Segment, segments_of
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
@@ -103,39 +102,19 @@ def read_sources(source: Path) -> Iterator[tuple[str, str]]:
     Raises `FileNotFoundError` where there is neither, and `ValueError` for a folder or an archive without BVH files
     and for an archive that breaks off.
     """
-    source, found = Path(source), False
-    if not source.exists():
-        raise FileNotFoundError(f"{source} does not exist; it should be the dataset's .tar.xz or its unpacked folder")
-    for name, text in _archive(source) if source.is_file() else _folder(source):
-        found = True
+    name = None
+    for place, text in read_texts(Path(source), (".bvh",)):
+        name = place.stem
         yield name, text
-    if not found:
+    if name is None:
         raise ValueError(f"{source} holds no .bvh file; it should be the dataset's .tar.xz or its unpacked folder")
-
-
-def _archive(path: Path) -> Iterator[tuple[str, str]]:
-    name = "its beginning"
-    try:
-        with lzma.open(path) as file:  # unlike tarfile's own stream, it notices an end that comes too early
-            with tarfile.open(fileobj=file, mode="r|") as archive:
-                for member in archive:
-                    if member.isfile() and member.name.endswith(".bvh"):
-                        name = Path(member.name).stem
-                        yield name, archive.extractfile(member).read().decode("ascii", errors="replace")
-            file.read()
-    except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
-        raise ValueError(f"{path} is no .tar.xz, or a half or damaged one (read up to {name}): {error}") from error
-
-
-def _folder(path: Path) -> Iterator[tuple[str, str]]:
-    for file in sorted(path.rglob("*.bvh")):
-        yield file.stem, file.read_text(encoding="ascii", errors="replace")
 
 
 def inputs(source: Path) -> list[Path]:
     """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
     code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
-    code += ("data/bandai", "data/bvh", "data/cache", "data/sentences", "data/sources/segments")
+    code += ("data/bandai", "data/bvh", "data/cache", "data/sentences")
+    code += ("data/sources/archives", "data/sources/segments")
     here = Path(__file__).parents[1]
     files = [here / f"{name}.py" for name in code]
     return [Path(source), *files, here / "assets/skeleton.json", here / "assets/segments.json"]

@@ -8,11 +8,9 @@ NSF EIA-0196217."
 
 from __future__ import annotations
 
-import lzma
-import tarfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import torch
 from einops import einsum
@@ -24,6 +22,7 @@ from torch.nn.functional import normalize
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
 from stmc.data.bvh import Bvh, parse_bvh
+from stmc.data.sources.archives import read_texts
 from stmc.data.sources.asf import parse_amc, parse_asf
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, shortest_arc
 from stmc.inverse_kinematics import joints_to_rotations
@@ -109,10 +108,8 @@ def read_sources(source: Path) -> Iterator[Source | tuple[str, str]]:
     such place, and `ValueError` for one without recordings or a damaged archive.
     """
     source, seen = Path(source), set()
-    if not source.exists():
-        raise FileNotFoundError(f"{source} does not exist; it should be a folder or a .tar.xz with .amc or .bvh files")
-    skeletons = {place.stem: text for place, text in _files(source, (".asf",))}
-    for place, text in _files(source, (".amc", ".bvh")):
+    skeletons = {place.stem: text for place, text in read_texts(source, (".asf",))}
+    for place, text in read_texts(source, (".amc", ".bvh")):
         name = place.stem
         if name in seen:
             yield f"{name} ({place})", "a second recording of this name"
@@ -131,25 +128,6 @@ def _skeleton_of(name: str, skeletons: Mapping[str, str]) -> str | None:
     subject = name.partition("_")[0]
     choices = (subject, LENT.get(subject, ANYBODY), ANYBODY)
     return next((choice for choice in choices if choice in skeletons), None)
-
-
-def _files(source: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, str]]:
-    if source.is_file():
-        yield from _archived(source, kinds)
-        return
-    for file in sorted(path for path in source.rglob("*") if path.suffix in kinds):
-        yield PurePosixPath(file.relative_to(source).as_posix()), file.read_text("ascii", errors="replace")
-
-
-def _archived(path: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, str]]:
-    try:
-        with tarfile.open(path) as archive:
-            for member in archive:
-                place = PurePosixPath(member.name)
-                if member.isfile() and place.suffix in kinds:
-                    yield place, archive.extractfile(member).read().decode("ascii", errors="replace")
-    except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
-        raise ValueError(f"{path} is not a .tar.xz, or it is truncated or damaged: {error}") from error
 
 
 def read(source: Source, skeleton: Skeleton, fps: float | int) -> Motion:
