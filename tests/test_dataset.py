@@ -13,7 +13,7 @@ from toys import FPS, LAYOUT, LetterCounts, cache
 from stmc.body import BodyPart
 from stmc.body_model import Skeleton
 from stmc.data.batches import ClipBatches, Sampling
-from stmc.data.cache import Cache, Clip
+from stmc.data.cache import Cache, Clip, read_caches
 from stmc.data.dataset import NULL, SEAM, Corpus, Draws
 from stmc.representation import Field, Layout, SmplRepresentation
 from stmc.statistics import Statistics
@@ -181,7 +181,7 @@ def test_no_text_is_the_empty_text_not_zeros(corpus):
 
 def test_statistics_are_those_of_the_training_clips_alone():
     data = cache()
-    corpus = Corpus(data, LetterCounts(), LAYOUT, floor=0.01, least=3)
+    corpus = Corpus(data, LetterCounts(), LAYOUT, floor={name: 0.01 for name in LAYOUT.slices}, least=3)
     rows = torch.cat([data.features[clip.start : clip.end] for clip in data.clips if clip.split == "train"])
     torch.testing.assert_close(corpus.motion.mean, rows.mean(dim=0))
     torch.testing.assert_close(corpus.motion.std, rows.std(dim=0, correction=0).clamp_min(0.01))
@@ -372,3 +372,56 @@ def test_data_that_stand_still_are_refused(statistics):
     still.features[:] = still.features[:1].clone()
     with pytest.raises(ValueError, match="training frames is the same: there is nothing to learn"):
         Corpus(still, LetterCounts(), LAYOUT)
+
+
+# Several data sets -----------------------------------------------------------------------------------------------
+
+
+def test_a_feature_that_hardly_varies_in_most_clips_is_divided_by_its_field_s_floor():
+    name = next(iter(LAYOUT.slices))
+    plain = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
+    floored = Corpus(cache(), LetterCounts(), LAYOUT, least=3, floor={name: 100.0})
+    assert (floored.motion.std[LAYOUT[name]] == 100).all()
+    rest = torch.ones(LAYOUT.width, dtype=torch.bool)
+    rest[LAYOUT[name]] = False
+    assert torch.equal(floored.motion.std[rest], plain.motion.std[rest])
+    with pytest.raises(ValueError, match=r"unknown fields \['height'\]; choose from"):
+        Corpus(cache(), LetterCounts(), LAYOUT, least=3, floor={"height": 1.0})
+
+
+def test_what_is_far_from_the_mean_is_put_at_the_limit():
+    near, far = (Corpus(cache(), LetterCounts(), LAYOUT, least=3, limit=limit) for limit in (0.5, 1e9))
+    pieces = [ClipBatches(each, "train", Sampling(rows=8))(0) for each in (near, far)]
+    for cut, whole in zip(*pieces, strict=True):
+        assert torch.equal(cut.motion, whole.motion.clamp(-0.5, 0.5))
+        assert whole.motion.abs().max() > 0.5
+
+
+def test_text_statistics_that_are_given_are_kept():
+    given = Statistics(torch.zeros(8), torch.full((8,), 2.0))
+    assert Corpus(cache(), LetterCounts(), LAYOUT, least=3, text=given).text.std.tolist() == [2.0] * 8
+
+
+def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(tmp_path):
+    def written(name: str, parts: tuple[str, ...], value: float, seed: int) -> Path:
+        generator = torch.Generator().manual_seed(seed)
+        motion = value + 0.01 * torch.randn(400, 3 * 23 + 22 * 6 + 4, generator=generator)
+        clips = tuple(
+            Clip(f"{name}_{number}", name, "", name, parts, True, False, "train", 40 * number, 40 * number + 40)
+            for number in range(10)
+        )
+        Cache(20.0, "smpl", motion, clips, {name: ((name, 1.0),)}).write(tmp_path / name)
+        return tmp_path / name
+
+    folders = [written("walk", ("legs",), 0.0, 0), written("drink", ("left arm", "right arm"), 1.0, 1)]
+    layout = SmplRepresentation().layout
+    corpus = Corpus(read_caches(folders), LetterCounts(), layout, least=1)
+    batches = ClipBatches(corpus, "train", Sampling(rows=64, composed=0.5, hosts="any", crops=0.0, silent=0.0))
+    drawn = Counter(corpus.clips[clip].content for draws in batches.draws(0) for clip in draws.body.clip)
+    assert set(drawn) == {"walk", "drink"}
+    guests = [draws for draws in batches.draws(0) if draws.guest.frames.any()]
+    assert guests
+    for draws in guests:
+        for row in np.flatnonzero(draws.guest.frames):
+            assert corpus.clips[draws.body.clip[row]].content == "walk"
+            assert corpus.clips[draws.guest.clip[row]].content == "drink"

@@ -17,10 +17,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.benchmarks.ability import Question, questions
 from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atoms
 from stmc.benchmarks.ground_truth import Footage, amass_footage, cache_footage
 from stmc.benchmarks.protocol import Scores, TextJudge
+from stmc.benchmarks.questions import QUESTIONS, Question
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.realism import fid
@@ -182,8 +182,7 @@ def open_mtt(judge: TextJudge, cache: str | Path, first: int | None = None) -> M
         drawn = [clips[index] for index in random.integers(len(clips), size=PER_TEXT)]
         others += [footage(clip.name, 0.0, (clip.end - clip.start) / prepared.fps) for clip in drawn]
     contents = {clip.name: clip.content for clip in prepared.clips}
-    known = questions()
-    asked_of = {atom.text: known[contents[atom.clip]] for atom in atoms if contents[atom.clip] in known}
+    asked_of = {atom.text: QUESTIONS[contents[atom.clip]] for atom in atoms if contents[atom.clip] in QUESTIONS}
     return MultiTrack.of(asked, atoms, judge, footage, others, questions=asked_of)
 
 

@@ -71,7 +71,7 @@ def parse_amc(text: str, skeleton: Acclaim, fps: float | int) -> Bvh:
     words = np.array(body.split())
     if not marked or not len(words):
         raise AcclaimError("no frames after ':DEGREES': the file is truncated or not an AMC file")
-    table = words.reshape(-1, _words_of_a_frame(words, skeleton))
+    table = words.reshape(-1, _words_of_a_frame(words))
     columns, names = _columns(table[0], skeleton)
     if not (table[:, names] == table[0, names]).all():
         frame = int((table[:, names] != table[0, names]).any(axis=1).argmax())
@@ -127,7 +127,7 @@ def _vector(words: list[str]) -> np.ndarray:
     return vector
 
 
-def _words_of_a_frame(words: np.ndarray, skeleton: Acclaim) -> int:
+def _words_of_a_frame(words: np.ndarray) -> int:
     """How many words each frame has: its number, and bones' names with their values."""
     again = np.flatnonzero(words == words[1]) if len(words) > 1 else np.zeros(0, dtype=int)
     width = int(again[1] - again[0]) if len(again) > 1 else len(words)
@@ -162,9 +162,8 @@ def _posed(
     positions = np.broadcast_to(np.stack([bone.offset for bone in skeleton]), (frames, len(skeleton), 3)).copy()
     rotations = np.broadcast_to(np.eye(3), (frames, len(skeleton), 3, 3)).copy()
     for index, bone in enumerate(skeleton):
-        values = {
-            channel: _numbers(table[:, place], bone.name) for channel, place in columns.get(bone.name, {}).items()
-        }
+        known = columns.get(bone.name, {}).items()
+        values = {channel: _numbers(table[:, place], bone.name) for channel, place in known}
         angles = np.stack([values.get(channel, np.zeros(frames)) for channel in ("rx", "ry", "rz")], axis=-1)
         axes = Rotation.from_euler("xyz", bone.frame, degrees=True).as_matrix()  # lower case: about fixed axes
         rotations[:, index] = axes @ Rotation.from_euler("xyz", angles, degrees=True).as_matrix() @ axes.T
