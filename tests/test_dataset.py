@@ -402,26 +402,39 @@ def test_text_statistics_that_are_given_are_kept():
     assert Corpus(cache(), LetterCounts(), LAYOUT, least=3, text=given).text.std.tolist() == [2.0] * 8
 
 
-def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(tmp_path):
-    def written(name: str, parts: tuple[str, ...], value: float, seed: int) -> Path:
-        generator = torch.Generator().manual_seed(seed)
-        motion = value + 0.01 * torch.randn(400, 3 * 23 + 22 * 6 + 4, generator=generator)
+@pytest.fixture(scope="module")
+def two_data_sets(tmp_path_factory) -> Corpus:
+    """Ten walks of zeros and a bit, in one folder; ten drinks of ones and a bit in another."""
+    folder, generator = tmp_path_factory.mktemp("caches"), torch.Generator().manual_seed(0)
+    for name, parts, value in (("walk", ("legs",), 0.0), ("drink", ("left arm", "right arm"), 1.0)):
+        motion = value + 0.01 * torch.randn(400, SmplRepresentation.layout.width, generator=generator)
         clips = tuple(
             Clip(f"{name}_{number}", name, "", name, parts, True, False, "train", 40 * number, 40 * number + 40)
             for number in range(10)
         )
-        Cache(20.0, "smpl", motion, clips, {name: ((name, 1.0),)}).write(tmp_path / name)
-        return tmp_path / name
+        Cache(20.0, "smpl", motion, clips, {name: ((name, 1.0),)}).write(folder / name)
+    cache = read_caches([folder / "walk", str(folder / "drink")])
+    return Corpus(cache, LetterCounts(), SmplRepresentation.layout, least=1)
 
-    folders = [written("walk", ("legs",), 0.0, 0), written("drink", ("left arm", "right arm"), 1.0, 1)]
-    layout = SmplRepresentation().layout
-    corpus = Corpus(read_caches(folders), LetterCounts(), layout, least=1)
-    batches = ClipBatches(corpus, "train", Sampling(rows=64, composed=0.5, hosts="any", crops=0.0, silent=0.0))
+
+@pytest.mark.parametrize(
+    ("shares", "guest", "host"),
+    [({"composed": 0.5}, "drink", "walk"), ({"composed_legs": 0.5}, "walk", "drink")],
+    ids=("arms on a walk", "legs under a drink"),
+)
+def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(two_data_sets, shares, guest, host):
+    corpus = two_data_sets
+    batches = ClipBatches(corpus, "train", Sampling(rows=64, hosts="any", crops=0.0, silent=0.0, **shares))
     drawn = Counter(corpus.clips[clip].content for draws in batches.draws(0) for clip in draws.body.clip)
     assert set(drawn) == {"walk", "drink"}
-    guests = [draws for draws in batches.draws(0) if draws.guest.frames.any()]
-    assert guests
-    for draws in guests:
-        for row in np.flatnonzero(draws.guest.frames):
-            assert corpus.clips[draws.body.clip[row]].content == "walk"
-            assert corpus.clips[draws.guest.clip[row]].content == "drink"
+    rows = [
+        (draws, row, corpus._composed(corpus._cut(draws.body), draws)[row])
+        for draws in batches.draws(0)
+        for row in np.flatnonzero(draws.guest.frames)
+    ]
+    assert rows
+    for draws, row, motion in rows:
+        contents = [corpus.clips[stretch.clip[row]].content for stretch in (draws.body, draws.guest)]
+        assert contents == [host, guest]
+        middle = draws.offset[row] + draws.guest.frames[row] // 2
+        assert abs(float(motion[middle, 0])) < 0.1  # the pelvis' height is the legs', and these are a walk's in both

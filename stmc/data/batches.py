@@ -34,7 +34,8 @@ class Sampling:
     another row, as in a collage: an arm is raised while walking. With `hosts` "walking" its content is cyclic and
     claims legs alone; with "any" it claims other parts. Two of three last as long as the arm's clip and keep its text;
     the third is the whole walk, under its own text, and somewhere in it the arm is raised. (Networks that never saw an
-    arm raised on walking legs lower it in a collage.)
+    arm raised on walking legs lower it in a collage.) A share `composed_legs` of the rows that do claim legs are legs
+    under others' bodies, likewise: a man walks while he drinks.
     `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
     of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
     lengths, so more contents, in every batch.
@@ -50,6 +51,7 @@ class Sampling:
     crop_longest: float = 3.0
     silent: float = 0.1
     composed: float = 0.0
+    composed_legs: float = 0.0
     hosts: Hosts = "walking"
     slowest: float = 1.0
     fastest: float = 1.0
@@ -61,11 +63,9 @@ class Sampling:
             raise ValueError(
                 f"rows {self.rows}, pool {self.pool}, pieces {self.pieces}: all at least 1, pieces <= rows"
             )
-        if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in (self.crops, self.silent, self.composed))):
-            raise ValueError(
-                f"trim {self.trim} must be in [0, 0.5), crops {self.crops}, silent {self.silent} and composed "
-                f"{self.composed} in [0, 1]"
-            )
+        shares = {name: getattr(self, name) for name in ("crops", "silent", "composed", "composed_legs")}
+        if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in shares.values())):
+            raise ValueError(f"trim {self.trim} must be in [0, 0.5), {shares} in [0, 1]")
         if self.hosts not in get_args(Hosts):
             raise ValueError(f"unknown hosts {self.hosts!r}; choose from {', '.join(get_args(Hosts))}")
         if not 0 < self.slowest <= self.fastest:
@@ -121,20 +121,17 @@ class ClipBatches:
         """Makes some rows guests on the bodies of others that last at least as long."""
         drawn, sentence = draws.body, draws.sentence
         claims = self.corpus.claims[drawn.clip]
-        moved = (random.random(len(claims)) < self.sampling.composed) & claims.any(axis=1)
-        moved &= ~claims[:, self.corpus.legs]
+        composed = np.where(claims[:, self.corpus.legs], self.sampling.composed_legs, self.sampling.composed)
+        moved = (random.random(len(claims)) < composed) & claims.any(axis=1)
         cyclic = self._cyclic[drawn.clip]
         walking = cyclic & claims[:, self.corpus.legs] & (claims.sum(axis=1) == 1)
         others = claims.any(axis=1)
-        host, whole, offset = (
-            np.arange(len(claims)),
-            np.zeros(len(claims), dtype=bool),
-            np.zeros(len(claims), dtype=int),
-        )
+        host, whole = np.arange(len(claims)), np.zeros(len(claims), dtype=bool)
+        offset = np.zeros(len(claims), dtype=int)
         for row in np.flatnonzero(moved):
             room = drawn.frames - drawn.frames[row]
-            carrying = walking if self.sampling.hosts == "walking" else others & ~claims[:, claims[row]].any(axis=1)
-            hosts = np.flatnonzero(carrying & (room >= 0))
+            carrying = walking if self.sampling.hosts == "walking" else others
+            hosts = np.flatnonzero(carrying & ~claims[:, claims[row]].any(axis=1) & (room >= 0))
             if len(hosts):
                 host[row] = random.choice(hosts)
                 whole[row] = random.random() < WHOLE_HOSTS
