@@ -25,12 +25,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 import stmc
 from stmc.commands import command
 from stmc.commands.shared import OnDevice
-from stmc.composing import find_method
+from stmc.composing import METHODS, find_method
 from stmc.filenames import distinct
 from stmc.files import probe, remove_leftovers, write_text
 from stmc.model import Precision
 from stmc.run import fingerprint
-from stmc.sampling import Sampling
+from stmc.sampling import INDEPENDENT, Sampling
 from stmc.settings import SettingError, about, record_of, setting
 from stmc.tensors import found_device
 
@@ -51,7 +51,10 @@ class Settings(Sampling, OnDevice):
     )
     output: str = setting("outputs", "folder of the motions")
     model: str | None = setting(None, "run directory; null: the bundled model")
-    method: str = setting("stmc", "how crops become a motion: one of stmc.METHODS, or mylab.rules.mine of your own")
+    method: str = setting(
+        "stmc",
+        f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",
+    )
     samples: int = setting(1, "motions of each timeline, with seeds from `seed` on", at_least=1, at_most=100_000)
     seed: int = setting(0, "of the first motion of each timeline", at_least=0)
     formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=FORMATS)
@@ -60,6 +63,10 @@ class Settings(Sampling, OnDevice):
     batch: int | None = setting(None, "timelines at a time; null: 8 on a CPU, 64 on a GPU", at_least=1)
     trusted: tuple[str, ...] = setting((), "packages of your own that the model is made of, or `method` named of")
     json: bool = setting(False, "a line of JSON on stdout for each motion, and everything else on stderr")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        find_method(self.method, self.trusted)
 
 
 class Job(NamedTuple):
@@ -99,7 +106,6 @@ def check(config: DictConfig) -> None:
     if not config.formats:
         raise SettingError(f"formats=[]: choose from {', '.join(FORMATS)}")
     found_device(config.device)
-    find_method(config.method, config.trusted)
 
 
 def jobs(config: DictConfig) -> list[Job]:

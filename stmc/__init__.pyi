@@ -20,6 +20,7 @@ from . import model as model
 from . import motion as motion
 from . import planning as planning
 from . import published as published
+from . import renamed as renamed
 from . import representation as representation
 from . import results as results
 from . import run as run
@@ -35,7 +36,8 @@ from . import untrusted as untrusted
 from . import viewing as viewing
 from .body import BodyPart
 from .body_model import Skeleton
-from .composing import collage, guided_crops, lerp, sinc
+from .composing import Method, collage, find_method, guided_crops, lerp, sinc, stitched
+from .denoisers import Denoiser
 from .diffusion import Noise, Schedule, ddim, ddpm, dpm_solver, guide
 from .export import read, write
 from .inverse_kinematics import motion_of_joints
@@ -49,6 +51,8 @@ from .viewing import figure, page, pictures, plot_plan, view
 
 __all__ = [
     "BodyPart",
+    "Denoiser",
+    "Method",
     "Model",
     "Motion",
     "Noise",
@@ -64,6 +68,7 @@ __all__ = [
     "ddpm",
     "dpm_solver",
     "figure",
+    "find_method",
     "guide",
     "guided_crops",
     "lerp",
@@ -79,6 +84,7 @@ __all__ = [
     "save",
     "sinc",
     "single_track",
+    "stitched",
     "view",
     "write",
 ]

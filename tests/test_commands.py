@@ -125,7 +125,7 @@ REFUSED = {
     "seed=null": "seed=null: a whole number needed",
     "formats=null": "formats=null: a list needed, one of npz, bvh, html",
     "formats=[fbx]": "formats='fbx': choose from npz, bvh, html",
-    "method=magic": "method='magic': choose from stmc,",
+    "method=magic": "method='magic': choose from one_text, single_track",
     "output=": "output='': a text needed",
     "stteps=3": "unknown setting 'stteps': did you mean steps?",
     "+x=1": "unknown setting 'x'",

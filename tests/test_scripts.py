@@ -354,7 +354,7 @@ def test_a_log_hears_of_the_steps_now_and_then(sample, monkeypatch):
     console = sample.Console(file=io.StringIO())
     with sample.told(console) as progress:
         task = progress.add_task("", total=3)
-        assert list(sample.followed(range(3), progress, task, 3, 8)) == [0, 1, 2]
+        assert list(sample.followed(range(3), 3, progress, task, 8)) == [0, 1, 2]
     assert "denoising 8: step 3 of 3" in console.file.getvalue()
 
 
