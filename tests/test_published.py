@@ -449,6 +449,7 @@ def every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder, tmp
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == 87_152_135
 
 
+@pytest.mark.slow
 @pytest.mark.golden
 @pytest.mark.parametrize("folder", golden_sets("mdm"))
 def test_every_name_of_the_published_checkpoints_of_mdm_and_motion_diffuse_has_its_place(folder, tmp_path, subtests):
