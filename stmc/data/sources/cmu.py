@@ -170,6 +170,8 @@ def retarget(recording: Bvh, skeleton: Skeleton, fps: float | int) -> Motion:
     up = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)  # y up → z up
     world = _world(up @ turned, index, rest, skeleton)
     own = sum(float((rest[f"left_{lower}"] - rest[f"left_{upper}"]).norm()) for upper, lower in _LEG)
+    if not own > 0:
+        raise CmuError("the skeleton's legs have no length")
     ours = sum(float(skeleton.offsets[JOINTS.index(f"left_{lower}")].norm()) for _, lower in _LEG)
     hips = (places[:, index["left_hip"]] + places[:, index["right_hip"]]) / 2
     steady = torch.from_numpy(median_filter(hips.numpy(), (5, 1), mode="nearest"))

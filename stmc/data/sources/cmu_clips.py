@@ -92,10 +92,13 @@ def convert(source: cmu.Source, fps: float | int) -> Rows:
 
 
 def encoded(motion: Motion) -> Float[Tensor, "frames features"]:
-    """Its features, with the pelvis' height above the floor (z = 0) and not above the motion's lowest joint."""
+    """Its features, with the pelvis' height above the floor (z = 0) and not above the motion's lowest joint. Raises
+    `CmuError` where they are not finite."""
     representation = SmplRepresentation()
     features = representation.encode(motion)
     features[:, representation.layout["root_height"]] = motion.translation[:, 2:]
+    if not features.isfinite().all():
+        raise cmu.CmuError("its features are not all finite")
     return features.float()
 
 
