@@ -1,10 +1,12 @@
 """Measures what a model can do, by the geometry of its samples: `python scripts/abilities.py model=RUN`."""
 
 import json
+import sys
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import get_args
 
-import hydra
 import numpy as np
 from omegaconf import DictConfig
 from rich.console import Console
@@ -12,20 +14,40 @@ from rich.progress import Progress
 from rich.table import Table
 
 import stmc
+from stmc.benchmarks.ability import abilities, mean_speed
+from stmc.commands import command
+from stmc.commands.shared import OnDevice
 from stmc.data.cache import Cache
+from stmc.diffusion import NoiseScale
+from stmc.files import write_text, write_whole
 from stmc.metrics import kinematics
-from stmc.metrics.ability import abilities, mean_speed
+from stmc.model import Precision
+from stmc.settings import setting
 from stmc.viewing import pictures
 
 
-@hydra.main(config_path="../configs", config_name="abilities", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice):
+    model: str | None = setting(None, "run directory; null: the bundled model")
+    samples: int = setting(32, "motions of each ability", at_least=2)
+    seed: int = setting(0, "of the first motion", at_least=0)
+    guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
+    overlap: float | int = setting(0.5, "how long transitions are", unit="s", at_least=0)
+    steps: int | None = setting(None, "of denoising; null: as many as in training", at_least=1)
+    noise_scales: tuple[str, ...] = setting(("std", "variance"), "of DDPM's noise", choices=get_args(NoiseScale))
+    cache: str | None = setting(None, "prepared data, to measure the test split's foot sliding beside the model's")
+    output: str = setting("outputs/abilities", "folder of pictures and numbers")
+    precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+
+
+@command("abilities", Settings, ("model", "output"))
 def main(config: DictConfig) -> None:
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
     folder.mkdir(parents=True, exist_ok=True)
     results = {}
     with Progress() as progress:
-        task = progress.add_task("Sampling", total=len(config.spreads) * len(abilities()))
-        for spread in config.spreads:
+        task = progress.add_task("Sampling", total=len(config.noise_scales) * len(abilities()))
+        for scale in config.noise_scales:
             for ability in abilities():
                 motions = model.generate(
                     [ability.timeline] * config.samples,
@@ -33,16 +55,16 @@ def main(config: DictConfig) -> None:
                     guidance=config.guidance,
                     overlap=config.overlap,
                     steps=config.steps,
-                    sampler=partial(stmc.ddpm, spread=spread),
+                    noise_scale=scale,
                 )
-                results.setdefault(ability.name, {})[spread] = measured(ability, motions)
-                figure = pictures(motions[0], ability.timeline)
-                figure.savefig(folder / f"{ability.name.replace(' ', '_')}_{spread}.png", dpi=80)
+                results.setdefault(ability.name, {})[scale] = measured(ability, motions)
+                figure = partial(pictures(motions[0], ability.timeline).savefig, format="png", dpi=80)
+                write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)
                 progress.advance(task)
     if config.cache:
         results["real"] = real(Cache.read(Path(config.cache)), model)
-    (folder / "abilities.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    report(results, config.spreads)
+    write_text(folder / "abilities.json", json.dumps(results, indent=1) + "\n")
+    report(results, config.noise_scales)
 
 
 def measured(ability, motions) -> dict[str, float]:
@@ -67,26 +89,26 @@ def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
     return {content: float(np.nanmean(values)) for content, values in sorted(contents.items())}
 
 
-def report(results: dict, spreads: list[str]) -> None:
+def report(results: dict, noise_scales: list[str]) -> None:
     columns = ("shown", "m/s", "°", "slide cm", "div cm")
-    table = Table("", "expected", *(f"{column}, {spread}" for spread in spreads for column in columns))
+    table = Table("", "expected", *(f"{column}, {scale}" for scale in noise_scales for column in columns))
     for name, rows in results.items():
         if name == "real":
             continue
         cells = [
             text
-            for spread in spreads
-            for row in [rows[spread]]
+            for scale in noise_scales
+            for row in [rows[scale]]
             for text in (
                 f"{row['shown']:.0%}", f"{row['speed']:.2f}", f"{row['turn']:.0f}", f"{row['sliding_cm']:.2f}",
                 f"{row['diversity_cm']:.1f}",
             )
         ]  # fmt: skip
-        table.add_row(name, f"{rows[spreads[0]]['expected']:.0%}", *cells)
+        table.add_row(name, f"{rows[noise_scales[0]]['expected']:.0%}", *cells)
     Console().print(table)
     for content, value in results.get("real", {}).items():
         Console().print(f"real {content}: feet slide {value:.2f} cm per frame of contact")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

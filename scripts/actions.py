@@ -1,11 +1,13 @@
-"""Asks a model for every action that geometry can tell: `python scripts/actions.py model=RUN cache=[…]`."""
+"""Asks a model for every action that geometry can tell, beside real motion: `python scripts/actions.py model=RUN`."""
 
 import json
+import sys
+from dataclasses import MISSING, dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import get_args
 
-import hydra
 import numpy as np
 from omegaconf import DictConfig
 from rich.console import Console
@@ -13,13 +15,18 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
+from stmc.benchmarks.ability import Question, questions
+from stmc.commands import command
+from stmc.commands.shared import OnDevice
 from stmc.data.cache import Cache, read_caches
-from stmc.data.sentences import CONTENTS
+from stmc.data.sources.bandai_sentences import CONTENTS
 from stmc.data.sources.segments import unseen
-from stmc.files import write_text
-from stmc.metrics.ability import Question, questions
+from stmc.diffusion import NoiseScale
+from stmc.files import write_text, write_whole
 from stmc.metrics.actions import rates
+from stmc.model import Precision
 from stmc.motion import Motion
+from stmc.settings import setting
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing import pictures
 
@@ -27,14 +34,32 @@ WINDOW = 4.0
 """Seconds of a cyclic clip that are asked at once, and of a cyclic content that are sampled."""
 
 
-@hydra.main(config_path="../configs", config_name="actions", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice):
+    model: str | None = setting(None, "run directory; null: the bundled model")
+    cache: tuple[str, ...] = setting(MISSING, "prepared data sets, as a list")
+    contents: tuple[str, ...] | None = setting(None, "contents to ask for; null: all that geometry can tell")
+    samples: int = setting(8, "motions of each sentence", at_least=1)
+    sentences: int = setting(3, "sentences of each content", at_least=1)
+    seen: bool = setting(False, "ask with sentences of the training, not with those that it never saw")
+    clips: int = setting(20, "real motions of each content, at most", at_least=1)
+    seed: int = setting(0, "of the first motion", at_least=0)
+    guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
+    steps: int | None = setting(50, "of denoising, which fast actions need; null: as many as in training", at_least=1)
+    noise_scale: str = setting("std", "of DDPM's noise", choices=get_args(NoiseScale))
+    pictures: bool = setting(True, "draw the first motion of each sentence")
+    output: str = setting("outputs/actions", "folder of pictures and numbers")
+    precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+
+
+@command("actions", Settings, ("model", "output"))
 def main(config: DictConfig) -> None:
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
-    cache, console = read_caches(config.cache), Console()
+    cache, console = read_caches(list(config.cache)), Console()
     real = recorded(cache, model, config.clips)
     asked = {name: question for name, question in questions().items() if name in real and unseen(name)}
     if unknown := set(config.contents or ()) - set(asked):
-        raise SystemExit(f"contents {', '.join(sorted(unknown))}: choose from {', '.join(asked)}")
+        raise ValueError(f"contents={', '.join(sorted(unknown))}: unknown; choose from {', '.join(asked)}")
     results = {}
     for name in track(config.contents or list(asked), "Sampling", console=console):
         seconds = min(WINDOW, median(motion.duration for motion in real[name]))
@@ -56,15 +81,16 @@ def shown(config: DictConfig, model: stmc.Model, question: Question, name: str, 
     """The share of the samples that show the action; a picture of the first is drawn."""
     parts = CONTENTS[name].parts
     timeline = Timeline((Prompt(text, 0.0, round(seconds, 1), parts),), name=f"{name}: {text}")
-    sampler = partial(stmc.ddpm, spread=config.spread)
-    seeds = [config.seed + number for number in range(config.samples)]
     motions = model.generate(
-        [timeline] * config.samples, seed=seeds, guidance=config.guidance, steps=config.steps, sampler=sampler
+        [timeline] * config.samples,
+        seed=config.seed,
+        guidance=config.guidance,
+        steps=config.steps,
+        noise_scale=config.noise_scale,
     )
     if config.pictures:
-        path = Path(config.output) / f"{name}_{text.replace(' ', '_')}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pictures(motions[0], title=timeline.name).savefig(path, dpi=60)
+        figure = partial(pictures(motions[0], title=timeline.name).savefig, format="png", dpi=60)
+        write_whole(Path(config.output) / f"{name}_{text.replace(' ', '_')}.png", figure)
     return sum(map(question, motions)) / len(motions)
 
 
@@ -97,4 +123,4 @@ def report(results: dict, console: Console) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -4,22 +4,28 @@ Every setting is in configs/analyse_study.yaml.
 """
 
 import json
+import sys
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
+from stmc.commands import command
 from stmc.files import write_text
+from stmc.settings import setting
 from stmc.study import Analysis, Key, StudyError, analyse, read_answers
 
 
-@hydra.main(config_path="../configs", config_name="analyse_study", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    answers: str = setting(MISSING, "folder of the files that raters sent back")
+    study: str = setting("outputs/study", "folder with key.json; analysis.txt and analysis.json are written there")
+
+
+@command("analyse_study", Settings, ("answers", "study"))
 def main(config: DictConfig) -> None:
     folder = Path(config.study).expanduser()
-    try:
-        analysis = analysed(folder, Path(config.answers).expanduser())
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
+    analysis = analysed(folder, Path(config.answers).expanduser())
     contents = {"txt": analysis.text(), "json": json.dumps(analysis.data(), indent=1, ensure_ascii=False) + "\n"}
     for kind, content in contents.items():
         write_text(folder / f"analysis.{kind}", content)
@@ -36,4 +42,4 @@ def analysed(folder: Path, answers: Path) -> Analysis:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,21 +1,38 @@
 """Measures sampling: time per timeline in a batch against alone, padding, STMC against others. No absolute claims."""
 
+import sys
 import time
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
 
-import hydra
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 import stmc
-from stmc.results.naming import method
+from stmc.commands import command
+from stmc.commands.shared import OnDevice
+from stmc.results.naming import method_row
+from stmc.settings import setting
 
 
-@hydra.main(config_path="../configs", config_name="benchmark", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice):
+    timelines: str = setting(MISSING, "file of many timelines, such as MTT.txt")
+    model: str | None = setting(None, "run directory; null: the bundled model")
+    rivals: tuple[Mapping, ...] = setting(
+        ({"method": "sinc", "model": "${model}"},), "what STMC's time is compared with: methods and their models"
+    )
+    batch: int = setting(32, "timelines at a time", at_least=1)
+    steps: int = setting(10, "of denoising", at_least=1)
+    repeats: int = setting(3, "of every measurement; the median counts", at_least=1)
+
+
+@command("benchmark", Settings, ("timelines",))
 def main(config: DictConfig) -> None:
     rivals = [(rival.method, rival.model) for rival in config.rivals]
     places = {config.model, *(place for _, place in rivals)}
@@ -37,7 +54,7 @@ def main(config: DictConfig) -> None:
     difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
     plans = model.plans(timelines)
     table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {model.device}")
-    names = [f"time of STMC / {method(name).label}, {place or 'the bundled model'}" for name, place in rivals]
+    names = [f"time of STMC / {method_row(name).label}, {place or 'the bundled model'}" for name, place in rivals]
     for name, ratios in zip(["time per timeline, alone / in the batch", *names], zip(*rows, strict=True), strict=True):
         table.add_row(name, f"{median(ratios):.2f}")
     table.add_row("largest difference of a joint, batch against alone", f"{difference:.1e} m")
@@ -60,4 +77,4 @@ def batched_padding(model: stmc.Model, plans: list[stmc.Plan], size: int) -> flo
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

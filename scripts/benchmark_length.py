@@ -5,15 +5,16 @@ the shortest timeline of the same run.
 """
 
 import json
-import resource
 import sys
 import time
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
-import hydra
+import psutil
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -23,13 +24,17 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
-from stmc.files import write_whole
+from stmc.commands import command
+from stmc.commands.shared import OnDevice, Threaded
+from stmc.files import write_text, write_whole
 from stmc.results.axes import DASHED, dress, grid, legend
-from stmc.results.naming import method
+from stmc.results.naming import method_row
+from stmc.settings import setting
 from stmc.viewing.colours import palette
 from stmc.viewing.tracks import INK
 
 MEBIBYTE = 2**20
+TEXTS = ("walk forwards", "turn left", "wave with the right hand", "run", "raise both arms", "turn right")
 
 
 class Measured(NamedTuple):
@@ -42,7 +47,20 @@ class Measured(NamedTuple):
     device: str
 
 
-@hydra.main(config_path="../configs", config_name="benchmark_length", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice, Threaded):
+    runs: tuple[Mapping, ...] = setting(
+        ({"method": "stmc", "model": None},), "methods, each with its model's run directory (null: the bundled one)"
+    )
+    seconds: tuple[float | int, ...] = setting((10, 30, 60, 120, 300, 600), "of each timeline", unit="s", above=0)
+    prompt: float | int = setting(5, "length of each prompt", unit="s", above=0)
+    texts: tuple[str, ...] = setting(TEXTS, "of the prompts, again and again")
+    steps: int = setting(3, "of denoising", at_least=1)
+    repeats: int = setting(3, "of every measurement; the fastest counts", at_least=1)
+    output: str = setting("outputs/length", "folder of length.png and length.json")
+
+
+@command("benchmark_length", Settings)
 def main(config: DictConfig) -> None:
     jobs = [(run.method, run.model, seconds) for run in config.runs for seconds in sorted(config.seconds)]
     settings = OmegaConf.to_container(config, resolve=True)
@@ -54,7 +72,7 @@ def main(config: DictConfig) -> None:
     rows = records(found)
     console.print(table(rows))
     folder = Path(config.output).expanduser()
-    write_whole(folder / "length.json", lambda path: path.write_text(json.dumps(rows, indent=1) + "\n"))
+    write_text(folder / "length.json", json.dumps(rows, indent=1) + "\n")
     write_whole(folder / "length.png", lambda path: drawn(rows).savefig(path, dpi=150, format="png"))
     console.print(f"{folder / 'length.png'}, {folder / 'length.json'}")
 
@@ -93,6 +111,10 @@ def peak(device: torch.device) -> int:
     """The most bytes that this process ever had: on the GPU, or else altogether."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
+    if sys.platform == "win32":
+        return psutil.Process().memory_info().peak_wset
+    import resource  # not on Windows
+
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most if sys.platform == "darwin" else 1024 * most
 
@@ -120,7 +142,7 @@ def table(rows: list[dict]) -> Table:
         seconds = f"{row['seconds']:.2f}" if "seconds" in row else "–"
         memory = [f"{row[name] / MEBIBYTE:.0f} MiB" for name in ("peak_bytes", "sampling_bytes")]
         table.add_row(
-            method(row["method"]).label, f"{row['length']:g} s", f"{row['relative_time']:.2f}", seconds, *memory
+            method_row(row["method"]).label, f"{row['length']:g} s", f"{row['relative_time']:.2f}", seconds, *memory
         )
     return table
 
@@ -145,7 +167,7 @@ def draw(axes: Axes, rows: list[dict], key: str, unit: int) -> None:
         own = [row for row in rows if (row["method"], row["model"]) == run and row[key] > 0]
         lengths, values = [row["length"] for row in own], [row[key] / unit for row in own]
         named = [other for other, _ in runs].count(run[0]) > 1
-        label = f"{method(run[0]).label}, {Path(run[1] or 'bundled').name}" if named else method(run[0]).label
+        label = f"{method_row(run[0]).label}, {Path(run[1] or 'bundled').name}" if named else method_row(run[0]).label
         axes.plot(lengths, values, color=colour, marker="o", markersize=4, linewidth=1.6, label=label)
         if own:
             straight = [values[-1] / lengths[-1] * length for length in lengths]
@@ -160,4 +182,4 @@ def draw(axes: Axes, rows: list[dict], key: str, unit: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,32 +1,35 @@
 """Encodes texts ahead of training or sampling: `python scripts/embed.py texts=PATH text_encoder=clip`."""
 
 import json
+import sys
 from collections.abc import Iterator
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Any
 
-import hydra
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
-from rich.progress import track
 
+from stmc.commands import command
+from stmc.settings import setting
 from stmc.text import Cached
 
 
-@hydra.main(config_path="../configs", config_name="embed", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    texts: str = setting(MISSING, "timelines or annotations (.json), a text a line (.txt), or a folder of such files")
+    folder: str = setting("cache/text", "folder of the embeddings: what training calls text_cache")
+
+
+@command("embed", Settings, ("texts",))
 def main(config: DictConfig) -> None:
-    console = Console()
-    try:
-        texts = list(dict.fromkeys(["", *texts_in(Path(config.texts).expanduser())]))
-        encoder = Cached(instantiate(config.text_encoder), config.folder)
-        missing = [text for text in texts if not encoder.file(text).exists()]
-        starts = range(0, len(missing), config.batch)
-        for start in track(starts, "Texts", console=console, disable=not missing):
-            encoder.encode(missing[start : start + config.batch])
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
-    console.print(f"{len(texts)} texts in {config.folder}, {len(missing)} of them new, by {encoder.name}")
+    texts = list(dict.fromkeys(["", *texts_in(Path(config.texts).expanduser())]))
+    encoder = Cached(instantiate(config.text_encoder), config.folder)
+    missing = encoder.missing(texts)
+    if missing:
+        encoder.encode(missing)
+    Console().print(f"{len(texts)} texts in {encoder.file}, {len(missing)} of them new", soft_wrap=True)
 
 
 def texts_in(path: Path) -> Iterator[str]:
@@ -70,4 +73,4 @@ def _in_json(node: Any) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

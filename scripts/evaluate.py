@@ -8,15 +8,16 @@ import itertools
 import json
 import platform
 import re
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
+from typing import get_args
 
-import hydra
 import torch
-from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -25,83 +26,75 @@ from safetensors.torch import load_file, save_file
 
 import stmc
 from stmc.benchmarks import Benchmark
-from stmc.denoisers import FlowMdm
-from stmc.diffusion import SAMPLERS
-from stmc.files import write_text, write_whole
-from stmc.model import OWN_LATE
+from stmc.commands import command
+from stmc.commands.shared import OnDevice, Threaded
+from stmc.composing import find_method, settled
+from stmc.files import remove_leftovers, write_text, write_whole
+from stmc.model import Precision
 from stmc.results import Result, read_results, write_results
-from stmc.results.naming import ALONE, METHODS, REAL
-from stmc.results.records import Setting
+from stmc.results.naming import REAL
+from stmc.results.records import SETTINGS, Setting
 from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
+from stmc.sampling import Sampling
+from stmc.settings import record_of, setting
 
 
-@hydra.main(config_path="../configs", config_name="evaluate", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice, Threaded):
+    models: Mapping = setting({"MDM-SMPL": None}, "names for the tables: run directories (null: the bundled model)")
+    evaluator: str | None = setting(None, "run directory; null: the bundled one")
+    output: str = setting(
+        "outputs/evaluation", "folder of all experiments on one benchmark: what one has run, the others need not"
+    )
+    seeds: tuple[int, ...] = setting((0, 1, 2), "each is a run of its own", at_least=0)
+    batch: int = setting(50, "timelines at a time; a killed run loses at most so many", at_least=1)
+    precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+    trusted: tuple[str, ...] = setting(
+        (), "packages of your own that models are made of, or methods named of, as in mylab.rules.mine"
+    )
+
+
+@command("evaluate", Settings, ("output",))
 def main(config: DictConfig) -> None:
     """Runs whatever is not in the output yet, then writes the tables and the figure of all that was asked for."""
     console, folder = Console(), Path(config.output).expanduser()
     if config.threads:
         torch.set_num_threads(config.threads)
-    try:
-        evaluator = stmc.load_evaluator(config.evaluator, device=config.device)
-        models = {
-            name: stmc.load(place, device=config.device, precision=config.precision)
-            for name, place in config.models.items()
-        }
-        settings = list(dict.fromkeys(chosen(config.experiment, models)))
-        benchmark = instantiate(config.benchmark)(judge=evaluator)
-        results = begun(folder, about(config))
-        with Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-            TimeRemainingColumn(), console=console,
-        ) as progress:  # fmt: skip
-            runs = [(setting, seed) for seed in config.seeds for setting in settings]
-            task = progress.add_task("Runs", total=len(runs))
-            for setting, seed in runs:
-                if not any(result.setting == setting and result.seed == seed for result in results):
-                    results.append(run(benchmark, models, setting, seed, config, progress))
-                    write_results(results, folder / "results.jsonl")
-                progress.advance(task)
-        report([result for result in results if (result.setting, result.seed) in runs], config, console)
-    except InstantiationException as error:
-        raise SystemExit(str(error.__cause__ or error)) from error
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
+    evaluator = stmc.load_evaluator(config.evaluator, device=config.device, trusted=config.trusted)
+    models = {
+        name: stmc.load(place, device=config.device, precision=config.precision, trusted=config.trusted)
+        for name, place in config.models.items()
+    }
+    settings = list(dict.fromkeys(chosen(config.experiment, models, tuple(config.trusted))))
+    benchmark = instantiate(config.benchmark)(judge=evaluator)
+    remove_leftovers(folder)
+    results = begun(folder, about(config))
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TimeRemainingColumn(), console=console,
+    ) as progress:  # fmt: skip
+        runs = [(setting, seed) for seed in config.seeds for setting in settings]
+        task = progress.add_task("Runs", total=len(runs))
+        for setting, seed in runs:
+            if not any(result.setting == setting and result.seed == seed for result in results):
+                results.append(run(benchmark, models, setting, seed, config, progress))
+                write_results(results, folder / "results.jsonl")
+            progress.advance(task)
+    report([result for result in results if (result.setting, result.seed) in runs], config, console)
 
 
-def chosen(experiment: DictConfig, models: dict[str, stmc.Model]) -> Iterator[Setting]:
+def chosen(experiment: DictConfig, models: dict[str, stmc.Model], trusted: tuple[str, ...]) -> Iterator[Setting]:
     """All combinations of an experiment, each with what does not apply to it left out, and the model's own where the
-    experiment leaves it open. FlowMDM's own method is of its networks alone. Raises `ValueError` for unknown names."""
-    for name, given, choices in (
-        ("methods", experiment.methods, [name for name in METHODS if name != REAL]),
-        ("settings.sampler", experiment.settings.sampler, SAMPLERS),
-    ):
-        if unknown := [each for each in given if each not in choices]:
-            raise ValueError(f"experiment.{name}: unknown {unknown[0]!r}; choose from {', '.join(choices)}")
-    if experiment.real:
-        yield Setting(REAL, "", *[None] * (len(Setting._fields) - 2))
+    experiment leaves it open. A method that needs a text for every frame is of such networks alone. Raises
+    `SettingError` for unknown names and values that do not fit."""
+    methods = {name: find_method(name, trusted) for name in experiment.methods}
     grid = itertools.product(*experiment.settings.values())
-    combinations = [dict(zip(experiment.settings, values, strict=True)) for values in grid]
-    for (name, model), method, values in itertools.product(models.items(), experiment.methods, combinations):
-        flow = isinstance(model.denoiser, FlowMdm)
-        if method == "flow_mdm" and not flow:
-            continue
-        own = {
-            "steps": model.schedule.steps,
-            "guidance": model.guidance,
-            "spread": model.spread,
-            "late": model.late,
-            "absolute": round(1 - model.denoiser.absolute_from / model.schedule.steps, 6) if flow else None,
-        }
-        values = {key: own.get(key) if value is None else value for key, value in values.items()}
-        if values["sampler"] != "ddpm":
-            values["spread"] = None
-        if method not in OWN_LATE:
-            values["late"] = None
-        if not flow:
-            values["absolute"] = None
-        if method in (ALONE, "one_text", "sinc", "flow_mdm"):
-            values["overlap"] = None
-        yield Setting(method, name, **values)
+    combinations = [record_of(Sampling, dict(zip(experiment.settings, values, strict=True))) for values in grid]
+    if experiment.real:
+        yield Setting(REAL)
+    for (name, model), method, asked in itertools.product(models.items(), methods, combinations):
+        if model.network.per_frame_text or not methods[method].per_frame_text:
+            yield Setting(method, name, settled(asked, methods[method], model.own_sampling))
 
 
 def about(config: DictConfig) -> dict:
@@ -148,7 +141,7 @@ def run(
         motions, seconds = sampled(benchmark, models[setting.denoiser], setting, seed, config, progress)
         scores = benchmark.measured(setting.method, motions, seed)
         rmtree(unfinished(setting, seed, config))
-    return Result(seed=seed, metrics=scores.metrics | seconds, curves=scores.curves, **setting._asdict())
+    return Result(seed=seed, metrics=scores.metrics | seconds, curves=scores.curves, **vars(setting))
 
 
 def sampled(
@@ -172,7 +165,11 @@ def sampled(
         if not path.exists():
             seeds = [seed * len(timelines) + number for number in numbers]
             began = time.perf_counter()
-            batch = generated(model, setting, [timelines[number] for number in numbers], seeds)
+            chosen = [timelines[number] for number in numbers]
+            method = find_method(setting.method, config.trusted)
+            batch = model.generate(
+                chosen, seed=seeds, method=method, joints_from=benchmark.joints_from, **setting.sampling.given
+            )
             spent, made = spent + time.perf_counter() - began, made + len(batch)
             write_whole(path, partial(save_file, packed(batch)))
         motions |= dict(zip(numbers, unpacked(load_file(path), model.fps), strict=True))
@@ -184,26 +181,8 @@ def sampled(
 
 def unfinished(setting: Setting, seed: int, config: DictConfig) -> Path:
     """Where the motions of a run wait for the others."""
-    name = "_".join(str(value) for value in (*setting, seed))
+    name = "_".join(str(setting.value(name)) for name in SETTINGS) + f"_{seed}"
     return Path(config.output).expanduser() / "unfinished" / re.sub(r"[^\w.-]+", "_", name)
-
-
-def generated(
-    model: stmc.Model, setting: Setting, timelines: list[stmc.Timeline], seeds: list[int]
-) -> list[stmc.Motion]:
-    sampler = SAMPLERS[setting.sampler]
-    if setting.absolute is not None:
-        model.denoiser.absolute_from = round((1 - setting.absolute) * model.schedule.steps)
-    return model.generate(
-        timelines,
-        seed=seeds,
-        guidance=setting.guidance,
-        overlap=setting.overlap or 0.0,
-        steps=setting.steps,
-        sampler=partial(sampler, spread=setting.spread) if setting.spread else sampler,
-        method="stmc" if setting.method == ALONE else setting.method,
-        late=setting.late or 0.0,
-    )
 
 
 PACKED = ("rotations", "translation", "joints")
@@ -233,4 +212,4 @@ def report(results: list[Result], config: DictConfig, console: Console) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,23 +1,42 @@
 """Makes run directories of published checkpoints: `python scripts/import_checkpoint.py source=PATH output=runs/mdm`."""
 
-import hydra
-from omegaconf import DictConfig, OmegaConf
+import sys
+from dataclasses import MISSING, dataclass
+
+from omegaconf import DictConfig
 from rich.console import Console
 
+from stmc.commands import command
 from stmc.published import convert
 from stmc.run import CARD, CONFIG
+from stmc.run.configs import read_config
+from stmc.settings import setting
 
 
-@hydra.main(config_path="../configs", config_name="import_checkpoint", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    source: str = setting(
+        MISSING,
+        "run directory of STMC or TMR, model….pt of MDM or FlowMDM (args.json beside it), or MotionDiffuse's folder",
+    )
+    output: str = setting(MISSING, "run directory to write")
+    statistics: str | None = setting(
+        None,
+        "folder of HumanML3D's Mean.npy and Std.npy for MDM and FlowMDM, of BABEL's rfeats_mean.pt and rfeats_std.pt "
+        "for FlowMDM, of mean.pt and std.pt for TMR; null: by the weights",
+    )
+    text_model: str | None = setting(
+        None, "folder or hub name of the text encoder's weights; null: the published ones on the hub"
+    )
+
+
+@command("import_checkpoint", Settings, ("source", "output"))
 def main(config: DictConfig) -> None:
-    try:
-        folder = convert(config.source, config.output, config.statistics, config.text_model)
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
+    folder = convert(config.source, config.output, config.statistics, config.text_model)
     Console().print((folder / CARD).read_text(encoding="utf-8"), markup=False)
-    hint = f": try python scripts/sample.py model={folder}" if "denoiser" in OmegaConf.load(folder / CONFIG) else ""
+    hint = f": try python scripts/sample.py model={folder}" if "denoiser" in read_config(folder / CONFIG) else ""
     Console().print(f"in {folder}{hint}", markup=False)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -5,22 +5,25 @@ while other body parts do something else. That is judged by compositions of *val
 chosen by what the test split looks like.
 """
 
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
-import hydra
 import numpy as np
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
 
 import stmc
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, construct, write_atoms
 from stmc.body import BodyPart
+from stmc.commands import command
 from stmc.data.cache import Cache, Clip
-from stmc.data.sentences import CONTENTS, STYLES
+from stmc.data.sources.bandai_sentences import CONTENTS, STYLES
 from stmc.evaluators import Evaluator
 from stmc.metrics.retrieval import cosines, ranks
-from stmc.mtt import AtomicPrompt, construct, write_atoms
 from stmc.representation import SmplRepresentation
+from stmc.settings import setting
 
 PLAIN = "normal"
 PARTNERS = 8
@@ -29,20 +32,29 @@ Atom = tuple[str, str]
 """Content and style."""
 
 
-@hydra.main(config_path="../configs", config_name="open_mtt", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    cache: str = setting("cache/bandai", "prepared data")
+    evaluator: str | None = setting(None, "run directory; null: the bundled one")
+    output: str = setting("stmc/assets/open_mtt", "folder of the prompts and timelines")
+    least: float | int = setting(
+        0.6, "share of a style's compositions in which the evaluator must tell it from others", at_least=0, at_most=1
+    )
+    count: int = setting(500, "timelines", at_least=1)
+    seed: int = setting(0, "of the timelines", at_least=0)
+
+
+@command("open_mtt", Settings)
 def main(config: DictConfig) -> None:
     console, folder = Console(), Path(config.output)
-    try:
-        cache = Cache.read(Path(config.cache).expanduser())
-        evaluator = stmc.load_evaluator(config.evaluator)
-        heard = found(cache, evaluator, possible(cache))
-        chosen = [atom for atom, share in heard.items() if atom[1] == PLAIN or share >= config.least]
-        atoms = [prompt(cache, atom) for atom in chosen]
-        timelines = construct(atoms, config.count, config.seed)
-        random = np.random.default_rng(0)
-        places = [standing(cache, evaluator, "test", atom, chosen, random) for atom in chosen]
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
+    cache = Cache.read(Path(config.cache).expanduser())
+    evaluator = stmc.load_evaluator(config.evaluator)
+    heard = found(cache, evaluator, possible(cache))
+    chosen = [atom for atom, share in heard.items() if atom[1] == PLAIN or share >= config.least]
+    atoms = [prompt(cache, atom) for atom in chosen]
+    timelines = construct(atoms, config.count, config.seed)
+    random = np.random.default_rng(0)
+    places = [standing(cache, evaluator, "test", atom, chosen, random) for atom in chosen]
     write_atoms(atoms, folder / "prompts.json")
     stmc.Timeline.write_all(timelines, folder / "timelines.json")
     for (content, style), share in heard.items():
@@ -117,4 +129,4 @@ def prompt(cache: Cache, atom: Atom) -> AtomicPrompt:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -6,20 +6,22 @@ killed, it goes on where it was.
 
 import os
 import shutil
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
+import sys
+from dataclasses import dataclass, replace
 from inspect import Parameter, signature
 from pathlib import Path
 
-import hydra
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
 
+from stmc.commands import command
 from stmc.data.cache import fresh
 from stmc.data.preparation import Preparation
 from stmc.data.report import TEXT, lines, write_report
+from stmc.files import locked
+from stmc.settings import SettingError, setting
 
 PLACES = ("source", "annotations", "body")
 """Where the things are that data sets are prepared from; each needs some of them."""
@@ -28,31 +30,39 @@ TOLD = 20
 """Skipped clips that are named on the screen; the report names all."""
 
 
-@hydra.main(config_path="../configs", config_name="prepare", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    source: str | None = setting(None, "where the recordings are: an archive or a folder; see configs/data/*.yaml")
+    annotations: str | None = setting(None, "folder of the texts of AMASS's recordings")
+    body: str | None = setting(None, "SMPL-H's folder, for the joints as published; null: the default skeleton's")
+    folder: str = setting("${data.folder}", "where the prepared data goes")
+    workers: int | None = setting(None, "processes; null: one per core", at_least=1, at_most=1024)
+
+
+@command("prepare", Settings, ("source", "folder"))
 def main(config: DictConfig) -> None:
-    console, folder = Console(), Path(config.folder).expanduser()
-    preparation = described(config)
-    try:
-        preparation.check()
-        inputs = preparation.fingerprint()
-        if fresh(folder, inputs):
-            console.print(f"{folder} is up to date")
-            return
-        scratch = folder / "pieces"
-        cache = preparation.prepared(
-            scratch,
-            config.workers or os.cpu_count(),
-            lambda pieces, total: track(pieces, "Preparing", total=total, console=console),
-        )
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
-    except BrokenProcessPool as error:
-        raise SystemExit("a worker was killed, perhaps for memory; ask again, with fewer workers=") from error
+    folder, preparation = Path(config.folder).expanduser(), described(config)
+    preparation.check()
+    with locked(folder):
+        prepare(preparation, folder, config.workers or os.cpu_count(), Console())
+
+
+def prepare(preparation: Preparation, folder: Path, workers: int, console: Console) -> None:
+    """Fills the folder: the report first, since the cache says that all is there."""
+    scratch, inputs = folder / "pieces", preparation.fingerprint()
+    if fresh(folder, inputs):
+        shutil.rmtree(scratch, ignore_errors=True)  # a run may have been killed on its last step
+        console.print(f"{folder} is up to date")
+        return
+    cache = preparation.prepared(
+        scratch, workers, lambda pieces, total: track(pieces, "Preparing", total=total, console=console)
+    )
+    report = lines(write_report(cache, folder))
     replace(cache, fingerprint=inputs).write(folder)
     shutil.rmtree(scratch, ignore_errors=True)
     for name, why in cache.skipped[:TOLD]:
         console.print(f"[yellow]skipped[/] {name}: {why}", highlight=False)
-    for line in lines(write_report(cache, folder)):
+    for line in report:
         console.print(line, highlight=False)
     hours = len(cache.features) / cache.fps / 3600
     made = f"{len(cache.clips)} clips with their mirror images, {hours:.1f} hours, in {folder}"
@@ -60,7 +70,8 @@ def main(config: DictConfig) -> None:
 
 
 def described(config: DictConfig) -> Preparation:
-    """The data set with the places that were given; `SystemExit` says which is missing or does not belong to it."""
+    """The data set with the places that were given. Raises `SettingError` for one that is missing or does
+    not belong to it."""
     given = {name: config[name] for name in PLACES if config[name] is not None}
     known = signature(get_class(config.data.preparation._target_)).parameters
     missing = [
@@ -69,9 +80,9 @@ def described(config: DictConfig) -> Preparation:
     foreign = [name for name in given if name not in known]
     if missing or foreign:
         told = [f"{name}= is missing" for name in missing] + [f"{name}= does not belong to it" for name in foreign]
-        raise SystemExit(f"{', '.join(told)}; what this data set is prepared from: see configs/data")
+        raise SettingError(f"{', '.join(told)}; what this data set is prepared from: see configs/data")
     return instantiate(config.data.preparation, **given)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

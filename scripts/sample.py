@@ -1,172 +1,239 @@
-"""Samples motions of timelines: `python scripts/sample.py timeline=PATH`. Every setting is in configs/sample.yaml."""
+"""Samples motions of timelines: files to animate with, and pages to look at.
+
+    stmc sample timelines.json outputs/       python scripts/sample.py timeline=timelines.json output=outputs
+    stmc sample "walk # 0 # 4" outputs/       a timeline itself: text # start # end, in seconds, # body parts
+
+Asked again, it makes only what is not there yet, or was made otherwise.
+"""
 
 import json
-import re
-from collections.abc import Iterator
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
-from itertools import chain, count
 from pathlib import Path
-from typing import get_args
+from typing import Any, NamedTuple, get_args
 
-import hydra
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import stmc
-from stmc.diffusion import SAMPLERS, Spread
-from stmc.files import write_text
-from stmc.model import Method, Precision, check_late
+from stmc.commands import command
+from stmc.commands.shared import OnDevice
+from stmc.composing import METHODS, find_method
+from stmc.filenames import distinct
+from stmc.files import probe, remove_leftovers, write_text
+from stmc.model import Precision
 from stmc.run import fingerprint
+from stmc.sampling import INDEPENDENT, Sampling
+from stmc.settings import SettingError, about, record_of, setting
+from stmc.tensors import found_device
 
-CHOICES = {
-    "sampler": tuple(SAMPLERS),
-    "method": get_args(Method),
-    "spread": (None, *get_args(Spread)),
-    "precision": get_args(Precision),
-}
 FORMATS = ("npz", "bvh", "html")
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
-DECIDING = ("seed", "method", "late", "sampler", "spread", "steps", "guidance", "overlap", "precision")
-Job = tuple[str, stmc.Timeline, int]
-"""A motion to be: its files' name, its timeline, its seed."""
+DECIDING = ("method", "precision", "fps", *about(Sampling))
+"""The settings that decide what a motion becomes, beside its seed, model and timeline."""
+TOGETHER = {"cpu": 8, "cuda": 64}
+"""Timelines at a time: a GPU is faster with many; a CPU is not, and what is done should be on the disk soon."""
+SILENCE = 30
+"""Seconds after which a log that is no terminal hears of the steps."""
 
 
-@hydra.main(config_path="../configs", config_name="sample", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(Sampling, OnDevice):
+    timeline: str | None = setting(
+        None, "a .json or .txt of one timeline or many, or a timeline itself; null: the bundled example"
+    )
+    output: str = setting("outputs", "folder of the motions")
+    model: str | None = setting(None, "run directory; null: the bundled model")
+    method: str = setting(
+        "stmc",
+        f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",
+    )
+    samples: int = setting(1, "motions of each timeline, with seeds from `seed` on", at_least=1, at_most=100_000)
+    seed: int = setting(0, "of the first motion of each timeline", at_least=0)
+    formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=FORMATS)
+    fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
+    precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+    batch: int | None = setting(None, "timelines at a time; null: 8 on a CPU, 64 on a GPU", at_least=1)
+    trusted: tuple[str, ...] = setting((), "packages of your own that the model is made of, or `method` named of")
+    json: bool = setting(False, "a line of JSON on stdout for each motion, and everything else on stderr")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        find_method(self.method, self.trusted)
+
+
+class Job(NamedTuple):
+    """A motion to be: its files' name, its timeline, its seed."""
+
+    name: str
+    timeline: stmc.Timeline
+    seed: int
+
+
+@command("sample", Settings, ("timeline", "output"))
 def main(config: DictConfig) -> None:
-    console = Console()
+    console, folder = Console(stderr=config.json, soft_wrap=True, highlight=False), Path(config.output).expanduser()
     check(config)
-    try:
-        if config.late is not None:
-            check_late(config.late, config.method)
-        source = Path(config.timeline or str(files("stmc") / "assets/timelines/walk_and_wave.json")).expanduser()
-        timelines = list(named(stmc.Timeline.read_all(source), source.stem))
-        made_by = fingerprint(config.model)
-        jobs = waiting(timelines, config, made_by)
-        if not jobs:
-            console.print(f"every motion is in {config.output} already")
-            return
-        model = stmc.load(config.model, device=config.device, precision=config.precision)
-        model.plans([timeline for _, timeline, _ in jobs], config.overlap)  # what cannot be planned fails now
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *TIMES, console=console
-    ) as progress:
-        for job, motion in sampled(model, jobs, config, progress):
-            save(motion, *job, config, made_by)
-    console.print(f"motions in {Path(config.output).resolve()}: open an .html in a browser, a .bvh in Blender")
+    made_by, wanted = fingerprint(config.model), jobs(config)
+    missing = {job.name for job in wanted if not finished(job, config, made_by)}
+    if not missing:
+        console.print(f"every motion is in {folder.resolve()} already", markup=False)
+        return
+    model = stmc.load(config.model, device=config.device, precision=config.precision, trusted=config.trusted)
+    settings = model.settings(find_method(config.method, config.trusted), **sampling(config))
+    model.plans([job.timeline for job in wanted], settings.overlap)  # what cannot be planned fails now
+    probe(folder)
+    remove_leftovers(folder)
+    size = config.batch or TOGETHER.get(model.device.type, 1)
+    with told(console) as progress:
+        task = progress.add_task("Motions", total=len(missing))
+        for number, (job, motion) in enumerate(sampled(model, wanted, missing, size, config, progress), start=1):
+            paths = save(motion, job, config, made_by)
+            tell(job, motion, paths, f"{number} of {len(missing)}", config.json, progress.console)
+            progress.advance(task)
+    console.print(f"motions in {folder.resolve()}: open an .html in a browser, a .bvh in Blender", markup=False)
 
 
 def check(config: DictConfig) -> None:
-    """Refuses what would fail only after minutes of sampling."""
-    for key, choices in CHOICES.items():
-        if config[key] not in choices:
-            raise SystemExit(f"{key}={config[key]}: choose from {', '.join(filter(None, choices))}")
-    if not config.formats or set(config.formats) - set(FORMATS):
-        raise SystemExit(f"formats={list(config.formats)}: choose from {', '.join(FORMATS)}")
-    for key in ("samples", "batch", "steps"):
-        if config[key] is not None and config[key] < 1:
-            raise SystemExit(f"{key}={config[key]}: at least 1")
+    """Refuses what settings cannot be together."""
+    if not config.formats:
+        raise SettingError(f"formats=[]: choose from {', '.join(FORMATS)}")
+    found_device(config.device)
 
 
-def named(timelines: list[stmc.Timeline], stem: str) -> Iterator[tuple[str, stmc.Timeline]]:
-    """Each timeline with a file name that is its own: its name, or the file's with a number."""
-    taken = set()
-    for number, timeline in enumerate(timelines):
-        base = timeline.name or (stem if len(timelines) == 1 else f"{stem}_{number:04d}")
-        base = re.sub(r"[^\w.-]+", "_", base).strip("._") or f"{stem}_{number:04d}"
-        names = chain([base], (f"{base}_{again:04d}" for again in count(number)))
-        name = next(name for name in names if name not in taken)
-        taken.add(name)
-        yield name, timeline
+def jobs(config: DictConfig) -> list[Job]:
+    """Every motion that is asked for; the longest first, so that memory runs out early."""
+    timelines, stem = asked(config.timeline)
+    names = distinct((timeline.name or (stem if len(timelines) == 1 else "") for timeline in timelines), stem)
+    seeds = range(config.seed, config.seed + config.samples)
+    made = [Job(f"{name}_{seed}", each, seed) for name, each in zip(names, timelines, strict=True) for seed in seeds]
+    return sorted(made, key=lambda job: -job.timeline.duration)
 
 
-def waiting(timelines: list[tuple[str, stmc.Timeline]], config: DictConfig, made_by: str) -> list[Job]:
-    """The samples that are not on disk, or were made otherwise; the longest first, so that memory runs out early."""
-    jobs = [
-        (f"{name}_{seed}", timeline, seed)
-        for name, timeline in timelines
-        for seed in range(config.seed, config.seed + config.samples)
-    ]
-    missing = [job for job in jobs if not finished(*job, config, made_by)]
-    return sorted(missing, key=lambda job: -job[1].duration)
+def asked(timeline: str | None) -> tuple[list[stmc.Timeline], str]:
+    """The timelines of a file, or the one that was typed; and what those without a name are called."""
+    if timeline is not None and "#" in timeline and not Path(timeline).expanduser().exists():
+        return [stmc.Timeline.parse(timeline.replace("\\n", "\n"))], "timeline"
+    path = Path(timeline or str(files("stmc") / "assets/timelines/walk_and_wave.json")).expanduser()
+    return list(stmc.Timeline.read_all(path)), path.stem
 
 
-def record(timeline: stmc.Timeline, seed: int, config: DictConfig, made_by: str) -> dict:
-    """What a motion depends on."""
-    prompts = [[prompt.text, prompt.start, prompt.end, sorted(prompt.parts)] for prompt in timeline.prompts]
-    settings = {key: config[key] for key in DECIDING} | {"seed": seed, "model": made_by}
+def record(job: Job, config: DictConfig, made_by: str) -> dict:
+    """What a motion depends on, but for settings that are left open."""
+    prompts = [[prompt.text, prompt.start, prompt.end, sorted(prompt.parts)] for prompt in job.timeline.prompts]
+    settings = {key: config[key] for key in DECIDING if config[key] is not None} | {"seed": job.seed, "model": made_by}
     return settings | {"prompts": prompts, "version": stmc.__version__}
 
 
-def finished(name: str, timeline: stmc.Timeline, seed: int, config: DictConfig, made_by: str) -> bool:
+def finished(job: Job, config: DictConfig, made_by: str) -> bool:
     folder = Path(config.output).expanduser()
     try:
-        made = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-    except (FileNotFoundError, json.JSONDecodeError):
+        made = json.loads((folder / f"{job.name}.json").read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError, UnicodeDecodeError, json.JSONDecodeError):
         return False
-    files_there = all((folder / f"{name}.{kind}").exists() for kind in config.formats)
-    return files_there and made == record(timeline, seed, config, made_by)
+    files_there = all((folder / f"{job.name}.{kind}").exists() for kind in config.formats)
+    return files_there and made == record(job, config, made_by)
 
 
 def sampled(
-    model: stmc.Model, jobs: list[Job], config: DictConfig, progress: Progress
+    model: stmc.Model, wanted: list[Job], missing: set[str], size: int, config: DictConfig, progress: Progress
 ) -> Iterator[tuple[Job, stmc.Motion]]:
-    """Every job with its motion; in smaller batches where the memory does not suffice."""
-    batch, done, task = config.batch, 0, progress.add_task("Motions", total=len(jobs))
-    while done < len(jobs):
-        chosen = jobs[done : done + batch]
+    """Every missing job with its motion, in batches of `size`, or smaller ones where the memory does not suffice.
+
+    Batches are those of a run that makes everything: in bf16 a motion depends, a bit, on its batch, so there a batch is
+    made whole although only some of its motions are missing.
+    """
+    done = 0
+    while done < len(wanted):
+        batch = wanted[done : done + size]
+        chosen = [job for job in batch if job.name in missing]
+        made = batch if chosen and config.precision == "bf16" else chosen
         try:
-            motions = generate(model, chosen, config, progress)
+            motions = generate(model, made, config, progress) if made else []
         except torch.OutOfMemoryError:
-            if batch == 1:
+            if size == 1:
                 raise
             torch.cuda.empty_cache()
-            batch = min(batch, len(chosen)) // 2 or 1
-            progress.console.print(f"not enough memory: {batch} timelines at a time from here on")
+            size = min(size, len(batch)) // 2 or 1
+            progress.console.print(f"not enough memory: {size} timelines at a time from here on")
             continue
-        for job, motion in zip(chosen, motions, strict=True):
-            yield job, motion
-            progress.advance(task)
-        done += len(chosen)
+        yield from ((job, motion) for job, motion in zip(made, motions, strict=True) if job.name in missing)
+        done += len(batch)
 
 
-def generate(model: stmc.Model, jobs: list[Job], config: DictConfig, progress: Progress) -> list[stmc.Motion]:
-    sampler = SAMPLERS[config.sampler]
-    steps = config.steps or model.schedule.steps
-    task = progress.add_task(f"Denoising {len(jobs)}", total=steps)
+def generate(model: stmc.Model, batch: list[Job], config: DictConfig, progress: Progress) -> list[stmc.Motion]:
+    task = progress.add_task(f"Denoising {len(batch)}")
     try:
         return model.generate(
-            [timeline for _, timeline, _ in jobs],
-            seed=[seed for _, _, seed in jobs],
-            guidance=config.guidance,
-            overlap=config.overlap,
-            steps=config.steps,
-            sampler=partial(sampler, spread=config.spread or model.spread) if config.sampler == "ddpm" else sampler,
-            method=config.method,
-            late=config.late,
-            track=partial(progress.track, total=steps, task_id=task),
+            [job.timeline for job in batch],
+            seed=[job.seed for job in batch],
+            method=find_method(config.method, config.trusted),
+            progress=partial(followed, progress=progress, task=task, of=len(batch)),
+            **sampling(config),
         )
     finally:
         progress.remove_task(task)
 
 
-def save(motion: stmc.Motion, name: str, timeline: stmc.Timeline, seed: int, config: DictConfig, made_by: str) -> None:
-    """The motion's files, then the record that says they are complete."""
+def sampling(config: DictConfig) -> dict[str, Any]:
+    """The settings of sampling that are said, as `Model.generate` takes them."""
+    return dict(record_of(Sampling, {name: config[name] for name in about(Sampling)}).given)
+
+
+def followed(steps: Iterable, total: int, progress: Progress, task: int, of: int) -> Iterator:
+    """The steps of denoising, with a bar on a terminal and a line now and then elsewhere."""
+    last = time.monotonic()
+    progress.reset(task, total=total)
+    for number, step in enumerate(steps, start=1):
+        yield step
+        progress.advance(task)
+        if not progress.console.is_terminal and time.monotonic() - last > SILENCE:
+            progress.console.print(f"denoising {of}: step {number} of {total}")
+            last = time.monotonic()
+
+
+@contextmanager
+def told(console: Console) -> Iterator[Progress]:
+    """Progress bars on a terminal; elsewhere the lines that are printed are all."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *TIMES)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        yield progress
+
+
+def save(motion: stmc.Motion, job: Job, config: DictConfig, made_by: str) -> list[Path]:
+    """Writes the motion's files, then the record that says they are complete."""
     folder = Path(config.output).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.json").unlink(missing_ok=True)
-    for kind in config.formats:
-        if kind == "html":
-            write_text(folder / f"{name}.html", stmc.page(motion, timeline, title=name))
+    (folder / f"{job.name}.json").unlink(missing_ok=True)
+    motion = motion if config.fps is None else motion.resampled(config.fps)
+    paths = [folder / f"{job.name}.{kind}" for kind in config.formats]
+    for path in paths:
+        if path.suffix == ".html":
+            write_text(path, stmc.page(motion, job.timeline, title=job.name))
         else:
-            stmc.write(motion, folder / f"{name}.{kind}")
-    done = json.dumps(record(timeline, seed, config, made_by), indent=1, ensure_ascii=False) + "\n"
-    write_text(folder / f"{name}.json", done)
+            stmc.write(motion, path)
+    done = json.dumps(record(job, config, made_by), indent=1, ensure_ascii=False) + "\n"
+    write_text(folder / f"{job.name}.json", done)
+    return paths
+
+
+def tell(job: Job, motion: stmc.Motion, paths: list[Path], place: str, as_json: bool, console: Console) -> None:
+    """A line for a motion that is on the disk."""
+    if as_json:
+        told = {"name": job.name, "seed": job.seed, "seconds": motion.duration, "files": [str(path) for path in paths]}
+        sys.stdout.write(json.dumps(told) + "\n")
+        sys.stdout.flush()
+    else:
+        kinds = ", ".join(path.suffix for path in paths)
+        console.print(f"{job.name}: {motion.duration:.1f} s in {kinds} ({place})", markup=False)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

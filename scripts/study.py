@@ -3,24 +3,35 @@
 Every setting is in configs/study.yaml.
 """
 
+import sys
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 from rich.console import Console
 
 import stmc
+from stmc.commands import command
 from stmc.files import write_text
+from stmc.settings import setting
 from stmc.study import StudyError, design, read_pairs, survey_page
 
 
-@hydra.main(config_path="../configs", config_name="study", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    first: str = setting(MISSING, "folder that sampling filled, by the method under study")
+    second: str = setting(MISSING, "the same timelines by the method that it is compared with")
+    timelines: str = setting(MISSING, "file that both were sampled from")
+    names: tuple[str | None, ...] = setting((None, None), "of the two methods in the analysis; null: as their folders")
+    output: str = setting("outputs/study", "folder: surveys/ for the raters, key.json for the analysis")
+    size: int = setting(10, "pairs in a survey, besides three warm-ups and two honeypots", at_least=1)
+    seed: int = setting(0, "of the surveys", at_least=0)
+
+
+@command("study", Settings, ("first", "second", "timelines"))
 def main(config: DictConfig) -> None:
     folder = Path(config.output).expanduser()
-    try:
-        surveys = made(config, folder)
-    except (ValueError, OSError) as error:
-        raise SystemExit(str(error)) from error
+    surveys = made(config, folder)
     console = Console()
     console.print(f"{surveys} surveys in {folder.resolve() / 'surveys'}: give each rater one of the pages")
     console.print(f"the answer key is {folder.resolve() / 'key.json'}: keep it to yourself")
@@ -41,4 +52,4 @@ def made(config: DictConfig, folder: Path) -> int:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

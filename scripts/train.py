@@ -1,38 +1,77 @@
 """Trains a denoiser: `python scripts/train.py run=FOLDER data.folder=CACHE`; devices: `accelerate launch`."""
 
-from dataclasses import replace
+import logging
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
-import hydra
 import torch
 from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
+from stmc.commands import command
+from stmc.commands.shared import Trained
+from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
-from stmc.data.dataset import ClipBatches, Corpus
-from stmc.diffusion import Spread
+from stmc.data.dataset import Corpus
+from stmc.diffusion import NoiseScale
+from stmc.files import locked, write_whole
 from stmc.model import Model
-from stmc.run import PARTS
+from stmc.run import PARTS, build, check
+from stmc.sampling import Sampling
+from stmc.settings import record_of, setting
 from stmc.text import Cached
-from stmc.training import Denoising, Hook, Trainer
+from stmc.training import Denoising, Hook, Trainer, find_accelerator
+
+logger = logging.getLogger(__name__)
+
+DRAWN = (
+    "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
+    "turn left # 0 # 5 # legs",
+)
 
 
-@hydra.main(config_path="../configs", config_name="train", version_base="1.3")
+@dataclass(frozen=True, kw_only=True)
+class Settings(Trained):
+    objective: Mapping = setting(
+        {"prediction": "x0", "weights": {}},
+        "prediction: what the denoiser says (x0, eps, v or score); weights: of fields that count more or less than 1",
+    )
+    noise_scale: str = setting(
+        "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
+    )
+    start: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
+    draw_every: int = setting(2000, "steps between pictures", at_least=1)
+    draw: tuple[str, ...] = setting(DRAWN, "timelines of which pictures are drawn")
+
+
+@command("train", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    if config.spread not in get_args(Spread):
-        raise SystemExit(f"spread={config.spread}: choose from {', '.join(get_args(Spread))}")
     if config.threads:
         torch.set_num_threads(config.threads)
-    accelerator = Accelerator(cpu=config.device == "cpu")
+    hardware = find_accelerator(config.device)
+    with locked(Path(config.run).expanduser()) if hardware.is_main_process else nullcontext():
+        train(config, hardware)
+
+
+def train(config: DictConfig, accelerator: Accelerator) -> None:
+    """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
-    representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
-    started = stmc.load(config.start) if config.start else None
+    sampling, described = instantiate(config.data.sampling), OmegaConf.to_container(config, resolve=True)
+    parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
+    representation = parts["representation"]
+    logger.info("reading %s", config.data.folder)
+    cache = read_caches(config.data.folder)
+    started = stmc.load(config.start, trusted=config.trusted) if config.start else None
     corpus = instantiate(config.data.corpus, _partial_=True)(
-        cache=read_caches(config.data.folder),
-        encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        cache=cache,
+        encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=representation.layout,
         text=started.text_statistics if started else None,
         device=accelerator.device,
@@ -45,11 +84,12 @@ def main(config: DictConfig) -> None:
     fields = dict(representation.layout.slices)
     if derive:
         fields[derive.name] = slice(corpus.features_width, None)
-    denoiser = instantiate(config.denoiser)
+    model = record(config, corpus)
+    denoiser = model.denoiser
     if started:
         denoiser.load_state_dict(started.denoiser.state_dict())
         denoiser.restate(started.motion_statistics, corpus.motion.to("cpu"))
-    model = record(config, denoiser, corpus)
+    check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         denoiser,
         Denoising(model.schedule, fields=fields, derive=derive, **config.objective),
@@ -58,22 +98,33 @@ def main(config: DictConfig) -> None:
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
         hooks=[
-            Hook(every, lambda step, network, do=do: do(config, replace(model, denoiser=network), step))
-            for every, do in ((settings.checkpoint_every, export), (config.draw_every, draw))
+            Hook(
+                settings.checkpoint_every,
+                lambda step, network: export(config, replace(model, denoiser=network), step, trainer.changes),
+            ),
+            Hook(config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)),
         ],
         accelerator=accelerator,
+        described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
+        allow_changed_settings=config.allow_changed_settings,
     )
     trainer.run()
 
 
-def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Model:
-    """The model as it would be loaded from the run's folder."""
-    representation = instantiate(config.representation)
+def own_sampling(config: DictConfig) -> Sampling:
+    """How the model is sampled unless told otherwise."""
+    return record_of(Sampling, {"noise_scale": config.noise_scale})
+
+
+def record(config: DictConfig, corpus: Corpus) -> Model:
+    """The model as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, trusted=config.trusted)
+    representation = parts["representation"]
     return Model(
-        denoiser=network,
-        schedule=instantiate(config.schedule),
-        text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
+        denoiser=parts["denoiser"],
+        schedule=parts["schedule"],
+        text_encoder=Cached(parts["text_encoder"], config.text_cache),
         representation=representation,
         motion_statistics=corpus.motion.to("cpu"),
         text_statistics=corpus.text.to("cpu"),
@@ -81,27 +132,30 @@ def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Mode
         fps=corpus.fps,
         longest=int(instantiate(config.data.sampling).longest * corpus.fps),
         prediction=config.objective.prediction,
-        spread=config.spread,
+        sampling=own_sampling(config),
         config={part: described[part] for part in PARTS},
     )
 
 
-def export(config: DictConfig, model: Model, step: int) -> None:
-    """The moving average so far as a run directory, and everything that was asked for beside it."""
+def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) -> None:
+    """The moving average so far as a run directory, and beside it everything that was asked for, and what was changed
+    while it was trained."""
     folder = Path(config.run).expanduser()
     settings = OmegaConf.to_yaml(config, resolve=True)
-    stmc.save(model, folder, f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n")
+    card = f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n"
+    changed = "".join(f"\nSettings changed {change}\n" for change in changes)
+    stmc.save(model, folder, card + changed, trusted=config.trusted)
 
 
 def draw(config: DictConfig, model: Model, step: int) -> None:
     """Pictures of the timelines in `config.draw`, always of the same seed: how the model comes along."""
     folder = Path(config.run).expanduser() / "pictures"
-    folder.mkdir(parents=True, exist_ok=True)
     timelines = [stmc.Timeline.parse(text) for text in config.draw]
     motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim)
     for number, (timeline, motion) in enumerate(zip(timelines, motions, strict=True)):
-        stmc.pictures(motion, timeline).savefig(folder / f"{number}_{step:07d}.png", dpi=80)
+        picture = partial(stmc.pictures(motion, timeline).savefig, format="png", dpi=80)
+        write_whole(folder / f"{number}_{step:07d}.png", picture)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

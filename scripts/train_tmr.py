@@ -1,38 +1,67 @@
 """Trains TMR, the evaluator: `python scripts/train_tmr.py run=FOLDER data.folder=CACHE`."""
 
 import json
+import logging
+import sys
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import hydra
 import torch
 from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from stmc.commands import command
+from stmc.commands.shared import Trained
+from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
-from stmc.data.dataset import ClipBatches, Corpus
+from stmc.data.dataset import Corpus
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
-from stmc.files import write_whole
+from stmc.files import locked, write_text
 from stmc.metrics.retrieval import Retrieval, both_ways, cosines, in_batches
-from stmc.run import EVALUATOR_PARTS, save_evaluator
+from stmc.run import EVALUATOR_PARTS, build, check, save_evaluator
+from stmc.settings import setting
 from stmc.text import Cached
-from stmc.training import Hook, Trainer
+from stmc.training import Hook, Trainer, find_accelerator
 from stmc.training.logs import Table
 
+logger = logging.getLogger(__name__)
 
-@hydra.main(config_path="../configs", config_name="train_tmr", version_base="1.3")
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(Trained):
+    objective: Mapping = setting({"_target_": "stmc.evaluators.TmrObjective"}, "what is minimised")
+    sentences: Mapping | None = setting(
+        None, "encoder of whole sentences (+text_encoder@sentences=minilm) for data whose texts are not shared"
+    )
+    similar: float | int = setting(0.8, "texts that it scores above this are no wrong answers to each other", at_most=1)
+
+
+@command("train_tmr", Settings, ("run",))
 def main(config: DictConfig) -> None:
     if config.threads:
         torch.set_num_threads(config.threads)
-    accelerator, settings = Accelerator(cpu=config.device == "cpu"), instantiate(config.training)
-    representation, sampling = instantiate(config.representation), instantiate(config.data.sampling)
+    hardware = find_accelerator(config.device)
+    with locked(Path(config.run).expanduser()) if hardware.is_main_process else nullcontext():
+        train(config, hardware)
+
+
+def train(config: DictConfig, accelerator: Accelerator) -> None:
+    """All of it, from the data to the run directory."""
+    settings = instantiate(config.training)
+    sampling, described = instantiate(config.data.sampling), OmegaConf.to_container(config, resolve=True)
+    kinds = {part: EVALUATOR_PARTS[part] for part in ("representation", "text_encoder")}
+    parts = build(described, kinds, config.trusted)
+    logger.info("reading %s", config.data.folder)
+    cache = read_caches(config.data.folder)
     corpus = instantiate(config.data.corpus, _partial_=True)(
-        cache=read_caches(config.data.folder),
-        encoder=Cached(instantiate(config.text_encoder), config.text_cache),
-        layout=representation.layout,
+        cache=cache,
+        encoder=Cached(parts["text_encoder"], config.text_cache),
+        layout=parts["representation"].layout,
         device=accelerator.device,
     )
     sentences = Cached(instantiate(config.sentences), config.text_cache) if config.sentences else None
@@ -44,7 +73,8 @@ def main(config: DictConfig) -> None:
     with open_dict(config):
         config.network.update(features=corpus.features_width, text_width=corpus.text_width)
     folder = Path(config.run).expanduser()
-    evaluator = record(config, instantiate(config.network), corpus)
+    evaluator = record(config, corpus)
+    check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         evaluator.network,
         instantiate(config.objective),
@@ -57,6 +87,8 @@ def main(config: DictConfig) -> None:
             Hook(settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))),
         ],
         accelerator=accelerator,
+        described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
+        allow_changed_settings=config.allow_changed_settings,
     )
     columns = tuple(f"{way}_R{count}" for way in ("t2m", "m2t") for count in (1, 3, 10))
     table = Table(folder / "retrieval.csv", columns, trainer.step)
@@ -70,22 +102,25 @@ def main(config: DictConfig) -> None:
         """The moving average so far as a run directory, with what the test split says of it."""
         results = {"step": step, "test": measured(evaluator, held_out, "test")}
         text = json.dumps(results, indent=1) + "\n"
-        write_whole(folder / "results.json", lambda path: path.write_text(text, encoding="utf-8"))
+        write_text(folder / "results.json", text)
         made = (
             f"# Trained with scripts/train_tmr.py, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
         )
-        save_evaluator(evaluator, folder, f"{made}\n\nOn the test split:\n\n```json\n{text}```\n")
+        changed = "".join(f"\n\nSettings changed {change}" for change in trainer.changes)
+        card = f"{made}{changed}\n\nOn the test split:\n\n```json\n{text}```\n"
+        save_evaluator(evaluator, folder, card, trusted=config.trusted)
 
     trainer.run()
 
 
-def record(config: DictConfig, network: torch.nn.Module, corpus: Corpus) -> Evaluator:
-    """The evaluator as it would be loaded from the run's folder."""
+def record(config: DictConfig, corpus: Corpus) -> Evaluator:
+    """The evaluator as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, EVALUATOR_PARTS, config.trusted)
     return Evaluator(
-        network=network,
-        text_encoder=Cached(instantiate(config.text_encoder), config.text_cache),
-        representation=instantiate(config.representation),
+        network=parts["network"],
+        text_encoder=Cached(parts["text_encoder"], config.text_cache),
+        representation=parts["representation"],
         motion_statistics=corpus.motion.to("cpu"),
         text_statistics=corpus.text.to("cpu"),
         fps=corpus.fps,
@@ -124,4 +159,4 @@ def confused(contents: list[str], table: torch.Tensor) -> list[tuple[str, str, i
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

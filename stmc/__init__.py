@@ -3,32 +3,40 @@
     model = stmc.load()
     [motion] = model.generate(stmc.Timeline.parse("walk forwards # 0 # 6 # legs"), seed=0)
 
-Names are imported when they are first used, so that `import stmc` is quick.
+Names and packages are imported when they are first used, so that `import stmc` is quick. What editors and type checkers
+read instead is `__init__.pyi`.
 """
 
 from importlib import import_module
+from pkgutil import iter_modules
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "assign": "assignment", "plan": "planning", "Plan": "planning", "collage": "compose", "guided_crops": "compose",
-    "sinc": "compose", "lerp": "compose", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",
+    "assign": "planning", "plan": "planning", "Plan": "planning", "collage": "composing", "guided_crops": "composing",
+    "sinc": "composing", "lerp": "composing", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",
     "guide": "diffusion", "Noise": "diffusion", "Schedule": "diffusion", "BodyPart": "body", "Prompt": "timeline",
     "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline", "Motion": "motion",
     "motion_of_joints": "inverse_kinematics", "Skeleton": "body_model", "Model": "model", "load": "run", "save": "run",
     "load_evaluator": "run", "read": "export", "write": "export", "view": "viewing", "page": "viewing",
-    "figure": "viewing", "pictures": "viewing",
+    "figure": "viewing", "pictures": "viewing", "plot_plan": "viewing", "Sampling": "sampling",
+    "Method": "composing", "stitched": "composing", "find_method": "composing", "Denoiser": "denoisers",
 }  # fmt: skip
 
 __all__ = sorted(_HOMES)
 
 
+_ROOMS = {module.name for module in iter_modules(__path__) if not module.name.startswith("_")}
+
+
 def __getattr__(name: str):
-    if name not in _HOMES:
-        raise AttributeError(f"module 'stmc' has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"stmc.{_HOMES[name]}"), name)
-    return value
+    if name in _HOMES:
+        value = globals()[name] = getattr(import_module(f"stmc.{_HOMES[name]}"), name)
+        return value
+    if name in _ROOMS:
+        return import_module(f"stmc.{name}")
+    raise AttributeError(f"module 'stmc' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return sorted({*__all__, *_ROOMS, *(name for name in globals() if name.startswith("__"))})

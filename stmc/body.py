@@ -31,6 +31,17 @@ MIRROR: tuple[int, ...] = tuple(JOINTS.index(_other_side(name)) for name in JOIN
 """Index of each joint's left-right counterpart (itself on the midline)."""
 
 
+_READ_AS: dict[str, str] = {
+    "torso": "spine",
+    "neck": "head",
+    "left hand": "left arm",
+    "right hand": "right arm",
+    "left leg": "legs",
+    "right leg": "legs",
+}
+"""Other names of parts that timelines may use, as in the published code, and the part that each is read as."""
+
+
 class BodyPart(StrEnum):
     """One of the five parts that a prompt may claim (STMC, section 3.3). Together they own every joint exactly once."""
 
@@ -47,12 +58,13 @@ class BodyPart(StrEnum):
 
     @classmethod
     def parse(cls, text: str) -> BodyPart:
-        """The part named by `text`, in any case, with spaces, `_` or `-`; "torso" is the spine.
+        """The part named by `text`, in any case, with spaces, `_` or `-`; names of smaller parts, such as "neck" or
+        "left hand", are those of the part that they belong to, and "torso" is the spine.
 
         Raises `ValueError` naming the legal choices for anything else.
         """
         name = " ".join(text.lower().replace("_", " ").replace("-", " ").split())
-        name = {"torso": "spine"}.get(name, name)
+        name = _READ_AS.get(name, name)
         if name not in set(cls):
             raise ValueError(f"unknown body part {text!r}; choose from {', '.join(cls)}")
         return cls(name)

@@ -9,15 +9,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import torch
 import trimesh
 from einops import rearrange
 from jaxtyping import Float, Int64
-from smplx.lbs import lbs
 from torch import Tensor
 
 from stmc.arrays import ArraysError, read_npz, read_pickle
@@ -121,6 +122,7 @@ class Body:
         return [trimesh.Trimesh(vertices, faces, process=False) for vertices in posed]
 
     def _skinned(self, rotations: Tensor, translation: Tensor) -> Tensor:
+        lbs = _smplx().lbs
         frames = len(translation)
         pose = torch.cat([rotations, self.relaxed[ROTATED:].to(rotations).expand(frames, -1, 3, 3)], dim=1)
         vertices, _ = lbs(
@@ -135,6 +137,14 @@ class Body:
             pose2rot=False,
         )
         return vertices + self.skeleton.smpl_translation(translation)[:, None]
+
+
+def _smplx() -> ModuleType:
+    """What poses bodies: only they need it."""
+    try:
+        return import_module("smplx.lbs")
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("bodies need smplx: pip install 'stmc[smpl]'", name="smplx") from error
 
 
 def load_body(
@@ -216,11 +226,14 @@ def _read(path: Path, kind: str) -> dict[str, Tensor]:
 
 def _check(arrays: Mapping[str, np.ndarray], path: Path, kind: str) -> None:
     """Raises `ValueError` unless the arrays fit one another and the kind of body."""
+    for name, array in arrays.items():
+        if array.dtype.kind not in "biuf":
+            raise ValueError(f"{path}: {name} holds {array.dtype}, not numbers")
     bones, tree = _HANDS[kind][0], arrays["kintree_table"]
     if tree.ndim != 2 or tree.shape[1] != bones or list(tree[0, 1:ROTATED]) != list(PARENTS[1:ROTATED]):
         joints = tree.shape[-1] if tree.ndim else 0
         raise ValueError(f"{path} has {joints} joints; a {kind} body has {bones}, the first {ROTATED} as SMPL's")
-    if (tree[0, 1:] >= np.arange(1, bones)).any():
+    if (tree[0, 1:] < 0).any() or (tree[0, 1:] >= np.arange(1, bones)).any():
         raise ValueError(f"{path}: kintree_table has a joint before its parent")
     vertices = len(arrays["v_template"]) if arrays["v_template"].ndim else 0
     shapes = {
@@ -241,8 +254,8 @@ def _check(arrays: Mapping[str, np.ndarray], path: Path, kind: str) -> None:
             want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
         ):
             raise ValueError(f"{path}: {name} has shape {array.shape}; a {kind} body's is {shape}")
-        if not np.isfinite(array.astype(np.float64)).all():
-            raise ValueError(f"{path}: {name} has values that are not finite")
+        if not (np.abs(array.astype(np.float64)) <= np.finfo(np.float32).max).all():
+            raise ValueError(f"{path}: {name} has values that are not finite, or not in float32")
     if not ((arrays["f"] >= 0) & (arrays["f"] < vertices)).all():
         raise ValueError(f"{path}: f names vertices that do not exist; there are {vertices}")
 

@@ -1,29 +1,178 @@
-"""Files that are whole or absent, whenever the process is killed. Knows nothing of what is in them."""
+"""Files that are whole or absent, whenever the process is killed, and folders that one process writes at a time.
+
+Knows nothing of what is in them.
+"""
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import logging
 import os
+import re
+import secrets
+import shutil
+import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
+
+import psutil
+
+if os.name == "nt":
+    import msvcrt
+else:
+    import fcntl
+
+logger = logging.getLogger(__name__)
+
+LOCK = ".lock"
+"""The file by which a folder is locked; it is gone when the process that wrote there has ended by itself."""
+
+_HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
+_TOKEN = secrets.token_hex(4)  # a container that is started again gives the same number to another process
+_TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-([0-9a-f]{8})-\d+\.tmp")
+_LOCKED_BYTE = 2**30  # far behind what is written: on Windows a locked byte cannot be read by others
+_FULL = 2**20
+
+
+class FolderInUse(ValueError):
+    """Another process is writing to a folder; the message says which process, on which machine."""
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Lets `write` fill a temporary file beside `path`, and renames it only once its bytes are on the disk.
 
-    Where `write` fails, nothing is left behind and a file that was there stays. Folders are made.
+    Where `write` fails, nothing is left behind and a file that was there stays; a full disk is an `OSError` that says
+    so. Folders are made. The file has the mode that `open` would give it, also where `write` made one of its own.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
+    name = f".{path.name[:32]}.{_HOST}-{os.getpid()}-{_TOKEN}-{threading.get_ident()}.tmp"
+    temporary = path.with_name(name)
     try:
+        temporary.touch()
+        mode = temporary.stat().st_mode
         write(temporary)
-        with temporary.open("rb") as file:
+        if temporary.stat().st_mode != mode:  # safetensors lets nobody else read what it writes
+            temporary.chmod(mode)
+        with temporary.open("rb+") as file:  # Windows flushes only what it could write
             os.fsync(file.fileno())
         temporary.replace(path)
+        _sync_folder(path.parent)
+    except Exception as error:
+        if _is_full(error, path.parent):
+            message = "the disk is full; with more room, the same command goes on"
+            raise OSError(errno.ENOSPC, message, str(path)) from error
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
-    """`write_whole` of a text, in UTF-8."""
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    """`write_whole` of a text, in UTF-8 and with the same line ends everywhere."""
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
+
+
+def probe(folder: Path) -> None:
+    """Makes a folder and writes to it, to find out before long work whether that can be done. Raises `OSError`."""
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "is no folder", str(folder))
+    write_whole(folder / "probe", lambda temporary: temporary.write_bytes(b"probe"))
+    (folder / "probe").unlink(missing_ok=True)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Removes the temporary files below `folder` whose process was killed: to be called where a run begins.
+
+    Those of other machines stay, since nobody here knows what is alive there.
+    """
+    for place, _, names in os.walk(folder):
+        for found in filter(None, map(_TEMPORARY.fullmatch, names)):
+            if found[1] == _HOST and not _is_alive(int(found[2]), found[3]):
+                Path(place, found[0]).unlink(missing_ok=True)  # another process may begin at the same time
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keeps every other process from `folder` as long as it asks for the lock, too; makes the folder, and removes what
+    killed processes left in it.
+
+    The operating system holds the lock: it ends with the process, however that ends. Raises `FolderInUse`. On file
+    systems without locks there is a warning and no protection.
+    """
+    path = Path(folder) / LOCK
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = _lock(path)
+    try:
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on host {socket.gethostname()}".encode())
+        file.flush()
+        remove_leftovers(folder)
+        yield
+    finally:
+        if os.name == "nt":  # where nobody can remove an open file
+            file.close()
+        with suppress(OSError):
+            path.unlink()
+        file.close()
+
+
+def _lock(path: Path) -> BinaryIO:
+    """The lock file, opened and locked."""
+    while True:
+        file = path.open("ab+")
+        try:
+            _ask_for_lock(file)
+        except (BlockingIOError, PermissionError) as error:
+            with file:
+                file.seek(0)
+                owner = file.read(200).decode(errors="replace") or "another process"
+            raise FolderInUse(
+                f"{path.parent} is being written by {owner}; wait for its end, or choose another folder"
+            ) from error
+        except OSError as error:
+            logger.warning("%s: two runs at once would not be noticed, this file system has no locks", path.parent)
+            logger.debug("the lock", exc_info=error)
+            return file
+        if os.name == "nt" or _is_at(file, path):
+            return file
+        file.close()  # its owner removed it in the meantime
+
+
+def _ask_for_lock(file: BinaryIO) -> None:
+    if os.name == "nt":
+        file.seek(_LOCKED_BYTE)
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _is_at(file: BinaryIO, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _is_alive(process: int, token: str) -> bool:
+    return token == _TOKEN if process == os.getpid() else psutil.pid_exists(process)
+
+
+def _is_full(error: Exception, folder: Path) -> bool:
+    """Whether a write failed because nothing more fits; torch and safetensors have errors of their own for it."""
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOSPC
+    return shutil.disk_usage(folder).free < _FULL
+
+
+def _sync_folder(folder: Path) -> None:
+    """Makes a new name in a folder last through a power cut, where there is a way to."""
+    if os.name != "nt":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            with suppress(OSError):  # not every file system can
+                os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -54,6 +54,8 @@ class Motion:
     """Positions of all 24 joints in metres, in the order of `body.JOINTS`."""
     fps: float | int
     """Frames per second."""
+    overlap: float | int | None = None
+    """Seconds of the transitions between the prompts it was sampled for; None: it was not sampled, or has none."""
 
     def __post_init__(self) -> None:
         _check(self.rotations, self.translation, self.joints, self.fps)
@@ -107,6 +109,7 @@ class Motion:
             self.translation * self.translation.new_tensor([-1.0, 1.0, 1.0]),
             mirror_positions(self.joints, MIRROR),
             self.fps,
+            self.overlap,
         )
 
     def resampled(self, fps: float | int) -> Motion:
@@ -124,18 +127,20 @@ class Motion:
             resample_positions(self.translation, self.fps, fps),
             resample_positions(self.joints, self.fps, fps),
             fps,
+            self.overlap,
         )
 
     def trimmed(self, start: int, end: int) -> Motion:
         """Frames `[start, end)`, in place in the world. Raises `ValueError` unless `0 <= start < end <= frames`."""
         if not 0 <= start < end <= self.frames:
             raise ValueError(f"cannot trim {self.frames} frames to [{start}, {end}): need 0 <= start < end <= frames")
-        return Motion(self.rotations[start:end], self.translation[start:end], self.joints[start:end], self.fps)
+        values = (self.rotations, self.translation, self.joints)
+        return Motion(*(value[start:end] for value in values), self.fps, self.overlap)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Motion:
         """The motion on another device or in another floating dtype."""
         values = (self.rotations, self.translation, self.joints)
-        return Motion(*(value.to(device=device, dtype=dtype) for value in values), self.fps)
+        return Motion(*(value.to(device=device, dtype=dtype) for value in values), self.fps, self.overlap)
 
 
 def _check_fps(fps: float | int) -> None:

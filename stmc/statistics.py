@@ -15,7 +15,7 @@ _AT_ONCE = 2**16
 """Rows that are in float64 at a time: all of a large data set would take the memory twice over."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Statistics:
     """Per feature; `std` is positive everywhere. Both directions keep shape, dtype and device of their argument."""
 
@@ -25,6 +25,9 @@ class Statistics:
     def __post_init__(self) -> None:
         if not bool((self.std > 0).all() & self.mean.isfinite().all() & self.std.isfinite().all()):
             raise ValueError(f"statistics must be finite, with std above 0: mean {self.mean}, std {self.std}")
+
+    def __repr__(self) -> str:
+        return f"Statistics({len(self.mean)} features, std {self.std.min():.4g} to {self.std.max():.4g})"
 
     @classmethod
     def of(cls, rows: Float[Tensor, "frames features"], floor: float | Float[Tensor, " features"]) -> Statistics:

@@ -14,6 +14,8 @@ from einops import rearrange
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
+from stmc.untrusted import shown
+
 Made = TypeVar("Made")
 
 
@@ -57,3 +59,18 @@ class Moved(Generic[Made]):
         if key not in self._made:
             self._made[key] = self._make(x)
         return self._made[key]
+
+
+def found_device(device: torch.device | str) -> torch.device | str:
+    """A device that there is; "auto" is an accelerator if there is one."""
+    cuda, mps = torch.cuda.is_available(), torch.backends.mps.is_available()
+    if device == "auto":
+        return "cuda" if cuda else "mps" if mps else "cpu"
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError, ValueError) as error:
+        choices = ", ".join(["auto", "cpu", *["cuda"] * cuda, *["mps"] * mps])
+        raise ValueError(
+            f"device {shown(str(device))} is unknown or not available here; choose from {choices}"
+        ) from error
+    return device

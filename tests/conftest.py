@@ -1,16 +1,53 @@
 """Where tests find what is not committed: the golden numbers of the published code, and the real data."""
 
+import functools
 import gzip
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = Path(os.environ.get("STMC_GOLDEN", ROOT / "../shared/golden"))
 DATA = Path(os.environ.get("STMC_DATA", ROOT / "../shared/data"))
+
+EXAMPLES = {"default": 25, "slow": 1000}
+"""Of a property in each tier, where it does not say itself how many it can afford: the same ones in every run."""
+settings.register_profile(
+    "default",
+    max_examples=EXAMPLES["default"],
+    derandomize=True,
+    deadline=None,  # nor a check of speed: how long an example takes is a matter of the machine
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile("slow", settings.get_profile("default"), max_examples=EXAMPLES["slow"])
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    settings.load_profile("slow" if config.option.markexpr == "slow" else "default")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """`-m slow` selects the properties too, to draw more examples of them."""
+    if config.option.markexpr == "slow":
+        for item in items:
+            if getattr(item.function, "is_hypothesis_test", False):
+                item.add_marker("slow")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_minilm():
+    """The bundled text encoder is read once for all tests."""
+    from stmc.text import language_models
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(language_models, "load", functools.cache(language_models.load))
+        yield
 
 
 def golden_sets(area: str) -> list:
@@ -20,6 +57,13 @@ def golden_sets(area: str) -> list:
         return [pytest.param(folder, id=folder.name) for folder in folders]
     reason = f"no golden numbers at {GOLDEN / area} (set STMC_GOLDEN)"
     return [pytest.param(None, id="absent", marks=pytest.mark.skip(reason=reason))]
+
+
+def golden_files(area: str, pattern: str) -> list:
+    """Every file of one area whose name matches, in every set folder, or one parameter that skips."""
+    sets = golden_sets(area)
+    files = [path for each in sets if each.values[0] for path in sorted(each.values[0].glob(pattern))]
+    return [pytest.param(path, id=f"{path.parent.name}-{path.stem}") for path in files] or sets[:1]
 
 
 def golden(folder: Path, name: str):
@@ -32,6 +76,17 @@ def golden(folder: Path, name: str):
             return dict(archive)
     text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     return json.loads(text)
+
+
+def checked(subtests: pytest.Subtests, checks: Iterable, *given) -> None:
+    """All checks of one formula as one test, of which each that fails is told by its name.
+
+    A check is a function of what is `given`, or a tuple of one and its further arguments.
+    """
+    for check in checks:
+        function, *more = check if isinstance(check, tuple) else (check,)
+        with subtests.test(" ".join([function.__name__.replace("_", " "), *map(str, more)])):
+            function(*given, *more)
 
 
 def data_file(name: str) -> Path:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data.bandai import SOURCE_JOINTS, rest_rotations
+from stmc.data.sources.bandai import SOURCE_JOINTS, rest_rotations
 from stmc.geometry import axis_angle_to_matrix, global_rotations, rotation_z
 from stmc.motion import Motion
 

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import distinct_texts, guided_crops
+from stmc.composing import distinct_texts, guided_crops
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule
 from stmc.planning import Plan, plan

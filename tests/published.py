@@ -2,6 +2,7 @@
 
 import functools
 import json
+import math
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -70,6 +71,33 @@ def close(actual: Tensor, expected, relative: float = RELATIVE) -> None:
     """Within `relative` of the largest expected value."""
     expected = torch.as_tensor(np.asarray(expected))
     torch.testing.assert_close(actual, expected, atol=relative * max(1.0, float(expected.abs().max())), rtol=0)
+
+
+def limit_at(steps) -> float:
+    """`RELATIVE`, and what the last bits of the steps' sinusoids make of it, which grow with the step."""
+    return RELATIVE + 4e-8 * float(np.max(np.asarray(steps)))
+
+
+def waves(steps: Tensor, width: int) -> tuple[Tensor, Tensor]:
+    """Sines and cosines of float64, each [steps, width / 2]: what every table of positions or steps is made of."""
+    frequency = torch.exp(torch.arange(width // 2, dtype=torch.float64) * (-2 * math.log(10000.0) / width))
+    angle = steps.double()[:, None] * frequency
+    return angle.sin(), angle.cos()
+
+
+def close_waves(actual, expected: Tensor, steps: Tensor) -> None:
+    """As float32 may have them: the last bits of a frequency, which no two processors share, grow with the step.
+
+    Of the limit, 0.44 are the rounding of the exponent, 0.6 the exponential's last bit, 0.6 the product's.
+    """
+    limit = 2e-7 * (1 + steps.double())[:, None]
+    error = (torch.as_tensor(np.asarray(actual)).double() - expected).abs()
+    assert (error <= limit).all(), f"{float((error / limit).max()):.2f} of what float32 allows"
+
+
+def interleaved(sines: Tensor, cosines: Tensor) -> Tensor:
+    """A table of positions: sines in the even columns, cosines in the odd ones."""
+    return torch.stack([sines, cosines], dim=-1).flatten(1)
 
 
 def words_of(features: Tensor, ends) -> Tensor:

@@ -26,4 +26,4 @@ def configured(name: str, *overrides: object) -> DictConfig:
 
 def run(script: str, config_name: str, *overrides: object) -> None:
     """A script's main function, in this process."""
-    loaded(script).main.__wrapped__(configured(config_name, *overrides))
+    loaded(script).main.function(configured(config_name, *overrides))

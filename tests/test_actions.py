@@ -7,7 +7,7 @@ import torch
 
 from stmc.body import JOINTS, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data.sentences import CONTENTS
+from stmc.data.sources.bandai_sentences import CONTENTS
 from stmc.geometry import axis_angle_to_matrix, rotation_z
 from stmc.metrics.actions import ACTIONS, Rates, cycles, flights, rates, stretches, torsion
 from stmc.motion import Motion

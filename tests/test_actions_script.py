@@ -9,7 +9,7 @@ from tiny import tiny
 
 import stmc
 from stmc.data.cache import Cache, Clip
-from stmc.data.sentences import CONTENTS, describe
+from stmc.data.sources.bandai_sentences import CONTENTS, describe
 from stmc.data.sources.segments import unseen
 from stmc.representation import SmplRepresentation
 
@@ -47,7 +47,7 @@ def test_unseen_sentences_are_asked_beside_what_real_motion_and_chance_reach(cac
     assert set(row["sentences"]) == {unseen("sit")[0]} and row["shown"] in (0.0, 0.5, 1.0)
     assert len(list((tmp_path / "out").glob("*.png"))) == 1
     assert "sit" in capsys.readouterr().out
-    with pytest.raises(SystemExit, match="contents dance: choose from stand, sit"):
+    with pytest.raises(ValueError, match="contents=dance: unknown; choose from stand, sit"):
         run("actions", "actions", *settings[:-1], "contents=[dance]")
 
 

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from einops import rearrange
 from pickled import run_code
 from studio import amass, recorded, smplh_arrays, smplx_arrays
@@ -14,8 +14,8 @@ from torch.testing import assert_close
 
 from stmc.body import MIRROR, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data.amass import RecordingError, Recordings, read_recording
 from stmc.data.preparation import LayoutError
+from stmc.data.sources.amass import RecordingError, Recordings, read_recording
 from stmc.geometry import axis_angle_to_matrix, resample_positions, resample_rotations, sampling_positions
 from stmc.motion import Motion
 
@@ -167,9 +167,7 @@ def cases(data: dict) -> list[str]:
             and not name.endswith("out_poses")]  # fmt: skip
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_time_grid_translations_and_joints_are_the_published_preparation_s(folder):
+def time_grid_translations_and_joints_are_the_published_preparation_s(folder):
     data = golden(folder, "amass_prepare.npz")
     for number, case in enumerate(cases(data)):
         old, frames = float(data["old_fps"][number]), int(data["frames"][number])
@@ -182,9 +180,7 @@ def test_time_grid_translations_and_joints_are_the_published_preparation_s(folde
                 assert_close(resample_positions(values, old, 20.0), expected, atol=1e-5, rtol=1e-5)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_mirroring_is_the_published_preparation_s(folder):
+def mirroring_is_the_published_preparation_s(folder):
     data = golden(folder, "amass_prepare.npz")
     assert MIRROR[:ROTATED] == tuple(data["mirror_joint_perm"])
     trans = torch.from_numpy(data["mirror_trans"])
@@ -200,9 +196,7 @@ def neighbours(source: torch.Tensor, old: float) -> tuple[torch.Tensor, torch.Te
     return source[positions.floor().long()], source[positions.ceil().long()]
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_rotations_on_the_sphere_are_near_the_published_ones_where_vectors_do_not_flip(folder):
+def rotations_on_the_sphere_are_near_the_published_ones_where_vectors_do_not_flip(folder):
     """The two interpolations differ by less than a quarter of the angle between the frames that they lie between."""
     data = golden(folder, "amass_prepare.npz")
     for number, case in enumerate(cases(data)):
@@ -214,9 +208,7 @@ def test_rotations_on_the_sphere_are_near_the_published_ones_where_vectors_do_no
         assert (off <= 0.25 * angles(*neighbours(source, old)) + 1e-6)[~flips].all(), case
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_where_an_axis_angle_vector_flips_the_published_pose_leaves_the_way_and_ours_does_not_r10(folder):
+def where_an_axis_angle_vector_flips_the_published_pose_leaves_the_way_and_ours_does_not_r10(folder):
     data = golden(folder, "amass_prepare.npz")
     old, source = float(data["old_fps"][0]), rotations(data["c0_poses"])
     before, after = (values[1, 18] for values in neighbours(source, old))
@@ -225,6 +217,21 @@ def test_where_an_axis_angle_vector_flips_the_published_pose_leaves_the_way_and_
     way = angles(before, after)
     assert_close(angles(before, ours) + angles(ours, after), way, atol=1e-6, rtol=0)
     assert angles(before, published) + angles(published, after) > way + 0.3
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_recordings_are_prepared_as_published_but_for_r10(folder, subtests):
+    checked(
+        subtests,
+        [
+            time_grid_translations_and_joints_are_the_published_preparation_s,
+            mirroring_is_the_published_preparation_s,
+            rotations_on_the_sphere_are_near_the_published_ones_where_vectors_do_not_flip,
+            where_an_axis_angle_vector_flips_the_published_pose_leaves_the_way_and_ours_does_not_r10,
+        ],
+        folder,
+    )
 
 
 def test_a_joint_that_turns_past_half_a_turn_goes_on_turning_r10(tmp_path):

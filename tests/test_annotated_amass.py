@@ -15,11 +15,11 @@ from torch.testing import assert_close
 
 from stmc.body_model import Skeleton, load_body
 from stmc.data import preparation
-from stmc.data.amass import read_recording
-from stmc.data.annotated_amass import AnnotatedAmass
 from stmc.data.cache import TABLE, Cache, CacheError, merged
 from stmc.data.preparation import LayoutError
 from stmc.data.report import NUMBERS, TEXT, write_report
+from stmc.data.sources.amass import read_recording
+from stmc.data.sources.annotated_amass import AnnotatedAmass
 from stmc.motion import Motion
 from stmc.representation import HumanML3DRepresentation, SmplRepresentation
 

@@ -5,8 +5,8 @@ import json
 import pytest
 from studio import PUBLISHED, babel, published
 
-from stmc.data.annotations import Segment, read_annotations, with_mirror_images
 from stmc.data.preparation import LayoutError
+from stmc.data.sources.annotations import Segment, read_annotations, with_mirror_images
 
 
 def by_name(annotations):

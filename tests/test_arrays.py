@@ -7,6 +7,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from numpy.core.multiarray import _reconstruct
 from pickled import Foreign, python_2_pickle, run_code
 from scipy import sparse
 
@@ -183,7 +184,9 @@ def matrix(**state):
         ([1, 2], "is a list, not an array"),
         (matrix(indices=np.array([0, 1, 99], dtype=np.int32)), "damaged scipy"),
         (matrix(_shape=(10**9, 10**9)), "1000000000 x 1000000000 numbers"),
-        (matrix(indptr=None), "damaged scipy"),
+        (matrix(_shape=(24, 10**6)), "24 x 1000000 numbers"),
+        (matrix(_shape=(-1, 3)), "-1 x 3 numbers"),
+        (matrix(indptr=None), "indptr is a NoneType, not an array"),
     ],
 )
 def test_what_is_no_array_is_named(value, message, tmp_path):
@@ -193,3 +196,88 @@ def test_what_is_no_array_is_named(value, message, tmp_path):
         read_pickle(written(tmp_path, [value]), ["plain"])
     with pytest.raises(ArraysError, match="has no array plain; it has other"):
         read_pickle(written(tmp_path, {"other": value}), ["plain"])
+
+
+class Forged:
+    """An array whose type, shape and bytes are what a hostile file says, as NumPy's own pickles spell them."""
+
+    def __init__(self, name="f8", state=(3, "<", None, None, None, -1, -1, 0), shape=(2,), content=b"x" * 16):
+        self.type, self.shape, self.content = ForgedType(name, state), shape, content
+
+    def __reduce__(self):
+        return _reconstruct, (np.ndarray, (0,), b"b"), (1, self.shape, self.type, False, self.content)
+
+
+class ForgedType:
+    def __init__(self, name, state) -> None:
+        self.name, self.state = name, state
+
+    def __reduce__(self):
+        return np.dtype, (self.name, False, True), self.state
+
+
+def fields(inner, offset: int, flags: int = 0) -> tuple:
+    return 3, "|", None, ("field",), {"field": (np.dtype(inner), offset)}, 8, 1, flags
+
+
+FORGED = {
+    "a field of objects that says it has none": Forged("V8", fields("O", 0)),
+    "a field beyond its item": Forged("V8", fields("f8", 64)),
+    "a field far beyond its item": Forged("V8", fields("f8", 10**11)),
+    "fields in a plain type": Forged("f8", fields("O", 0)),
+    "a size of its own": Forged("f8", (3, "<", None, None, None, 800, 8, 0)),
+    "an item of texts larger than it": Forged("S8", (3, "|", None, None, None, 800, 1, 0)),
+    "an array within each item": Forged("f8", (3, "<", (np.dtype("f8"), (9,)), None, None, -1, -1, 0)),
+    "a state of another kind": Forged("f8", (3,)),
+    "an order that is none": Forged("f8", (3, "?", None, None, None, -1, -1, 0)),
+    "objects": Forged("O", (3, "|", None, None, None, -1, -1, 63)),
+    "a type in a text": Forged("f8,O", (3, "|", None, None, None, -1, -1, 0)),
+    "no such type": Forged("float7"),
+    "empty items": Forged("S0", (3, "|", None, None, None, 0, 1, 0), (10**12,), b""),
+    "dates": Forged("M8[s]"),
+    "more numbers than bytes": Forged(shape=(3,)),
+    "fewer numbers than bytes": Forged(shape=(1,)),
+    "a shape that overflows": Forged(shape=(2**62, 4), content=b""),
+    "a negative shape": Forged(shape=(-2, -1)),
+    "a shape of floats": Forged(shape=(2.0,)),
+    "no bytes": Forged(content=None),
+}
+
+
+@pytest.mark.parametrize("forged", FORGED.values(), ids=FORGED)
+@pytest.mark.parametrize("protocol", [0, 2, 5])
+def test_an_array_that_would_read_memory_beyond_its_bytes_is_refused_where_it_is_asked_for(forged, protocol, tmp_path):
+    path = written(tmp_path, pickle.dumps({"forged": forged, "plain": np.arange(3)}, protocol))
+    with pytest.raises(ArraysError, match=r"a\.pkl: forged") as error:
+        read_pickle(path, ["forged"])
+    assert len(str(error.value)) < 400 + len(str(path))
+    assert read_pickle(path, ["plain"])["plain"].tolist() == [0, 1, 2]
+
+
+def test_forged_pickles_are_as_numpy_would_read_them():
+    assert pickle.loads(pickle.dumps(Forged(content=np.array([1.0, 2.0]).tobytes()))).tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("values", [["a", "bc"], [b"a", b"bc"], [True, False], [1.5], np.zeros((0, 3)), np.int8(3)])
+def test_plain_arrays_of_every_kind_come_back(values, tmp_path):
+    for protocol in (0, 2, 4):
+        back = read_pickle(written(tmp_path, pickle.dumps({"plain": np.array(values)}, protocol)), ["plain"])["plain"]
+        np.testing.assert_array_equal(back, np.array(values), strict=True)
+
+
+def test_a_pickle_of_six_bytes_takes_no_memory_and_sets_no_attribute(tmp_path):
+    for content in (
+        b"\x80\x02]r\xff\xff\xff\xff.",  # the four billionth thing to remember
+        b"\x80\x04\x8e\xff\xff\xff\xff\xff\xff\xff\x00x.",  # bytes, more than any memory
+        b"cnumpy.core.multiarray\nscalar\n}(S'__wrapped__'\nS'x'\nub.",
+    ):
+        with pytest.raises(ArraysError, match=r"a\.pkl"):
+            read_pickle(written(tmp_path, content), ["plain"])
+
+
+def test_a_selection_of_itself_is_refused(tmp_path):
+    content = python_2_pickle({"chosen": ("Select", np.eye(2), [0], (1,))}, 2)
+    assert read_pickle(written(tmp_path, content), ["chosen"])["chosen"].tolist() == [1.0]
+    itself = b"(dS'plain'\ncchumpy.reordering\nSelect\n)\x81p0\n(dS'a'\ng0\nS'idxs'\ng0\nsbs."
+    with pytest.raises(ArraysError, match=r"a\.pkl"):
+        read_pickle(written(tmp_path, itself), ["plain"])

@@ -4,12 +4,12 @@ import warnings
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import quietly, timelines
 
-from stmc.assignment import assign
 from stmc.body import BodyPart
+from stmc.planning import assign
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
 
 LEFT, RIGHT, LEGS, HEAD, SPINE = BodyPart
@@ -29,7 +29,6 @@ def owner(timeline: Timeline, fps: float, part: BodyPart, frame: int) -> int | N
 
 
 @quietly
-@settings(max_examples=150, deadline=None)
 @given(timelines(), st.sampled_from((20, 30, 12.5)))
 def test_each_frame_of_each_part_has_the_owner_of_appendix_b(timeline, fps):
     owners = assign(timeline, fps)
@@ -40,7 +39,6 @@ def test_each_frame_of_each_part_has_the_owner_of_appendix_b(timeline, fps):
 
 
 @quietly
-@settings(max_examples=200, deadline=None)
 @given(timelines())
 def test_runs_cover_the_timeline_in_order_and_neighbours_differ(timeline):
     for runs in assign(timeline, 20).values():

@@ -56,7 +56,7 @@ def placed(motion: Motion, heading: float) -> Motion:
     return Motion.posed(rotations, translation, motion.fps, Skeleton.default())
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-5, 5))
 def test_a_motion_comes_back_wherever_it_stood_and_looked(turn, heading, shift):
     motion = walking(1.0)
@@ -80,7 +80,7 @@ def test_differentiating_and_integrating_undo_each_other():
     assert_close(features, REPRESENTATION.encode(walking(1.0)), atol=1e-12, rtol=0)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(1, 6), st.floats(0, 30), st.integers(0, 2**31))
 def test_any_finite_features_decode(frames, size, seed):
     features = size * torch.randn(frames, 135, generator=torch.Generator().manual_seed(seed))

@@ -1,7 +1,10 @@
 """The Bandai data set: made-up clips with its skeleton, whose every number is known, and a few real ones."""
 
+import io
 import json
 import math
+import os
+import sys
 import tarfile
 from collections import Counter
 from importlib.resources import files
@@ -10,13 +13,15 @@ import pytest
 import torch
 from conftest import data_file
 from mocap import UP, bvh_text, posed, skeleton, standing, tumbling
+from studio import Threads
 
 from stmc.body import JOINTS, MIRROR, PARENTS, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data import bandai
-from stmc.data.bvh import Bvh, BvhError, parse_bvh
+from stmc.data import preparation
 from stmc.data.cache import Cache
-from stmc.data.sentences import CONTENTS, STYLES, describe
+from stmc.data.sources import archives, bandai
+from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe
+from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
 from stmc.geometry import mirror_positions
 from stmc.metrics.kinematics import forward_speed, turn, wrist_height
 from stmc.motion import Motion
@@ -250,7 +255,9 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cache(source) -> Cache:
-    return bandai.gather(bandai.read_clips(source, FPS, workers=1), FPS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        return bandai.gather(bandai.read_clips(source, FPS, workers=1), FPS)
 
 
 def test_every_readable_clip_is_in_the_cache_beside_its_mirror_image_in_the_same_part(cache):
@@ -296,6 +303,75 @@ def _converted(name: str, text: str) -> list | str:
         return str(error)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="links and pipes")
+def test_what_is_no_file_is_skipped_with_its_name_and_the_reason_and_the_rest_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(archives, "MOST_BYTES", 100)
+    os.mkfifo(tmp_path / "a_pipe.bvh")
+    (tmp_path / "b_folder.bvh").mkdir()
+    for name, target in (("c_loop", "c_loop.bvh"), ("d_gone", "nowhere"), ("e_zeros", "/dev/zero")):
+        (tmp_path / f"{name}.bvh").symlink_to(target)
+    with (tmp_path / "f_large.bvh").open("wb") as file:
+        file.truncate(2**40)
+    (tmp_path / "g_good.bvh").write_text("HIERARCHY")
+    found = dict(bandai.read_sources(tmp_path))
+    assert {name: str(text) for name, text in found.items()} == {
+        "a_pipe": "a pipe or a device, not a file",
+        "b_folder": "a directory, not a file",
+        "c_loop": "not a path to a file (Too many levels of symbolic links)",
+        "d_gone": "cannot be read (No such file or directory)",
+        "e_zeros": "a pipe or a device, not a file",
+        "f_large": f"larger than {100 / 2**20:g} MiB, the limit for such a file",
+        "g_good": "HIERARCHY",
+    }
+    assert isinstance(found["a_pipe"], BvhError)
+
+
+def archive(path, *members: tuple[str, bytes, int]) -> None:
+    """A .tar.xz of members with these names, types and numbers of zeros."""
+    with tarfile.open(path, "w:xz", preset=0) as file:
+        for name, kind, size in members:
+            member = tarfile.TarInfo(name)
+            member.type, member.size, member.linkname = kind, size, "elsewhere"
+            file.addfile(member, io.BytesIO(bytes(size)))
+
+
+def test_members_of_an_archive_that_are_no_files_or_too_large_are_skipped(tmp_path, monkeypatch):
+    monkeypatch.setattr(archives, "MOST_BYTES", 2**20)
+    kinds = {"link": tarfile.SYMTYPE, "hard": tarfile.LNKTYPE, "pipe": tarfile.FIFOTYPE, "folder": tarfile.DIRTYPE}
+    members = [(f"{name}.bvh", kind, 0) for name, kind in kinds.items()]
+    archive(tmp_path / "a.tar.xz", *members, ("bomb.bvh", tarfile.REGTYPE, 2**24), ("good.bvh", tarfile.REGTYPE, 3))
+    found = dict(bandai.read_sources(tmp_path / "a.tar.xz"))
+    assert {name: str(text) for name, text in found.items()} == dict.fromkeys(
+        kinds, "a member of the archive that is no regular file"
+    ) | {"bomb": "16,777,216 bytes, more than 1 MiB", "good": "\0\0\0"}
+
+
+def test_archives_of_too_many_members_or_bytes_and_of_endless_headers_are_refused(tmp_path, monkeypatch):
+    archive(tmp_path / "a.tar.xz", *[(f"{number}.bvh", tarfile.REGTYPE, 2**20) for number in range(4)])
+    for name, limit in (("MOST_MEMBERS", 3), ("MOST_ARCHIVE", 3 * 2**20)):
+        with monkeypatch.context() as patch, pytest.raises(ValueError, match=r"unpacks to more than .*read up to 2"):
+            patch.setattr(archives, name, limit)
+            list(bandai.read_sources(tmp_path / "a.tar.xz"))
+    archive(tmp_path / "b.tar.xz", ("headers", tarfile.XHDTYPE, 2**24), ("a.bvh", tarfile.REGTYPE, 0))
+    with pytest.raises(ValueError, match="headers of more than 1 MiB"):
+        list(bandai.read_sources(tmp_path / "b.tar.xz"))
+
+
+def test_a_clip_that_float32_cannot_hold_is_skipped_and_not_the_whole_data_set():
+    good = bvh_text(standing(frames=8))
+    lines = good.splitlines()
+    for number in ("1e300", "3e38"):
+        mad = "\n".join([*lines[:-1], f"{number} {lines[-1].partition(' ')[2]}"])
+        cache = bandai.gather(
+            [(name, _converted(name, text)) for name, text in (("dataset-1_walk_normal_001", mad), (GOOD, good))], FPS
+        )
+        assert [name for name, _ in cache.skipped] == ["dataset-1_walk_normal_001"]
+        assert "finite" in cache.skipped[0][1]
+
+
+GOOD = "dataset-1_wave-left-hand_normal_000"
+
+
 def test_an_archive_that_breaks_off_is_an_error_and_not_a_smaller_data_set(source, tmp_path):
     whole = packed(source, tmp_path / "dataset.tar.xz").read_bytes()
     for kept in (len(whole) // 4, len(whole) // 2, len(whole) - 20, 100):
@@ -329,8 +405,9 @@ def test_a_second_clip_of_one_name_is_skipped_and_named(rows):
 def test_the_inputs_are_the_clips_and_all_the_code_that_converts_them(source):
     inputs = bandai.inputs(source)
     assert inputs[0] == source
-    assert {path.name for path in inputs} >= {"bandai.py", "bvh.py", "sentences.py", "geometry.py", "skeleton.json"}
     assert all(path.exists() for path in inputs)
+    code = {"bandai.py", "bvh.py", "bandai_sentences.py", "geometry.py"}
+    assert {path.name for path in inputs} >= code | {"skeleton.json"}
 
 
 # The real thing ---------------------------------------------------------------------------------------------------
@@ -355,7 +432,7 @@ FIGURES = {
 
 @pytest.fixture(scope="module")
 def real() -> dict[str, Bvh]:
-    """Those above and every two-hundredth clip: the archive has to be read through once."""
+    """Those above and every two-hundredth clip: the archive has to be read through once, which takes its time."""
     archive = data_file("bandai/Bandai-Namco-Research-Motiondataset.tar.xz")
     chosen = {}
     for number, (name, text) in enumerate(bandai.read_sources(archive)):
@@ -367,6 +444,7 @@ def real() -> dict[str, Bvh]:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_clips_keep_their_joints_on_the_one_skeleton(real):
     errors = {name: distances(bandai.retarget(bvh, Skeleton.default()), bvh) for name, bvh in real.items()}
     assert len(errors) > 20
@@ -375,6 +453,7 @@ def test_real_clips_keep_their_joints_on_the_one_skeleton(real):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_the_bundled_skeleton_is_measured_on_the_real_clips(real):
     asset = json.loads((files("stmc") / "assets" / "skeleton.json").read_text("utf-8"))
     assert list(asset) == list(JOINTS)
@@ -385,6 +464,7 @@ def test_the_bundled_skeleton_is_measured_on_the_real_clips(real):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_clips_move_as_their_description_says(real):
     for name, (speed, degrees) in FIGURES.items():
         motion = bandai.retarget(real[name], Skeleton.default())
@@ -394,6 +474,7 @@ def test_real_clips_move_as_their_description_says(real):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_raises_lift_the_hand_that_their_name_says_and_lower_it_again(real):
     for name, raised, other in (
         ("dataset-2_raise-up-left-hand_normal_001", "left", "right"),
@@ -408,6 +489,7 @@ def test_real_raises_lift_the_hand_that_their_name_says_and_lower_it_again(real)
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_every_real_clip_s_name_is_understood(real):
     for name in real:
         named = bandai.ClipName.parse(name)

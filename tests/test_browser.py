@@ -126,3 +126,46 @@ def test_the_cursor_follows_the_recording_once_the_space_bar_plays_it_on(tab, sh
     for kind in ("keyDown", "keyUp"):
         tab.call("Input.dispatchKeyEvent", type=kind, code="Space", key=" ")
     tab.wait("Math.abs(document.body.dataset.time - 1.5) > 0.1")
+
+
+@pytest.fixture(scope="module")
+def phone(tmp_path_factory) -> Iterator[chromium.Tab]:
+    """The page of someone who walks 6 m, in a window as wide as a phone, opened at 0.5 s."""
+    folder = tmp_path_factory.mktemp("phone")
+    path = folder / "motion.html"
+    path.write_text(page(walking(seconds=5.0, speed=1.2, turn=0.0), Timeline.parse("walk # 0 # 5")), "utf-8")
+    with chromium.tab(folder / "profile", 500, 844) as opened:
+        opened.call("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=False)
+        opened.open(f"{path.as_uri()}#t=0.5")
+        opened.wait("document.body.dataset.time == '0.500'")
+        yield opened
+
+
+def body_across(tab: chromium.Tab) -> tuple[float, float]:
+    """Where the coloured columns of the scene begin and end, from -1 (left) to 1."""
+    scene = settled(tab).scene
+    columns = np.flatnonzero(silhouette(scene).sum(axis=0) > 8)  # not the thin path on the floor
+    return tuple(2 * columns[[0, -1]] / scene.shape[1] - 1)
+
+
+@pytest.mark.slow
+def test_a_narrow_window_shows_all_of_the_page_and_the_button_decides_whether_the_camera_follows(phone):
+    assert phone.ask("document.documentElement.scrollWidth") <= 390
+    pressed = "document.getElementById('stmc-follow').getAttribute('aria-pressed')"
+    if phone.ask(pressed) == "true":
+        phone.ask("document.getElementById('stmc-follow').click()")
+    stays = []
+    for follows in (False, True):
+        assert phone.ask(pressed) == str(follows).lower()
+        places = []
+        for share in (0.1, 0.9):
+            box = phone.ask("document.querySelector('.ruler').getBoundingClientRect().toJSON()")
+            phone.click(box["left"] + box["width"] * share, box["top"] + 5)
+            phone.wait(f"Math.abs(document.body.dataset.time - {5 * share}) < 0.05")
+            left, right = body_across(phone)
+            assert -0.98 < left < right < 0.98
+            places.append((left + right) / 2)
+        stays.append(abs(places[1] - places[0]))
+        phone.ask("document.getElementById('stmc-follow').click()")
+    assert stays[1] < 0.15
+    assert stays[0] > 2 * stays[1]

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.data.bvh import BvhError, parse_bvh
+from stmc.data.sources.bvh import BvhError, parse_bvh
 
 HEADER = """HIERARCHY
 ROOT Hips
@@ -147,3 +147,35 @@ def test_a_file_cut_anywhere_is_refused_and_not_misread():
             continue
         assert end >= len(TEXT.rstrip()) - 1, "only within the last number can a cut go unnoticed"
         assert bvh.positions.shape == whole.positions.shape
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("7 90", "1e300 90", "Zposition of 'Tail' is 1e+300 in frame 0: values must be finite, in float32 too"),
+        ("OFFSET 0.0 -4.0 0.5", "OFFSET 0.0 -1e39 0.5", "line 8: 'OFFSET 0.0 -1e39 0.5': -1e+39 is not finite"),
+        ("OFFSET 0.0 -4.0 0.5", "OFFSET 0.0 nan 0.5", "line 8"),
+        ("0.0333333", "9.9", "2 frames of 9.9 s: at least one frame of a positive time is needed, of 0.001 to 1 s"),
+        ("0.0333333", "1e-300", "of 0.001 to 1 s"),
+        ("Frames: 2", "Frames: 500001", "500001 frames of 4 joints are more than 2,000,000, the limit"),
+        ("Frames: 2", f"Frames: {'9' * 4000}", "an integer of 13288 bits frames of 4 joints are more than"),
+        ("Frames: 2", f"Frames: {'9' * 5000}", "expected a number, found '999"),
+        ("11 21 31", f"11 {'2l' * 100_000} 31", "not a number: could not convert string to float: '2l"),
+        ("JOINT Toe", f"JOIN {'Toe' * 100_000}", "line 10: 'JOIN Toe"),
+        ("Yrotation Xrotation Zrotation", f"Yrotation Xrotation {'W' * 100_000}", "unknown channel 'WWW"),
+    ],
+    ids=range(11),
+)
+def test_numbers_and_words_that_are_too_large_are_refused_in_a_sentence(old, new, named):
+    assert old in TEXT
+    with pytest.raises(BvhError) as error:
+        parse_bvh(TEXT.replace(old, new, 1))
+    assert named in str(error.value)
+    assert len(str(error.value)) < 500
+
+
+def test_deeply_nested_joints_are_read_once_each():
+    deep = 20_000
+    header = "HIERARCHY\n" + "ROOT a\n{\nOFFSET 0 0 0\n" * deep + "CHANNELS 1 Xposition\n" + "}\n" * deep
+    bvh = parse_bvh(f"{header}MOTION\nFrames: 1\nFrame Time: 0.05\n1\n")
+    assert bvh.parents == tuple(range(-1, deep - 1))

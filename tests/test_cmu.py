@@ -14,11 +14,11 @@ from studio import Threads
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
 from stmc.data import preparation
-from stmc.data.bvh import parse_bvh
-from stmc.data.sentences import CONTENTS
 from stmc.data.sources import cmu, cmu_clips
 from stmc.data.sources.asf import AcclaimError, parse_amc, parse_asf
-from stmc.data.sources.segments import Segment, segments_of, splits, table, unseen
+from stmc.data.sources.bandai_sentences import CONTENTS
+from stmc.data.sources.bvh import parse_bvh
+from stmc.data.sources.segments import Segment, read_segments, splits, table, unseen
 from stmc.geometry import axis_angle_to_matrix, global_rotations
 
 UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
@@ -194,7 +194,7 @@ def cache(folder, tmp_path_factory):
 
 
 def test_the_cache_holds_every_segment_beside_its_mirror_image_and_names_what_is_missing(cache):
-    rows = [segment for name in ("13_11", "16_01", "16_02", "16_03", "35_17") for segment in segments_of("cmu")[name]]
+    rows = [segment for name in ("13_11", "16_01", "16_02", "16_03", "35_17") for segment in read_segments("cmu")[name]]
     assert [clip.content for clip in cache.clips if not clip.mirrored] == [segment.content for segment in rows]
     assert len(cache.clips) == 2 * len(rows)
     for clip in cache.clips:
@@ -210,7 +210,7 @@ def test_heights_are_above_the_recording_s_floor_and_not_above_the_segment_s_low
     source = cmu.Source("16_01", recorded.amc(), recorded.asf())
     motion = cmu.read(source, BODY, 20)
     [(_, features), *_] = cmu_clips.convert(source, 20)
-    first = round(segments_of("cmu")["16_01"][0].start * 20)
+    first = round(read_segments("cmu")["16_01"][0].start * 20)
     torch.testing.assert_close(
         features[:, 0].double(), motion.translation[first : first + len(features), 2], atol=1e-6, rtol=0
     )
@@ -221,20 +221,20 @@ def test_heights_are_above_the_recording_s_floor_and_not_above_the_segment_s_low
 
 def test_every_segment_lies_in_time_and_shows_a_known_content():
     for dataset in ("cmu", "bandai"):
-        for name, rows in segments_of(dataset).items():
+        for name, rows in read_segments(dataset).items():
             for row in rows:
                 assert isinstance(row, Segment) and row.recording == name
                 assert 0 <= row.start < row.end and row.content in CONTENTS
         assert len({tuple(row) for row in table()[dataset]}) == len(table()[dataset])
-    assert {row.content for rows in segments_of("cmu").values() for row in rows} >= set(splits()) & set(CONTENTS)
+    assert {row.content for rows in read_segments("cmu").values() for row in rows} >= set(splits()) & set(CONTENTS)
 
 
 def test_every_content_can_be_learnt_and_nothing_held_out_is_unknown():
     training = {
-        row.content for name, rows in segments_of("cmu").items() for row in rows if splits().get(name) is None
-    } | {row.content for rows in segments_of("bandai").values() for row in rows}
+        row.content for name, rows in read_segments("cmu").items() for row in rows if splits().get(name) is None
+    } | {row.content for rows in read_segments("bandai").values() for row in rows}
     assert set(table()["contents"]) <= training
-    assert set(splits()) <= set(segments_of("cmu"))
+    assert set(splits()) <= set(read_segments("cmu"))
 
 
 def test_a_content_has_many_sentences_and_three_that_no_training_sees():
@@ -257,5 +257,5 @@ def test_the_file_is_json_with_a_segment_a_line():
 def test_segments_lie_within_the_real_recordings():
     with data_file("cmu/trials.csv").open(newline="") as file:
         seconds = {row["trial"]: float(row["seconds"]) for row in csv.DictReader(file)}
-    for name, rows in segments_of("cmu").items():
+    for name, rows in read_segments("cmu").items():
         assert max(row.end for row in rows) <= seconds[name], name

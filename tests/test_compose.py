@@ -24,7 +24,7 @@ from mosaic import (
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import (
+from stmc.composing import (
     NULL,
     canvas_lengths,
     collage,
@@ -46,7 +46,7 @@ from stmc.timeline import Timeline
 def test_constant_predictions_make_a_mosaic_known_in_closed_form():
     plans = plans_of(WALK_WAVE, STAND_NOD, GAP)
     table = embeddings(plans)
-    crops = guided_crops(Constant(), Schedule.cosine(100), plans, table, weight=3.0)
+    crops = guided_crops(Constant(), Schedule.cosine(100), plans, table, guidance=3.0)
     x0 = collage(crops, plans, COLUMNS)(torch.randn(3, 74, 10), 50)
     guided = {text: 100 + 3.0 * (float(value) - 100) for text, value in table.items()}
     for i, each in enumerate(plans):
@@ -95,7 +95,7 @@ SPANS = st.tuples(st.integers(0, 60), st.integers(1, 40), st.sets(st.sampled_fro
 
 
 @given(st.lists(st.lists(SPANS, min_size=1, max_size=6), min_size=1, max_size=4), st.integers(0, 12))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @pytest.mark.filterwarnings("ignore")
 @torch.no_grad()
 def test_any_batch_of_timelines_composes_to_the_number_all_its_texts_agree_on(batch, overlap):
@@ -138,7 +138,7 @@ def test_rows_without_a_text_are_denoised_once_and_rows_with_one_twice():
     plans = plans_of(WALK_WAVE, GAP)
     denoiser = Constant()
     lengths = crop_lengths(plans)
-    crops = guided_crops(denoiser, Schedule.cosine(100), plans, embeddings(plans), weight=2.5)
+    crops = guided_crops(denoiser, Schedule.cosine(100), plans, embeddings(plans), guidance=2.5)
     crops(torch.zeros(len(lengths), max(lengths), 10), 5)
     with_text = sum(crop.text is not None for each in plans for crop in each.crops)
     assert sum(rows for rows, _ in denoiser.calls) == len(lengths) + with_text
@@ -213,7 +213,9 @@ def test_a_row_does_not_depend_on_the_number_of_words_beside_it(mixed, place, ca
         return network(x, t, text, *masks)
 
     def crops(**how) -> Tensor:
-        return guided_crops(denoiser, Schedule.cosine(100), plans, ragged, padding=0.9, mixed=mixed, **how)(x, 3)
+        return guided_crops(denoiser, Schedule.cosine(100), plans, ragged, padding=0.9, supports_padding=mixed, **how)(
+            x, 3
+        )
 
     together, called = crops(), len(widths)
     torch.testing.assert_close(together, crops(budget=1), atol=1e-5, rtol=0)
@@ -243,7 +245,7 @@ def test_the_padding_counts_what_the_denoiser_is_given(mixed, window):
     plans = plans_of(*[WALK_WAVE, STAND_NOD, GAP] * 3)
     denoiser, lengths = Constant(), crop_lengths(plans, window)
     table = {text: value.expand(1 + i, 1) for i, (text, value) in enumerate(embeddings(plans).items())}
-    crops = guided_crops(denoiser, Schedule.cosine(100), plans, table, mixed=mixed, window=window)
+    crops = guided_crops(denoiser, Schedule.cosine(100), plans, table, supports_padding=mixed, fixed_length=window)
     crops(torch.zeros(len(lengths), max(lengths), 10), 5)
     needed = sum(crop.frames * (2 if crop.text else 1) for each in plans for crop in each.crops)
     given_ = sum(rows * frames for rows, frames in denoiser.calls)
@@ -252,7 +254,6 @@ def test_the_padding_counts_what_the_denoiser_is_given(mixed, window):
 
 
 @given(st.lists(st.integers(1, 200), min_size=1, max_size=60), st.floats(0, 0.5))
-@settings(max_examples=100, deadline=None)
 def test_the_padding_stays_within_what_is_allowed(lengths, padding):
     plans = [Plan(n, (Crop("a", 0, n),), tuple(Tile(0, part, 0, n, 1) for part in BodyPart)) for n in lengths]
     assert -1e-9 <= padding_of(plans, padding=padding) <= padding + 1e-9
@@ -394,7 +395,7 @@ def test_with_a_window_every_crop_goes_on_for_as_many_frames_of_its_timeline():
     assert lengths == (74 + 60, 55 + 60)
     x = torch.randn(2, max(lengths), 10, generator=torch.Generator().manual_seed(0))
     crops, seen = [], Constant()
-    rows = guided_crops(seen, Schedule.cosine(100), plans, embeddings(plans), window=window)
+    rows = guided_crops(seen, Schedule.cosine(100), plans, embeddings(plans), fixed_length=window)
     x0 = collage(lambda cut, t: crops.append(cut) or rows(cut, t), plans, COLUMNS, window)(x, 3)
     starts = [(i, crop.start) for i, plan in enumerate(plans) for crop in plan.crops]
     for crop, (i, start) in zip(crops[0], starts, strict=True):
@@ -412,7 +413,7 @@ def test_with_a_window_there_are_no_masks_and_all_frames_are_predicted():
         assert mask is None and x.shape[1] == window
         return x + 1
 
-    crops = guided_crops(denoiser, Schedule.cosine(100), plans, embeddings(plans), 1.0, window=window)
+    crops = guided_crops(denoiser, Schedule.cosine(100), plans, embeddings(plans), 1.0, fixed_length=window)
     x = torch.randn(3, window, 10)
     assert torch.equal(crops(x, 3), x + 1)
     assert torch.equal(sinc(x, plans, COLUMNS), sinc(x[:, : max(crop_lengths(plans))], plans, COLUMNS))
@@ -421,4 +422,4 @@ def test_with_a_window_there_are_no_masks_and_all_frames_are_predicted():
 def test_a_crop_longer_than_the_window_is_an_error_that_says_what_to_do():
     plans = plans_of(WALK_WAVE)
     with pytest.raises(ValueError, match=r"a crop has 48 frames, but the denoiser sees 30: plan with longest=30"):
-        guided_crops(Constant(), Schedule.cosine(100), plans, embeddings(plans), window=30)
+        guided_crops(Constant(), Schedule.cosine(100), plans, embeddings(plans), fixed_length=30)

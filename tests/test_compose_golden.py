@@ -1,19 +1,24 @@
 """Stitching, complete sampling runs and the padding on MTT: parity with the published code."""
 
+import functools
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
-from mosaic import last, padding_of, plans_of, timeline
+from conftest import checked, golden, golden_sets
+from mosaic import FPS, last, padding_of, plans_of, timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import NULL, collage, crop_lengths, guided_crops, lerp, sinc
+from stmc.composing import METHODS, NULL, Run, collage, crop_lengths, guided_crops, lerp, sinc
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule, ddpm
 from stmc.planning import Plan
+from stmc.representation import SmplRepresentation
+from stmc.sampling import Sampling
+from stmc.statistics import Statistics
 from stmc.timeline import Timeline
 
 
@@ -21,6 +26,7 @@ def golden_columns(folder, layout: str) -> dict[BodyPart, list[int]]:
     return {BodyPart(part): own for part, own in golden(folder, "body_part_indexes.json")[layout].items()}
 
 
+@functools.cache
 def mtt(folder) -> dict[int, Timeline]:
     return {
         entry["id"]: timeline(*[(str(i), *frames, *parts) for i, (*frames, parts) in enumerate(entry["prompts"])])
@@ -104,51 +110,78 @@ class GoldenRun:
 
         draw = self.draw()
         x = draw(self.data["noise_shape_stmc"])
-        return states, list(ddpm(predict, self.schedule, x, draw, spread="variance"))
+        return states, list(ddpm(predict, self.schedule, x, draw, noise_scale="variance"))
 
     @torch.no_grad()
     def crops(self, plans: list[Plan], shape, seed: str) -> Tensor:
         draw = self.draw(seed)
         crops = guided_crops(self.network, self.schedule, plans, self.embeddings(), float(self.data["guidance"]))
-        return last(ddpm(crops, self.schedule, draw(shape), draw, spread="variance"))
+        return last(ddpm(crops, self.schedule, draw(shape), draw, noise_scale="variance"))
 
 
 def assert_golden(actual: Tensor, expected: np.ndarray) -> None:
     torch.testing.assert_close(actual, torch.from_numpy(expected), atol=1e-5, rtol=0)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_a_complete_run_of_stmc_is_that_of_the_published_code(folder):
+def a_complete_run_of_stmc_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     states, x0 = run.stmc(float(run.data["guidance"]))
-    assert len(x0) == 100
-    assert_golden(x0[0], run.data["x0pred_t99"])
-    assert_golden(states[1], run.data["xt_after_t99"])
-    assert_golden(x0[49], run.data["x0pred_t50"])
-    assert_golden(states[50], run.data["xt_after_t50"])
+    assert len(x0) == run.schedule.steps
+    kept = [int(key.removeprefix("x0pred_t")) for key in run.data if key.startswith("x0pred_t")]
+    assert kept
+    for t in kept:
+        at = len(x0) - 1 - t
+        assert_golden(x0[at], run.data[f"x0pred_t{t}"])
+        assert_golden(states[at + 1], run.data[f"xt_after_t{t}"])
     assert_golden(x0[-1], run.data["x0_stmc"])
 
 
 @pytest.mark.golden
 @pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_a_run_without_guidance_is_that_of_the_published_code(folder):
+def test_the_method_stmc_paper_is_the_published_code_s(folder, monkeypatch):
+    golden_run = GoldenRun(folder)
+    draw, shape = golden_run.draw(), golden_run.data["noise_shape_stmc"]
+    monkeypatch.setattr(Run, "noise", lambda self, plans, seeds=None: lambda _=None: draw(shape))
+    method, layout = METHODS["stmc_paper"], SmplRepresentation().layout
+    assert {part: set(own) for part, own in layout.columns.items()} == {
+        part: set(own) for part, own in golden_run.columns.items()
+    }
+    asked = Sampling(steps=100, sampler="ddpm", guidance=float(golden_run.data["guidance"]), overlap=0.5)
+    run = Run(
+        timelines=golden_run.timelines,
+        seeds=(0,) * len(golden_run.timelines),
+        sampling=replace(asked, **method.fixed),
+        schedule=golden_run.schedule,
+        fps=FPS,
+        longest=200,
+        overlap=int(golden_run.data["overlap"]),
+        layout=layout,
+        statistics=Statistics(torch.zeros(205), torch.ones(205)),
+        guided=lambda plans, guidance: guided_crops(
+            golden_run.network, golden_run.schedule, plans, golden_run.embeddings(), guidance
+        ),
+        guided_sequences=lambda plans, guidance: pytest.fail("no sequences are needed"),
+        fixed_length=None,
+        device=torch.device("cpu"),
+        progress=lambda steps, total: steps,
+    )
+    with torch.no_grad():
+        assert_golden(method.sample(run), golden_run.data["x0_stmc"])
+
+
+def a_run_without_guidance_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     assert_golden(run.stmc(1.0)[1][-1], run.data["x0_stmc_guidance1"])
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_a_run_with_statistics_is_that_of_the_published_code(folder):
+def a_run_with_statistics_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     x0 = run.stmc(float(run.data["guidance"]), stats=True)[1][-1]
     mean, std = (torch.from_numpy(run.data[f"motion_{name}"]) for name in ("mean", "std"))
     assert_golden(x0 * (std + 1e-12) + mean, run.data["x0_stmc_with_stats"])
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_sinc_with_and_without_lerp_is_that_of_the_published_code(folder):
+def sinc_with_and_without_lerp_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     plans = plans_of(*run.timelines, overlap=0)
     assert crop_lengths(plans) == tuple(run.data["lengths_sinc"])
@@ -158,14 +191,34 @@ def test_sinc_with_and_without_lerp_is_that_of_the_published_code(folder):
     assert_golden(lerp(x0, plans, run.columns, int(run.data["overlap"])), run.data["x0_sinc_lerp"])
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_text_to_motion_is_that_of_the_published_code(folder):
+def text_to_motion_is_that_of_the_published_code(folder):
     run = GoldenRun(folder)
     lengths = run.data["text_lengths"].tolist()
     plans = plans_of(*[timeline((str(i), 0, length)) for i, length in enumerate(lengths)])
     x0 = run.crops(plans, run.data["x0_text"].shape, "text_noise_seed")
     assert_golden(x0, run.data["x0_text"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_runs_are_those_of_the_published_code(folder, subtests):
+    checks = (
+        a_complete_run_of_stmc_is_that_of_the_published_code,
+        sinc_with_and_without_lerp_is_that_of_the_published_code,
+        text_to_motion_is_that_of_the_published_code,
+    )
+    checked(subtests, checks, folder)
+
+
+@pytest.mark.slow
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_runs_without_guidance_and_with_statistics_are_those_of_the_published_code(folder, subtests):
+    checks = (
+        a_run_without_guidance_is_that_of_the_published_code,
+        a_run_with_statistics_is_that_of_the_published_code,
+    )
+    checked(subtests, checks, folder)
 
 
 @pytest.mark.golden

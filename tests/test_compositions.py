@@ -24,6 +24,7 @@ from stmc.motion import Motion
 from stmc.representation import SmplRepresentation
 from stmc.results import Result, ResultError, comparison_table, sweep_table
 from stmc.results.composition_charts import jerk_curves, trade_off
+from stmc.sampling import Sampling
 
 FPS, WINDOW = 30.0, 60
 REPRESENTATION = SmplRepresentation()
@@ -256,7 +257,8 @@ def test_what_a_text_is_true_of_too_neither_spoils_nor_saves_its_own_motion():
 def record(name: str, seed: int, height: float, frames: int = 57, **settings) -> Result:
     curve = [height * abs(frame - frames // 2) for frame in range(frames)]
     numbers = {"r_precision": height, "transition_fid": 2 * height, "area_under_jerk": 3.0, "peak_jerk": 0.1}
-    return Result(name, seed, numbers, curves={"jerk": curve}, **settings)
+    denoiser = settings.pop("denoiser", "")
+    return Result(name, seed, numbers, denoiser, Sampling(**settings), {"jerk": curve})
 
 
 REAL = record("ground_truth", 0, 0.5)
@@ -269,7 +271,7 @@ def test_jerk_curves_are_means_over_seeds_around_the_transition_and_real_motion_
     flow = lines["flow, FlowMDM"]
     assert (flow.get_xdata()[0], flow.get_xdata()[28], flow.get_xdata()[-1]) == (-28, 0, 28)
     assert flow.get_ydata().tolist() == [2.0 * abs(frame - 28) for frame in range(57)]
-    assert lines["mdm, STMC"].get_ydata()[0] == 4.0 * 28
+    assert lines["mdm, STMC (cross-faded)"].get_ydata()[0] == 4.0 * 28
     assert lines["Ground truth"].get_linestyle() == "--"
     assert lines["Ground truth"].get_ydata()[0] == 0.5 * 28
     top = max(path[:, 1].max() for band in axes.collections[:1] for path in [band.get_paths()[0].vertices])
@@ -290,13 +292,13 @@ def test_curves_that_cannot_be_compared_are_refused():
         jerk_curves([Result("stmc", 0, {})])
     with pytest.raises(ResultError, match="of 27, 57 frames"):
         jerk_curves([REAL, record("stmc", 0, 1.0, frames=27)])
-    with pytest.raises(ResultError, match="FlowMDM stands there with several settings"):
-        jerk_curves([record("flow_mdm", 0, 1.0, absolute=0.1), record("flow_mdm", 0, 1.0, absolute=0.5)])
+    with pytest.raises(ResultError, match="FlowMDM is there with several settings"):
+        jerk_curves([record("flow_mdm", 0, 1.0, ape_steps=0.1), record("flow_mdm", 0, 1.0, ape_steps=0.5)])
 
 
 def test_the_trade_off_shows_three_measures_against_the_share_of_absolute_steps():
     runs = [
-        record("flow_mdm", seed, 0.1 + share + seed, absolute=share) for share in (0.5, 0.1, 1.0) for seed in (0, 2)
+        record("flow_mdm", seed, 0.1 + share + seed, ape_steps=share) for share in (0.5, 0.1, 1.0) for seed in (0, 2)
     ]
     precision, fid, area = trade_off([REAL, *runs, record("stmc", 0, 9.0)]).axes
     assert [axes.get_ylabel()[:3] for axes in (precision, fid, area)] == ["R-p", "FID", "AUJ"]
@@ -304,19 +306,19 @@ def test_the_trade_off_shows_three_measures_against_the_share_of_absolute_steps(
     assert box.lines[0].get_xdata().tolist() == [0.1, 0.5, 1.0]
     assert box.lines[0].get_ydata().tolist() == pytest.approx([1.2, 1.6, 2.1])
     assert any(set(line.get_ydata()) == {0.5} for line in precision.lines)
-    with pytest.raises(ResultError, match="no record has absolute"):
+    with pytest.raises(ResultError, match="no record has ape_steps"):
         trade_off([REAL])
 
 
 def test_the_tables_of_all_benchmarks_serve_compositions():
-    runs = [record("flow_mdm", seed, 1.0 + seed, absolute=0.1) for seed in (0, 1)]
+    runs = [record("flow_mdm", seed, 1.0 + seed, ape_steps=0.1) for seed in (0, 1)]
     text = comparison_table([REAL, *runs, record("stmc", 0, 0.1)]).text()
     heads = next(line for line in text.splitlines() if "R-prec" in line)
     assert [heads.index(name) for name in ("R-prec", "FID (transitions)", "PJ", "AUJ")] == sorted(
         heads.index(name) for name in ("R-prec", "FID (transitions)", "PJ", "AUJ")
     )
     assert "1.500" in text
-    shares = sweep_table([REAL, *runs, record("flow_mdm", 0, 2.0, absolute=0.5)], ["absolute"])
+    shares = sweep_table([REAL, *runs, record("flow_mdm", 0, 2.0, ape_steps=0.5)], ["ape_steps"])
     assert [row.labels for row in shares.blocks[0]] == [("0.1",), ("0.5",)]
 
 

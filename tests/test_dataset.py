@@ -12,8 +12,9 @@ from toys import FPS, LAYOUT, LetterCounts, cache
 
 from stmc.body import BodyPart
 from stmc.body_model import Skeleton
+from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip, read_caches
-from stmc.data.dataset import NULL, SEAM, ClipBatches, Corpus, Draws, Sampling
+from stmc.data.dataset import NULL, SEAM, Corpus, Draws
 from stmc.representation import Field, Layout, SmplRepresentation
 from stmc.statistics import Statistics
 
@@ -341,7 +342,8 @@ def test_any_body_with_other_parts_can_be_a_host_and_shows_its_own_text_only_whe
         clips.append(Clip(f"{name}-{number}", name, "", name, (part,), False, False, "train", start, start + frames))
         start += frames
     texts = {name: ((name, 1.0),) for name in ("turn", "left", "right")}
-    data = Cache(20.0, "smpl", torch.zeros(start, 205), tuple(clips), texts)
+    features = torch.arange(start * 205.0).reshape(start, 205)
+    data = Cache(20.0, "smpl", features, tuple(clips), texts)
     corpus = Corpus(data, LetterCounts(), SmplRepresentation().layout)
     settings = {"crops": 0.0, "silent": 0.0, "trim": 0.0, "pool": 1, "pieces": 1, "composed": 1.0}
     [walking] = ClipBatches(corpus, "train", Sampling(rows=96, **settings)).draws(0)
@@ -375,7 +377,7 @@ def test_a_feature_that_hardly_varies_in_most_clips_is_divided_by_its_field_s_fl
     rest = torch.ones(LAYOUT.width, dtype=torch.bool)
     rest[LAYOUT[name]] = False
     assert torch.equal(floored.motion.std[rest], plain.motion.std[rest])
-    with pytest.raises(ValueError, match=r"unknown fields \['height'\]; choose from"):
+    with pytest.raises(KeyError, match="no field 'height'; choose from"):
         Corpus(cache(), LetterCounts(), LAYOUT, least=3, floor={"height": 1.0})
 
 
@@ -428,3 +430,11 @@ def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(
         assert contents == [host, guest]
         middle = draws.offset[row] + draws.guest.frames[row] // 2
         assert abs(float(motion[middle, 0])) < 0.1  # the pelvis' height is the legs', and these are a walk's in both
+
+
+@pytest.mark.parametrize("statistics", [None, Statistics(torch.zeros(LAYOUT.width), torch.ones(LAYOUT.width))])
+def test_data_that_stand_still_are_refused(statistics):
+    still = dataclasses.replace(cache(), statistics=statistics)
+    still.features[:] = still.features[:1].clone()
+    with pytest.raises(ValueError, match="training frames is the same: there is nothing to learn"):
+        Corpus(still, LetterCounts(), LAYOUT)

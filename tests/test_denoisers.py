@@ -5,7 +5,8 @@ import zlib
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
+from published import close_waves, interleaved, waves
 from torch import Tensor, nn
 
 from stmc.denoisers import Denoiser, MdmSmpl
@@ -131,30 +132,33 @@ def golden_network(meta: dict) -> MdmSmpl:
     return network.eval()
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("name", NETWORKS)
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_names_shapes_and_positions_are_those_of_the_published_network(folder, name):
+def names_and_shapes_are_those_of_the_published_network(folder, name):
     meta = golden(folder, "denoiser_meta.json")[name]
     network = golden_network(meta)
     assert {key: list(value.shape) for key, value in network.state_dict().items()} == meta["state_dict_shapes"]
-    assert zlib.crc32(network.positions.numpy().tobytes()) == meta["pe_crc32_float32_5000x1xD"]
+    [shape] = meta["nonpersistent_buffers"].values()
+    assert shape == [len(network.positions), 1, network.positions.shape[1]]
+    rows, columns, values = map(torch.tensor, zip(*meta["pe_probe"], strict=True))
+    table = interleaved(*waves(rows, shape[-1]))
+    close_waves(values[:, None], table.gather(1, columns[:, None]), rows)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_the_default_sizes_are_those_of_the_published_checkpoint(folder):
+@pytest.mark.parametrize("width", [16, 64, 512])
+def test_positions_are_sines_and_cosines_as_exact_as_float32_allows(width):
+    network = MdmSmpl(7, 5, width=width, feedforward=4, layers=1, heads=1)
+    rows = torch.arange(len(network.positions))
+    close_waves(network.positions, interleaved(*waves(rows, width)), rows)
+
+
+def the_default_sizes_are_those_of_the_published_checkpoint(folder):
     shapes = golden(folder, "lightning_checkpoint_keys.json")["state_dict_shapes_full"]
     prefix = "denoiser."
     expected = {key.removeprefix(prefix): value for key, value in shapes.items() if key.startswith(prefix)}
     assert {key: list(value.shape) for key, value in MdmSmpl(205, 512).state_dict().items()} == expected
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize(("name", "tolerance"), NETWORKS.items())
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
 @torch.no_grad()
-def test_outputs_are_those_of_the_published_network(folder, name, tolerance):
+def outputs_are_those_of_the_published_network(folder, name, tolerance):
     data = {key: torch.from_numpy(value) for key, value in golden(folder, f"{name}.npz").items() if value.ndim}
     network = golden_network(golden(folder, "denoiser_meta.json")[name])
     present, words = mask(data["lengths"], data["x"].shape[1]), mask(data["tx_lengths"], data["tx"].shape[1])
@@ -164,6 +168,20 @@ def test_outputs_are_those_of_the_published_network(folder, name, tolerance):
     out = network(data["x"], data["t"], data["tx"], words, present)
     for reference in (data["out"], data["out_from_f64"]):
         torch.testing.assert_close(out[present], reference[present], atol=tolerance, rtol=0)
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_mdm_smpl_is_the_published_network(folder, subtests):
+    checked(
+        subtests,
+        [
+            the_default_sizes_are_those_of_the_published_checkpoint,
+            *((names_and_shapes_are_those_of_the_published_network, each) for each in NETWORKS),
+            *((outputs_are_those_of_the_published_network, *each) for each in NETWORKS.items()),
+        ],
+        folder,
+    )
 
 
 def test_with_a_fixed_place_for_words_padding_a_text_changes_nothing() -> None:

@@ -3,7 +3,8 @@
 import json
 
 import pytest
-from scripting import loaded
+from hydra.utils import instantiate
+from scripting import configured, loaded
 from test_scripts import script
 from test_text import packaged
 
@@ -71,22 +72,32 @@ def test_what_holds_no_texts_is_an_error(found, tmp_path, name, content, message
 @packaged
 def test_the_script_fills_the_cache_that_training_reads_and_goes_on_where_it_was(tmp_path):
     (tmp_path / "mtt.txt").write_text(MTT)
-    settings = (f"texts={tmp_path / 'mtt.txt'}", f"folder={tmp_path / 'cache'}", "batch=1")
+    settings = (f"texts={tmp_path / 'mtt.txt'}", f"folder={tmp_path / 'cache'}")
     first = script("embed", *settings, folder=tmp_path / "here")
     assert "3 texts" in first.stdout and "3 of them new" in first.stdout
     cached = Cached(MiniLM(), tmp_path / "cache")
-    cached.file("raise the right arm").unlink()
-    assert "1 of them new" in script("embed", *settings, folder=tmp_path / "here").stdout
+    assert list((tmp_path / "cache").iterdir()) == [cached.file]
+    (tmp_path / "mtt.txt").write_text(MTT.replace("circle", "square"))
+    again = script("embed", *settings, folder=tmp_path / "here").stdout
+    assert "1 of them new" in again and "encoded 1 of 1 texts" in again
     cached.encoder.encode = lambda texts: pytest.fail(f"asked for {texts}")
     words, _ = cached.encode(["", "walk in a circle", "raise the right arm"])
     assert words.shape == (3, 1, 384)
     assert not list((tmp_path / "here").iterdir())
 
 
+@pytest.mark.parametrize("name", ["train", "embed"])
+@pytest.mark.parametrize("encoder", ["clip", "clip_tokens", "clip_mdm", "distilbert", "t5"])
+def test_a_folder_of_weights_is_named_on_the_command_line(name, encoder):
+    key = "encoder.source" if encoder == "clip_mdm" else "source"
+    config = configured(name, f"text_encoder={encoder}", f"text_encoder.{key}=weights/mine")
+    assert instantiate(config.text_encoder).name.startswith("weights/mine")
+
+
 @pytest.mark.slow
 def test_weights_that_are_not_there_are_named(tmp_path):
     (tmp_path / "lines.txt").write_text("walk\n")
     settings = (f"texts={tmp_path / 'lines.txt'}", f"folder={tmp_path / 'cache'}", "text_encoder=clip")
-    done = script("embed", *settings, f"+text_encoder.source={tmp_path}", folder=tmp_path / "here", check=False)
-    assert done.returncode == 1 and "hf download openai/clip-vit-base-patch32" in done.stdout
+    done = script("embed", *settings, f"text_encoder.source={tmp_path}", folder=tmp_path / "here", check=False)
+    assert done.returncode == 2 and "hf download openai/clip-vit-base-patch32" in done.stdout
     assert "Traceback" not in done.stdout

@@ -14,8 +14,9 @@ from torch.nn.functional import normalize
 from toys import LAYOUT, LetterCounts, cache
 from walker import walking
 
+from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import ClipBatches, Corpus, Sampling
+from stmc.data.dataset import Corpus
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator, GuoEvaluator, Posterior, Tmr, TmrObjective
 from stmc.evaluators.objective import contrast, divergence, kl_terms
@@ -147,12 +148,12 @@ def test_an_evaluator_survives_its_run_directory_wherever_that_is_moved(tmp_path
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda text: text.replace("layers: 1", "layers: 2"), "does not fit the network of config.yaml"),
+        (lambda text: text.replace("layers: 1", "layers: 2"), "does not fit the network of the config"),
         (
             lambda text: text.replace("stmc.evaluators.Tmr", "os.system"),
             "'os.system' is not a class of stmc.evaluators",
         ),
-        (lambda text: text.replace("fps: 20", "fps: -1"), "fps must be a positive number"),
+        (lambda text: text.replace("fps: 20", "fps: -1"), "fps=-1: must be above 0"),
         (lambda text: text.replace("network:", "net:"), "network missing"),
     ],
 )
@@ -311,8 +312,9 @@ def test_training_leaves_an_evaluator_and_says_what_it_finds(trained):
 @pytest.mark.slow
 def test_training_goes_on_where_it_stopped(trained):
     folder, settings, _ = trained
-    done = script("train_tmr", *settings, "training.steps=6", folder=folder / "here")
-    assert "after step 4" in done.stdout
+    longer = ("training.steps=6", "training.lr_decay_steps=4")
+    done = script("train_tmr", *settings, *longer, folder=folder / "here")
+    assert "4 of 6 steps are done" in done.stdout
     assert json.loads((folder / "run" / "results.json").read_text())["step"] == 6
     with (folder / "run" / "retrieval.csv").open() as file:
         assert [row["step"] for row in csv.DictReader(file)] == ["2", "4", "6"]

@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 import pytest
 import torch
-from conftest import GOLDEN, golden, golden_sets
+from conftest import GOLDEN, checked, golden, golden_sets
 from torch import Tensor, nn
 
 from stmc.data.pairs import similar
@@ -63,8 +63,7 @@ def assert_golden(actual: Tensor, expected: Tensor) -> None:
     torch.testing.assert_close(actual, expected, atol=RELATIVE * float(expected.abs().max()), rtol=0)
 
 
-@pytest.mark.parametrize("folder", golden_sets("flow"))
-def test_tmr_of_the_published_size_is_the_published_code(folder):
+def tmr_of_the_published_size_is_the_published_code(folder):
     data = tensors(folder, "tmr_full.npz")
     network = tmr("tmr_full", int(data["weight_seed"]))
     rng = np.random.default_rng(int(data["seed"]))
@@ -85,9 +84,7 @@ def test_tmr_of_the_published_size_is_the_published_code(folder):
     assert_golden(network.motion_decoder(motion.mean, motions[1]), data["decoded_motion_from_motion_mu"])
 
 
-@pytest.mark.parametrize("variational", [0, 1])
-@pytest.mark.parametrize("folder", golden_sets("flow"))
-def test_the_losses_of_tmr_are_those_of_the_published_code(folder, variational):
+def the_losses_of_tmr_are_those_of_the_published_code(folder, variational):
     data = tensors(folder, f"tmr_small_vae{variational}.npz")
     network = tmr(f"tmr_small_vae{variational}", int(data["weight_seed"]))
     text = network.text_encoder(data["text_x"], data["text_mask"])
@@ -121,8 +118,7 @@ def test_the_losses_of_tmr_are_those_of_the_published_code(folder, variational):
     assert losses["loss"] == pytest.approx(float(data["loss_loss"]), rel=RELATIVE)
 
 
-@pytest.mark.parametrize("folder", golden_sets("flow"))
-def test_the_contrastive_loss_and_its_filter_are_those_of_the_published_code(folder):
+def the_contrastive_loss_and_its_filter_are_those_of_the_published_code(folder):
     data = tensors(folder, "tmr_infonce.npz")
     x, y, sentences = data["x"], data["y"], data["sent_emb"]
     for temperature, threshold, name in (
@@ -134,6 +130,21 @@ def test_the_contrastive_loss_and_its_filter_are_those_of_the_published_code(fol
     assert_golden(contrast(x, y), data["loss_T01_nofilter"])
     alike = similar(sentences, 0.8) & ~torch.eye(len(x), dtype=torch.bool)
     assert alike.nonzero().tolist() == data["filtered_pairs_thr080"].tolist()
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("flow"))
+def test_tmr_is_the_published_code(folder, subtests):
+    checked(
+        subtests,
+        [
+            tmr_of_the_published_size_is_the_published_code,
+            (the_losses_of_tmr_are_those_of_the_published_code, 0),
+            (the_losses_of_tmr_are_those_of_the_published_code, 1),
+            the_contrastive_loss_and_its_filter_are_those_of_the_published_code,
+        ],
+        folder,
+    )
 
 
 def guo(name: str, seed: int) -> GuoEvaluator:
@@ -151,8 +162,7 @@ def guo(name: str, seed: int) -> GuoEvaluator:
     return filled(network, listed, seed)
 
 
-@pytest.mark.parametrize("folder", golden_sets("flow"))
-def test_the_guo_evaluator_of_the_published_size_is_the_published_code(folder):
+def the_guo_evaluator_of_the_published_size_is_the_published_code(folder):
     data = tensors(folder, "evaluator_full.npz")
     network = guo("full", int(data["weight_seed"]))
     rng = np.random.default_rng(int(data["seed"]))
@@ -171,8 +181,7 @@ def test_the_guo_evaluator_of_the_published_size_is_the_published_code(folder):
     assert_golden(texts[order], data["text_embedding_official_order"])
 
 
-@pytest.mark.parametrize("folder", golden_sets("flow"))
-def test_a_small_guo_evaluator_is_the_published_code(folder):
+def a_small_guo_evaluator_is_the_published_code(folder):
     data = tensors(folder, "evaluator_small.npz")
     network = guo("small", int(data["weight_seed"]))
     assert_golden(network.movement_encoder(data["motions"]), data["movements"])
@@ -181,8 +190,21 @@ def test_a_small_guo_evaluator_is_the_published_code(folder):
     assert_golden(texts, data["text_embedding"])
 
 
-@pytest.mark.parametrize("folder", golden_sets("flow"))
-def test_the_evaluator_of_babel_is_the_published_code(folder):
+def the_evaluator_of_babel_is_the_published_code(folder):
     data = tensors(folder, "evaluator_babel.npz")
     network = guo("babel_full", int(data["weight_seed"]))
     assert_golden(network.motions(data["motions"], data["motion_lengths"]), data["motion_embedding"])
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("flow"))
+def test_guo_s_evaluators_are_the_published_code(folder, subtests):
+    checked(
+        subtests,
+        [
+            the_guo_evaluator_of_the_published_size_is_the_published_code,
+            a_small_guo_evaluator_is_the_published_code,
+            the_evaluator_of_babel_is_the_published_code,
+        ],
+        folder,
+    )

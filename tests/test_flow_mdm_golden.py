@@ -5,26 +5,25 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from conftest import GOLDEN, golden, golden_sets
+from conftest import GOLDEN, checked, golden, golden_sets
 from flow import close, entries, flow_mdm, parameters, segments
 from mosaic import plans_of, timeline
 from published import drawn, frames, watched
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.compose import NULL
+from stmc.composing import NULL, guided_sequences, weave
 from stmc.denoisers import FlowMdm
 from stmc.denoisers.flow_mdm import _positions
 from stmc.denoisers.flow_mdm_layers import TURNED, frequencies
 from stmc.diffusion import Schedule, ddpm, guide
-from stmc.sequences import guided_sequences, weave
 from stmc.tensors import mask
 from stmc.training.loss import squared_errors
 from stmc.training.sequences import Sequences
 
 pytestmark = pytest.mark.golden
 SETS = pytest.mark.parametrize("folder", golden_sets("flow"))
-NAMES = pytest.mark.parametrize("name", ["humanml", "babel"])
+NAMES = ("humanml", "babel")
 STEPS = 1000
 HORIZON = {"humanml": 150, "babel": 100}
 ABSOLUTE_FROM = {"humanml": STEPS - 60 + 1, "babel": STEPS - 125 + 1}
@@ -54,10 +53,9 @@ class Case:
         return (network or self.network)(self.x, torch.tensor([t]), text, None, None, self.segment)
 
 
-@pytest.mark.skipif(not GOLDEN.exists(), reason="no golden numbers")
-@pytest.mark.parametrize(("name", "features"), [("full_humanml", 263), ("full_babel", 135)])
-def test_names_and_shapes_are_those_of_the_published_checkpoints(name, features):
-    network = FlowMdm(features, 512, 0)
+def names_and_shapes_are_those_of_the_published_checkpoints(name, features):
+    with torch.device("meta"):
+        network = FlowMdm(features, 512, 0)
     assert {key: tuple(value.shape) for key, value in network.state_dict().items()} == parameters(name)
     tables = {key: tuple(entry["shape"]) for key, entry in entries(name).items() if key not in parameters(name)}
     rows, width = network.positions.shape
@@ -68,9 +66,13 @@ def test_names_and_shapes_are_those_of_the_published_checkpoints(name, features)
     }
 
 
-@SETS
-@NAMES
-def test_the_small_network_answers_as_published_in_both_modes(folder, name):
+@pytest.mark.skipif(not GOLDEN.exists(), reason=f"no golden numbers at {GOLDEN} (set STMC_GOLDEN)")
+def test_weights_have_the_names_and_shapes_of_the_published_checkpoints(subtests):
+    sizes = (("full_humanml", 263), ("full_babel", 135))
+    checked(subtests, [(names_and_shapes_are_those_of_the_published_checkpoints, *each) for each in sizes])
+
+
+def the_small_network_answers_as_published_in_both_modes(folder, name):
     case = Case(folder, "small", name, SHORT_HORIZON[name])
     modes = {t: t >= case.network.absolute_from for t in case.data["timesteps"].tolist()}
     assert list(modes.values()) == [True, True, False, False, False]
@@ -81,9 +83,7 @@ def test_the_small_network_answers_as_published_in_both_modes(folder, name):
         close(guide(text, null, float(case.data["guidance"])), frames(case.data[f"cfg_t{t}"]))
 
 
-@SETS
-@NAMES
-def test_what_stands_between_the_layers_is_as_published(folder, name):
+def what_stands_between_the_layers_is_as_published(folder, name):
     case = Case(folder, "small", name, SHORT_HORIZON[name])
     assert np.array_equal(_positions(case.segment, len(case.lengths)).numpy(), case.data["pos_pe_abs"])
     same = case.segment[0][:, None] == case.segment[0]
@@ -103,9 +103,7 @@ def test_what_stands_between_the_layers_is_as_published(folder, name):
         close(seen["final_norm"][1], torch.from_numpy(case.data[f"{mode}_final_norm"]))
 
 
-@SETS
-@NAMES
-def test_a_long_horizon_and_either_mode_at_any_step_are_as_published(folder, name):
+def a_long_horizon_and_either_mode_at_any_step_are_as_published(folder, name):
     case = Case(folder, "small", name, SHORT_HORIZON[name])
     small = f"small_{name}"
     _, absolute, relative = case.data["timesteps"].tolist()[:3]
@@ -118,9 +116,7 @@ def test_a_long_horizon_and_either_mode_at_any_step_are_as_published(folder, nam
     close(case.asked(STEPS - 1, case.text, never), frames(case.data["cond_allrpe_t999"]))
 
 
-@SETS
-@NAMES
-def test_the_network_of_the_published_size_answers_as_published(folder, name):
+def the_network_of_the_published_size_answers_as_published(folder, name):
     case = Case(folder, "full", name, HORIZON[name])
     assert sum(parameter.numel() for parameter in case.network.parameters()) == pytest.approx(18.39e6, rel=0.02)
     for t in case.data["timesteps"].tolist():
@@ -138,9 +134,7 @@ class Fixed:
         return self.network.encoded(x, t, self.network.read(text), self.absolute, mask, segment)
 
 
-@SETS
-@NAMES
-def test_the_layout_of_training_and_its_loss_are_as_published(folder, name):
+def the_layout_of_training_and_its_loss_are_as_published(folder, name):
     data = golden(folder, f"flowmdm_train_{name}.npz")
     network = flow_mdm(f"small_{name}", int(data["weight_seed"]), STEPS, SHORT_HORIZON[name])
     motion, noise, text = frames(data["x"]), frames(data["noise"]), torch.from_numpy(data["text_embeddings"])
@@ -175,6 +169,18 @@ def test_the_layout_of_training_and_its_loss_are_as_published(folder, name):
 
 
 @SETS
+def test_flow_mdm_is_the_published_network(folder, subtests):
+    checks = (
+        the_small_network_answers_as_published_in_both_modes,
+        what_stands_between_the_layers_is_as_published,
+        a_long_horizon_and_either_mode_at_any_step_are_as_published,
+        the_network_of_the_published_size_answers_as_published,
+        the_layout_of_training_and_its_loss_are_as_published,
+    )
+    checked(subtests, [(check, name) for check in checks for name in NAMES], folder)
+
+
+@SETS
 def test_a_whole_chain_over_three_texts_is_as_published(folder):
     """By the library's own way: a timeline, its plan, guided sequences woven, and `ddpm`."""
     data = golden(folder, "flowmdm_chain50.npz")
@@ -199,7 +205,7 @@ def test_a_whole_chain_over_three_texts_is_as_published(folder):
 
     x = frames(data["x_T"])
     assert torch.equal(draw(x.shape), x)
-    x0 = list(ddpm(watched_predict, schedule, x, draw, spread="std"))
+    x0 = list(ddpm(watched_predict, schedule, x, draw, noise_scale="std"))
     for i, (iteration, t) in enumerate(zip(data["kept_iterations"], data["kept_t"], strict=True)):
         assert states[iteration][1] == t
         close(x0[iteration], frames(data["pred_xstart"][i]))

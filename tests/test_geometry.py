@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from hypothesis import given
 from hypothesis import strategies as st
 from torch.testing import assert_close
@@ -196,9 +196,7 @@ def test_results_have_the_dtype_of_the_arguments(dtype):
     assert {result.dtype for result in results} == {dtype}
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_rotation_conversions_agree_with_the_published_ones(folder):
+def rotation_conversions_agree_with_the_published_ones(folder):
     data = {name: torch.from_numpy(value) for name, value in golden(folder, "smplrifke.npz").items() if value.ndim}
     matrix, limit = data["geo_matrix"], {"atol": 1e-7, "rtol": 0.0}
     assert_close(geometry.axis_angle_to_matrix(data["geo_aa"]), matrix, **limit)
@@ -224,18 +222,14 @@ def amass_cases(folder):
         yield float(fps), {name: torch.from_numpy(value).double() for name, value in arrays.items()}
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_resampling_takes_the_published_moments_and_straight_lines(folder):
+def resampling_takes_the_published_moments_and_straight_lines(folder):
     for fps, case in amass_cases(folder):
         assert_close(geometry.sampling_positions(len(case["trans"]), fps, 20), case["index"], atol=1e-5, rtol=0)
         for name in {"trans", "joints"} & case.keys():
             assert_close(geometry.resample_positions(case[name], fps, 20), case[f"out_{name}"], atol=1e-5, rtol=0)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_resampled_rotations_equal_the_published_ones_where_nothing_is_interpolated(folder):
+def resampled_rotations_equal_the_published_ones_where_nothing_is_interpolated(folder):
     seen = 0
     for fps, case in amass_cases(folder):
         ours = geometry.resample_rotations(rotations_of(case["poses"]), fps, 20)
@@ -245,9 +239,7 @@ def test_resampled_rotations_equal_the_published_ones_where_nothing_is_interpola
     assert seen > 20
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_between_two_frames_rotations_stay_between_them_also_where_the_published_ones_leave_r10(folder):
+def between_two_frames_rotations_stay_between_them_also_where_the_published_ones_leave_r10(folder):
     strays = 0
     for fps, case in amass_cases(folder):
         before, share = case["index"].floor().long(), (case["index"] - case["index"].floor())[:, None]
@@ -261,16 +253,41 @@ def test_between_two_frames_rotations_stay_between_them_also_where_the_published
     assert strays > 0
 
 
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_resampling_is_the_published_one_but_for_r10(folder, subtests):
+    checked(
+        subtests,
+        [
+            resampling_takes_the_published_moments_and_straight_lines,
+            resampled_rotations_equal_the_published_ones_where_nothing_is_interpolated,
+            between_two_frames_rotations_stay_between_them_also_where_the_published_ones_leave_r10,
+        ],
+        folder,
+    )
+
+
 def rotations_of(poses):
     return geometry.axis_angle_to_matrix(poses.reshape(-1, ROTATED, 3))
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("stmc"))
-def test_mirroring_agrees_with_the_published_one(folder):
+def mirroring_agrees_with_the_published_one(folder):
     data = golden(folder, "amass_prepare.npz")
     assert data["mirror_joint_perm"].tolist() == list(MIRROR[:ROTATED])
     poses, expected = (rotations_of(torch.from_numpy(data[name])) for name in ("mirror_poses", "mirror_out_poses"))
     assert_close(geometry.mirror_rotations(poses, MIRROR[:ROTATED]), expected, atol=1e-12, rtol=0)
     trans, expected = (torch.from_numpy(data[name])[:, None] for name in ("mirror_trans", "mirror_out_trans"))
     assert_close(geometry.mirror_positions(trans, [0]), expected, atol=1e-12, rtol=0)
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("stmc"))
+def test_rotations_and_mirror_images_are_the_published_ones(folder, subtests):
+    checked(
+        subtests,
+        [
+            rotation_conversions_agree_with_the_published_ones,
+            mirroring_agrees_with_the_published_one,
+        ],
+        folder,
+    )

@@ -134,7 +134,7 @@ def test_positions_are_above_the_floor_point_under_the_pelvis():
 @given(
     turn=st.floats(-3, 3), x=st.floats(-50, 50), y=st.floats(-50, 50), scale=st.floats(0.5, 2), seed=st.integers(0, 9)
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_features_do_not_depend_on_place_heading_and_size(turn, x, y, scale, seed):
     motion = walk(9, seed=seed)
     other = moved(motion, turn, (x, y))
@@ -143,7 +143,7 @@ def test_features_do_not_depend_on_place_heading_and_size(turn, x, y, scale, see
 
 
 @given(frames=st.integers(2, 60), seed=st.integers(0, 1000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_features_lead_back_to_the_retargeted_joints_by_positions_and_by_rotations(frames, seed):
     motion = walk(frames, seed=seed)
     whole = canonical(uniform(y_up(motion.joints[:, :22])))

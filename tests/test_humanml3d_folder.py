@@ -10,11 +10,11 @@ from pickled import run_code
 from studio import Threads, humanml3d
 from torch.testing import assert_close
 
-from stmc.data import humanml3d as module
 from stmc.data import preparation
 from stmc.data.cache import Cache
-from stmc.data.humanml3d import Caption, ProcessedHumanML3D, read_captions
 from stmc.data.preparation import LayoutError
+from stmc.data.sources import humanml3d as module
+from stmc.data.sources.humanml3d import Caption, ProcessedHumanML3D, read_captions
 
 
 @pytest.fixture(autouse=True)

@@ -15,8 +15,8 @@ from walker import walking
 import stmc
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
-from stmc.data import bandai
-from stmc.data.bvh import parse_bvh
+from stmc.data.sources import bandai
+from stmc.data.sources.bvh import parse_bvh
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
 from stmc.inverse_kinematics import joints_to_rotations, motion_of_joints
 from stmc.motion import Motion
@@ -58,7 +58,7 @@ def poses(frames, seed, size):
 
 
 @given(seed=st.integers(0, 1000), size=st.floats(0.1, 1.5), joints=st.sampled_from([22, 24]), frames=st.integers(1, 6))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_any_pose_of_the_same_proportions_is_reproduced(seed, size, joints, frames):
     motion = poses(frames, seed, size)
     rotations = joints_to_rotations(motion.joints[:, :joints], skeleton())
@@ -97,8 +97,8 @@ def test_another_body_keeps_the_directions_and_stands_on_the_same_floor():
     giant = Skeleton(1.5 * other.offsets)
     back, big = (motion_of_joints(motion.joints, motion.fps, body) for body in (other, giant))
     floor = motion.joints[..., 2].min()
-    assert_close(big.translation[:, 2] - floor, 1.5 * (back.translation[:, 2] - floor), atol=1e-6, rtol=0)
-    assert_close(big.translation[:, :2], 1.5 * back.translation[:, :2], atol=1e-6, rtol=0)
+    assert_close(big.translation[:, 2] - floor, 1.5 * (back.translation[:, 2] - floor), atol=1e-5, rtol=0)
+    assert_close(big.translation[:, :2], 1.5 * back.translation[:, :2], atol=1e-5, rtol=0)
     for joint in (*HINGES, "left_ankle", "right_wrist", "head", "left_foot"):
         index = JOINTS.index(joint)
         before, after = (m.joints[:, index] - m.joints[:, PARENTS[index]] for m in (motion, back))

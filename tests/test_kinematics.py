@@ -8,10 +8,10 @@ import torch
 from mocap import about, posed, skeleton
 from torch import Tensor
 
+from stmc.benchmarks.ability import abilities, raises_while_walking
 from stmc.body import JOINTS, BodyPart
 from stmc.geometry import rotation_z
 from stmc.metrics import kinematics
-from stmc.metrics.ability import abilities, raises_while_walking
 from stmc.motion import Motion
 
 FPS = 30

@@ -3,8 +3,21 @@
 import numpy as np
 import pytest
 import torch
-from conftest import GOLDEN, golden, golden_sets
-from published import close, drawn, entries, frames, mdm, mdm_decoder, watched, weight
+from conftest import GOLDEN, checked, golden, golden_sets
+from published import (
+    close,
+    close_waves,
+    drawn,
+    entries,
+    frames,
+    interleaved,
+    limit_at,
+    mdm,
+    mdm_decoder,
+    watched,
+    waves,
+    weight,
+)
 
 from stmc.denoisers import MdmDecoder, MdmEncoder, MotionDiffuse
 from stmc.diffusion import Schedule, ddpm, guide
@@ -33,9 +46,7 @@ def present(case: dict) -> torch.Tensor:
     return mask(torch.from_numpy(case["lengths"]), case["x"].shape[-1])
 
 
-@pytest.mark.skipif(not GOLDEN.exists(), reason="no golden numbers")
-@pytest.mark.parametrize("name", NAMES)
-def test_names_and_shapes_are_those_of_the_published_checkpoints(name):
+def names_and_shapes_are_those_of_the_published_checkpoints(name):
     if name == "motiondiffuse_t2m":
         network = MotionDiffuse(263, 512)
     elif name == "mdm_trans_enc":
@@ -48,75 +59,95 @@ def test_names_and_shapes_are_those_of_the_published_checkpoints(name):
     assert all(shape == (len(network.positions), 1, network.positions.shape[1]) for shape in tables)
 
 
-@pytest.mark.skipif(not GOLDEN.exists(), reason="no golden numbers")
-def test_the_recipe_of_weights_is_understood():
+def the_recipe_of_weights_is_understood():
     for probe in golden(GOLDEN / "mdm", "weights_convention_probe.json"):
         values = weight(probe["name"], tuple(probe["shape"]), probe["layernorm_weight"], probe["seed"]).flatten()
         assert values[:4].tolist() == probe["first4"] and values[-1].item() == probe["last"]
 
 
-@SETS
-def test_the_encoder_answers_as_the_published_network(folder):
+@pytest.mark.skipif(not GOLDEN.exists(), reason=f"no golden numbers at {GOLDEN} (set STMC_GOLDEN)")
+def test_weights_have_the_names_and_shapes_of_the_published_checkpoints(subtests):
+    names = ((names_and_shapes_are_those_of_the_published_checkpoints, name) for name in NAMES)
+    with torch.device("meta"):
+        checked(subtests, names)
+    checked(subtests, [the_recipe_of_weights_is_understood])
+
+
+def the_encoder_answers_as_the_published_network(folder):
     data = golden(folder, "mdm_enc_forward.npz")
     network = mdm(int(data["weight_seed"]))
     for case in cases(data):
         x, t, text = frames(case["x"]), torch.from_numpy(case["t"]), words(case)
         conditional, null = network(x, t, text), network(x, t, torch.zeros_like(text))
-        close(network._step(t)[:, 0], case["time_emb"][0])
-        close(conditional, frames(case["out_cond"]))
-        close(null, frames(case["out_uncond"]))
+        limit = limit_at(t)
+        close(network._step(t)[:, 0], case["time_emb"][0], limit)
+        close(conditional, frames(case["out_cond"]), limit)
+        close(null, frames(case["out_uncond"]), limit)
         expected = frames(case.get("out_cfg", case.get("out_cfg_first8")))
         guided = [
             guide(one[None], other[None], float(scale))
             for one, other, scale in zip(conditional, null, case["scale"], strict=True)
         ]
-        close(torch.cat(guided)[:, : expected.shape[1]], expected)
+        close(torch.cat(guided)[:, : expected.shape[1]], expected, limit)
 
 
-@SETS
-def test_every_layer_of_the_encoder_is_that_of_the_published_network(folder):
+def every_layer_of_the_encoder_is_that_of_the_published_network(folder):
     data = golden(folder, "mdm_enc_trace.npz")
     network = mdm(int(data["weight_seed"]))
     x, t, text = frames(data["x"]), torch.from_numpy(data["t"]), words(data)
     layers = {f"layer{i}": layer for i, layer in enumerate(network.seqTransEncoder.layers)}
     with watched(layers) as seen:
         out = network(x, t, text)
-    close(seen["layer0"][0], data["trace/encoder_in"].swapaxes(0, 1))
+    close(seen["layer0"][0], data["trace/encoder_in"].swapaxes(0, 1), limit_at(t))
     for name in layers:
-        close(seen[name][1], data[f"trace/{name}"].swapaxes(0, 1))
-    close(network._step(t)[0], data["trace/embed_timestep"][0])
+        close(seen[name][1], data[f"trace/{name}"].swapaxes(0, 1), limit_at(t))
+    close(network._step(t)[0], data["trace/embed_timestep"][0], limit_at(t))
     close(network.read(text), data["trace/embed_text"])
     close(network.input_process["poseEmbedding"](x), data["trace/input_process"].swapaxes(0, 1))
-    close(out, frames(data["out"]))
-    close(network.positions[data["pe_rows_index"]], data["pe_rows"])
-    close(network._step(torch.from_numpy(data["time_emb_index"]))[:, 0], data["time_emb"])
+    close(out, frames(data["out"]), limit_at(t))
+    rows = torch.from_numpy(data["pe_rows_index"])
+    for table in (network.positions[rows], data["pe_rows"]):
+        close_waves(table, interleaved(*waves(rows, network.positions.shape[1])), rows)
+    steps = torch.from_numpy(data["time_emb_index"])
+    close(network._step(steps)[:, 0], data["time_emb"], limit_at(steps))
 
 
-@SETS
-def test_frames_that_are_masked_are_not_attended_to(folder):
+def frames_that_are_masked_are_not_attended_to(folder):
     data = golden(folder, "mdm_enc50_maskframes.npz")
     network = mdm(int(data["weight_seed"]))
     for case in cases(data):
         x, t, text = frames(case["x"]), torch.from_numpy(case["t"]), words(case)
         assert (present(case).numpy() == case["mask"][:, 0, 0]).all()
-        close(network(x, t, text, None, present(case)), frames(case["out_cond_masked"]))
-        close(network(x, t, torch.zeros_like(text), None, present(case)), frames(case["out_uncond_masked"]))
-        close(network(x, t, text)[:, :1], frames(case["out_cond_nomask_frame0"]))
+        close(network(x, t, text, None, present(case)), frames(case["out_cond_masked"]), limit_at(t))
+        close(
+            network(x, t, torch.zeros_like(text), None, present(case)), frames(case["out_uncond_masked"]), limit_at(t)
+        )
+        close(network(x, t, text)[:, :1], frames(case["out_cond_nomask_frame0"]), limit_at(t))
 
 
 @SETS
-def test_the_decoder_answers_as_the_published_network(folder):
+def test_mdm_s_encoder_is_the_published_network(folder, subtests):
+    checked(
+        subtests,
+        [
+            the_encoder_answers_as_the_published_network,
+            every_layer_of_the_encoder_is_that_of_the_published_network,
+            frames_that_are_masked_are_not_attended_to,
+        ],
+        folder,
+    )
+
+
+def the_decoder_answers_as_the_published_network(folder):
     data = golden(folder, "mdm_dec_clip.npz")
     network = mdm_decoder("mdm_trans_dec_clip", int(data["weight_seed"]))
     for case in cases(data):
         x, t, text = frames(case["x"]), torch.from_numpy(case["t"]), words(case)
-        close(network(x, t, text), frames(case["out_cond"]))
-        close(network(x, t, torch.zeros_like(text)), frames(case["out_uncond"]))
+        close(network(x, t, text), frames(case["out_cond"]), limit_at(t))
+        close(network(x, t, torch.zeros_like(text)), frames(case["out_uncond"]), limit_at(t))
 
 
-@SETS
-@pytest.mark.parametrize(("leading", "suffix"), [("step", "head"), ("step_and_text", "8139dda")])
-def test_both_rules_of_the_decoders_leading_token_are_those_of_the_published_network(folder, leading, suffix):
+def both_rules_of_the_decoders_leading_token_are_those_of_the_published_network(folder, leading, suffix):
     data = golden(folder, "mdm_dec_clip_emb.npz")
     network = mdm_decoder("mdm_trans_dec_clip_emb", int(data["weight_seed"]), leading=leading)
     for case in cases(data):
@@ -126,22 +157,33 @@ def test_both_rules_of_the_decoders_leading_token_are_those_of_the_published_net
             torch.testing.assert_close(network(x, t, told), expected, atol=1e-4, rtol=0)
 
 
-@SETS
-def test_the_decoder_reads_the_words_of_distilbert_as_the_published_network(folder):
+def the_decoder_reads_the_words_of_distilbert_as_the_published_network(folder):
     data = golden(folder, "mdm_dec_bert.npz")
     network = mdm_decoder("mdm_trans_dec_bert", int(data["weight_seed"]), text_width=768)
     for case in cases(data):
         x, t = frames(case["x"]), torch.from_numpy(case["t"])
         text = torch.from_numpy(case["tokens"]).transpose(0, 1)
         exists = ~torch.from_numpy(case["token_pad_mask"])
-        close(network(x, t, text, exists, present(case)), frames(case["out_cond"]))
+        close(network(x, t, text, exists, present(case)), frames(case["out_cond"]), limit_at(t))
         none = text.new_zeros(len(text), 1, text.shape[-1])
-        close(network(x, t, none, None, present(case)), frames(case["out_uncond"]))
+        close(network(x, t, none, None, present(case)), frames(case["out_uncond"]), limit_at(t))
 
 
 @SETS
-@pytest.mark.filterwarnings("ignore:The given NumPy array is not writable")
-def test_schedules_are_those_of_the_published_code(folder):
+def test_mdm_s_decoders_are_the_published_networks(folder, subtests):
+    checked(
+        subtests,
+        [
+            the_decoder_answers_as_the_published_network,
+            (both_rules_of_the_decoders_leading_token_are_those_of_the_published_network, "step", "head"),
+            (both_rules_of_the_decoders_leading_token_are_those_of_the_published_network, "step_and_text", "8139dda"),
+            the_decoder_reads_the_words_of_distilbert_as_the_published_network,
+        ],
+        folder,
+    )
+
+
+def schedules_are_those_of_the_published_code(folder):
     data = golden(folder, "diffusion_tables.npz")
     for name in {key.split("/")[0] for key in data}:
         table = {key.split("/")[1]: value for key, value in data.items() if key.startswith(f"{name}/")}
@@ -178,8 +220,7 @@ def compare_tables(schedule: Schedule, table: dict) -> None:
         np.testing.assert_allclose(found, [table[name][t] for name in names], rtol=0, atol=3e-13)
 
 
-@SETS
-def test_posterior_steps_are_those_of_the_published_code(folder):
+def posterior_steps_are_those_of_the_published_code(folder):
     data = golden(folder, "mdm_posterior_steps.npz")
     schedule = Schedule.cosine(1000)
     for t in data["t_values"].tolist():
@@ -191,8 +232,7 @@ def test_posterior_steps_are_those_of_the_published_code(folder):
         close(mean + variance.sqrt() * noise, frames(step[f"t{t}/sample"]))
 
 
-@SETS
-def test_fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folder):
+def fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folder):
     data = golden(folder, "mdm_enc50_sampling.npz")
     network, text, scale = mdm(int(data["weight_seed"])), words(data), float(data["scale"][0])
     states, noises = [], np.random.default_rng(int(data["noise_seed"]))
@@ -208,7 +248,7 @@ def test_fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folde
 
     schedule = Schedule.cosine(50)
     x_last = frames(data["x_T"])
-    x0 = list(ddpm(predict, schedule, x_last, draw, spread="std"))
+    x0 = list(ddpm(predict, schedule, x_last, draw, noise_scale="std"))
     assert len(x0) == int(data["n_noise_draws"])
     for t in data["snapshot_t"].tolist():
         at = len(x0) - 1 - t
@@ -216,3 +256,17 @@ def test_fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folde
         after = states[at + 1] if t else x0[-1]
         close(after, frames(data[f"x_after_t{t}"]), 2e-5)
     assert torch.equal(x_last, frames(drawn(data["xT_seed"], data["x_T"].shape)))
+
+
+@SETS
+@pytest.mark.filterwarnings("ignore:The given NumPy array is not writable")
+def test_mdm_is_sampled_as_by_the_published_code(folder, subtests):
+    checked(
+        subtests,
+        [
+            schedules_are_those_of_the_published_code,
+            posterior_steps_are_those_of_the_published_code,
+            fifty_steps_of_ancestral_sampling_are_those_of_the_published_code,
+        ],
+        folder,
+    )

@@ -1,6 +1,8 @@
 """Every other rule of composing through a tiny random model: lengths, seeds, and what each leaves alone."""
 
 import dataclasses
+import inspect
+import sys
 from collections.abc import Sequence
 
 import pytest
@@ -9,14 +11,19 @@ from test_model import GAP, NOD, THREE, WALK_WAVE, apart
 from tiny import WIDTH, Hashes, tiny
 from torch import Tensor
 
+import stmc
+from stmc.composing import find_method
 from stmc.denoisers import FlowMdm
 from stmc.diffusion import ddim, ddpm, dpm_solver
 from stmc.geometry import matrix_to_rows
 from stmc.model import Model
+from stmc.planning import cross_fade
+from stmc.sampling import Sampling
+from stmc.settings import SettingError, about
 from stmc.statistics import Statistics
 from stmc.timeline import Timeline, single_track
 
-RULES = ("stmc_soft", "multi_diffusion", "double_take", "sinc_slerp", "flow_mdm")
+RULES = ("stmc_paper", "multi_diffusion", "double_take", "sinc_slerp", "flow_mdm")
 
 
 class OneWord(Hashes):
@@ -76,7 +83,7 @@ def test_a_second_take_changes_only_the_ways_to_transitions_and_from_them(flow):
 
 def first_take(model: Model, timeline: Timeline):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stmc.model._Run.retaken", lambda self, plans, content, ramp: content)
+        patch.setattr("stmc.composing.methods.inpaint", lambda predict, content, kept: lambda x, t: content)
         return model.generate(timeline, steps=20, method="double_take")[0]
 
 
@@ -89,9 +96,9 @@ def test_one_track_is_one_sequence_and_a_gap_belongs_to_it(flow):
     shapes = []
     denoise = flow.denoiser.denoise
 
-    def watched(x, *others):
+    def watched(x, *others, **settings):
         shapes.append(tuple(x.shape[:2]))
-        return denoise(x, *others)
+        return denoise(x, *others, **settings)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flow.denoiser, "denoise", watched)
@@ -101,11 +108,161 @@ def test_one_track_is_one_sequence_and_a_gap_belongs_to_it(flow):
 
 
 def test_a_denoiser_of_crops_cannot_make_sequences():
-    with pytest.raises(ValueError, match="MdmSmpl knows one text for all frames; only FlowMdm"):
+    with pytest.raises(ValueError, match="MdmSmpl knows one text for all frames"):
         tiny().generate(NOD, steps=1, method="flow_mdm")
 
 
 @pytest.mark.parametrize("method", ["flow_mdm", "sinc_slerp"])
-def test_what_does_not_stitch_cannot_begin_late(flow, method):
-    with pytest.raises(ValueError, match="0 for SINC and FlowMDM"):
-        flow.generate(NOD, steps=2, late=0.5, method=method)
+def test_what_does_not_stitch_cannot_begin_later(flow, method):
+    with pytest.raises(SettingError, match=r"stitch_from=0\.5: .* has no such setting"):
+        flow.generate(NOD, steps=2, stitch_from=0.5, method=method)
+
+
+# Methods of one's own ---------------------------------------------------------------------------------------------
+
+
+def test_a_rule_of_ones_own_is_a_method_and_stitches_from_any_moment(flow):
+    for start in (0.0, 0.5):
+        [named] = flow.generate(WALK_WAVE, steps=4, stitch_from=start)
+        [own] = flow.generate(WALK_WAVE, steps=4, stitch_from=start, method=stmc.stitched(cross_fade))
+        [rule] = flow.generate(WALK_WAVE, steps=4, stitch_from=start, method=cross_fade)
+        assert apart(named, own) == apart(named, rule) == 0
+
+
+def test_a_method_is_any_function_of_a_run(flow):
+    still = stmc.Method(lambda run: torch.zeros(len(run.timelines), 110, run.layout.width), "Still")
+    first, second = flow.generate([WALK_WAVE, NOD], method=still)
+    assert (first.frames, second.frames) == (110, 26)
+    assert apart(first, flow.generate(WALK_WAVE, seed=7, method=still)[0]) == 0
+
+
+def test_the_paper_s_algorithm_is_hard_edges_from_the_first_step_on_and_its_noise_whatever_the_model_says(flow):
+    own = dataclasses.replace(flow, sampling=Sampling(stitch_from=0.5, noise_scale="std", guidance=2.5))
+    [paper] = own.generate(WALK_WAVE, steps=4, method="stmc_paper")
+    [spelled] = own.generate(WALK_WAVE, steps=4, method=stmc.stitched(), stitch_from=0.0, noise_scale="variance")
+    assert apart(paper, spelled) == 0
+    with pytest.raises(SettingError, match=r"stitch_from=0\.2: STMC \(paper\) fixes it at 0\.0"):
+        own.generate(WALK_WAVE, method="stmc_paper", stitch_from=0.2)
+
+
+def test_a_dotted_name_is_imported_of_trusted_packages_alone(tmp_path, monkeypatch):
+    (tmp_path / "mylab").mkdir()
+    (tmp_path / "mylab" / "rules.py").write_text(
+        "import stmc\ndef mine(plan):\n    return plan\nown = stmc.Method(print, 'Own')\nnumber = 3\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(SettingError, match="'mylab' is not among the trusted packages"):
+        find_method("mylab.rules.mine")
+    assert "mylab" not in sys.modules
+    assert find_method("mylab.rules.mine", ["mylab"]).label == "mine"
+    assert find_method("mylab.rules.own", ["mylab"]).label == "Own"
+    for name, message in (("mylab.rules.none", "no attribute 'none'"), ("mylab.no.mine", "No module named")):
+        with pytest.raises(SettingError, match=message):
+            find_method(name, ["mylab"])
+    with pytest.raises(SettingError, match="method=3: a name, a Method or a rule"):
+        find_method("mylab.rules.number", ["mylab"])
+
+
+def test_the_name_that_cross_fading_had_is_answered_with_todays():
+    with pytest.raises(SettingError, match="stmc_soft is now stmc"):
+        find_method("stmc_soft")
+
+
+def test_independent_prompts_are_timelines_of_one_prompt_each(flow):
+    [alone] = flow.generate(NOD, steps=2, method="independent")
+    assert apart(alone, flow.generate(NOD, steps=2, stitch_from=0.0)[0]) < 1e-6
+    with pytest.raises(ValueError, match="one prompt a timeline, not 3"):
+        flow.generate(WALK_WAVE, steps=2, method="independent")
+
+
+# Denoisers and encoders of one's own --------------------------------------------------------------------------------
+
+
+def test_a_plain_function_is_a_denoiser_and_one_that_encodes_a_text_encoder(flow):
+    seen = []
+
+    def shrink(x, t, text, text_mask, mask):
+        seen.append((len(x), text.shape[-1]))
+        return 0.5 * x
+
+    plain = dataclasses.replace(tiny(), denoiser=shrink, text_encoder=Hashes().encode)
+    [motion] = plain.generate(NOD, steps=2)
+    assert motion.frames == 26
+    assert seen == [(2, WIDTH)] * 2
+    assert plain.to("cpu").generate(NOD, steps=2)[0].frames == 26
+    assert plain.network.fixed_length is None and plain.network.supports_padding
+
+
+def test_what_a_denoiser_of_ones_own_can_do_are_its_attributes(flow):
+    network = flow.denoiser
+
+    class Mine:
+        fixed_length = 60
+        per_frame_text = True
+
+        def __call__(self, x, t, text, text_mask, mask, segment=None):
+            assert x.shape[1] == 60 or segment is not None
+            return network(x, t, text, text_mask, mask, segment)
+
+    mine = dataclasses.replace(flow, denoiser=Mine(), longest=60)
+    assert mine.generate(WALK_WAVE, steps=1)[0].frames == 110
+    assert mine.generate(NOD, steps=1, method="flow_mdm")[0].frames == 26
+    with pytest.raises(SettingError, match=r"ape_steps=0\.5: the model has no such setting"):
+        mine.generate(NOD, ape_steps=0.5)
+
+
+def test_the_share_of_absolute_steps_is_the_sampling_s_and_leaves_the_network_alone(flow):
+    assert flow.own_sampling.ape_steps == 0.1
+    [usual, same, all_absolute] = (
+        flow.generate(WALK_WAVE, steps=4, method="flow_mdm", **settings)[0]
+        for settings in ({}, {"ape_steps": 0.1}, {"ape_steps": 1.0})
+    )
+    assert apart(usual, same) == 0
+    assert apart(usual, all_absolute) > 1e-5
+    assert flow.denoiser.absolute_from == 90
+
+
+# Settings -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"steps": 101},
+        {"steps": True},
+        {"steps": 2.5},
+        {"guidance": float("nan")},
+        {"overlap": "half"},
+        {"overlap": 1e9},
+        {"noise_scale": "std", "sampler": "ddim"},
+        {"stitch_from": 0.2, "method": "sinc_lerp"},
+        {"seed": -1},
+        {"seed": True},
+        {"seed": 1.5},
+        {"seed": "x"},
+        {"seed": [0, -1]},
+        {"stepps": 3},
+        {"method": "magic"},
+    ],
+)
+def test_whatever_does_not_fit_is_one_short_sentence(settings):
+    with pytest.raises(SettingError) as caught:
+        tiny().generate(NOD, **settings)
+    assert len(str(caught.value)) < 300 and "\n" not in str(caught.value)
+
+
+def test_a_timeline_may_be_its_text():
+    model = tiny()
+    [read] = model.generate("nod # 0 # 1.3 # head", steps=1)
+    assert apart(read, model.generate([NOD], steps=1)[0]) == 0
+    assert len(model.generate(["nod # 0 # 1.3 # head", NOD], steps=1)) == 2
+
+
+def test_the_settings_are_in_the_signature_of_generate():
+    named = inspect.signature(stmc.Model.generate).parameters
+    assert {"timelines", "seed", "method", "progress", *about(Sampling)} <= set(named)
+
+
+def test_a_model_and_its_parts_fit_a_screen(flow):
+    assert len(repr(flow)) < 600
+    assert "FlowMdm of" in repr(flow)

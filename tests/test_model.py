@@ -17,16 +17,18 @@ from stmc.denoisers import Network
 from stmc.diffusion import Noise, ddim, ddpm, dpm_solver
 from stmc.model import Model
 from stmc.motion import Motion
+from stmc.planning import cross_fade
+from stmc.sampling import Sampling
 from stmc.timeline import Timeline
 
 WALK_WAVE = Timeline.parse("walk forwards # 0 # 4 # legs\nwave # 1 # 3 # right arm\nsit down # 4 # 5.5 # legs # spine")
 NOD = Timeline.parse("nod # 0 # 1.3 # head")
 GAP = Timeline.parse("turn left # 0 # 1 # legs\nturn left # 2 # 3 # legs")
 THREE = [WALK_WAVE, NOD, GAP]
-METHODS = ("stmc", "sinc", "sinc_lerp", "single_track", "one_text")
+METHODS = ("stmc", "stmc_paper", "sinc", "sinc_lerp", "single_track", "one_text")
 SAMPLERS = {
     "ddpm": ddpm,
-    "ddpm, variance": partial(ddpm, spread="variance"),
+    "ddpm, variance": partial(ddpm, noise_scale="variance"),
     "ddim": ddim,
     "ddim, eta": partial(ddim, eta=1.0),
     "dpm_solver": dpm_solver,
@@ -71,12 +73,13 @@ def test_a_motion_is_the_same_alone_and_in_any_batch(model, sampler, method):
 def test_a_number_of_steps_that_is_not_said_is_that_of_training(model):
     seen = []
 
-    def counted(steps):
+    def counted(steps, total):
+        assert total == 100
         for x0 in steps:
             seen.append(x0.shape)
             yield x0
 
-    model.generate(NOD, track=counted)
+    model.generate(NOD, progress=counted)
     assert seen == [(1, 26, 205)] * 100
 
 
@@ -107,7 +110,7 @@ def test_the_text_guidance_and_overlap_change_the_motion(model):
     assert apart(plain, model.generate(WALK_WAVE, steps=4, guidance=1.0)[0]) > 1e-3
     assert apart(plain, model.generate(WALK_WAVE, steps=4, overlap=1.0)[0]) > 1e-3
     silent = model.generate([WALK_WAVE, other_words], seed=[0, 0], steps=4, guidance=0.0)
-    assert apart(*silent) == 0
+    assert apart(*silent) < 1e-5
 
 
 def test_without_overlap_and_simultaneous_texts_all_methods_of_one_track_agree_with_a_single_crop(model):
@@ -128,19 +131,19 @@ def test_sinc_takes_each_part_from_one_crop_and_its_lerp_changes_only_the_seams(
     assert not changed[45:].any()
 
 
-@pytest.mark.parametrize("late", [0.25, 0.5, 0.9])
-def test_late_stitching_goes_on_from_the_crops_as_they_are(model, late):
+@pytest.mark.parametrize("start", [0.25, 0.5, 0.9])
+def test_late_stitching_goes_on_from_the_crops_as_they_are(model, start):
     """Of a single crop there is nothing to stitch: whenever it begins, it is what it would be alone."""
     settings = {"steps": 4, "sampler": ddim}
     alone = model.generate([NOD], method="sinc", **settings)[0]
-    assert apart(model.generate([NOD], late=late, **settings)[0], alone) < 1e-6
-    first, second = model.generate([NOD, WALK_WAVE], late=late, **settings)
+    assert apart(model.generate([NOD], stitch_from=start, **settings)[0], alone) < 1e-6
+    first, second = model.generate([NOD, WALK_WAVE], stitch_from=start, **settings)
     assert apart(first, alone) < 1e-5
     assert second.frames == WALK_WAVE.frames(20)
 
 
 def test_stitching_later_is_neither_stitching_from_the_start_nor_at_the_end(model):
-    made = [model.generate([WALK_WAVE], steps=4, sampler=ddim, late=late)[0] for late in (0.0, 0.1, 0.5)]
+    made = [model.generate([WALK_WAVE], steps=4, sampler=ddim, stitch_from=start)[0] for start in (0.0, 0.1, 0.5)]
     assert apart(made[0], made[1]) == 0, "less than one step of four"
     sinc = model.generate([WALK_WAVE], steps=4, sampler=ddim, method="sinc")[0]
     assert min(apart(made[2], made[0]), apart(made[2], sinc)) > 1e-3
@@ -184,8 +187,8 @@ def test_embeddings_are_normalised_and_as_long_as_their_texts(model):
 
 def test_the_pieces_of_generate_give_what_generate_gives(model):
     """As in the documentation: plans, guided crops, the collage, a sampler, decoding."""
-    plans = model.plans(THREE, overlap=0.5)
-    predict = stmc.collage(model.guided(plans, weight=2.5), plans, model.representation.columns)
+    plans = [cross_fade(plan) for plan in model.plans(THREE, overlap=0.5)]
+    predict = stmc.collage(model.guided(plans, guidance=2.5), plans, model.representation.columns)
     draw = Noise([0, 1, 2], [plan.frames for plan in plans], model.representation.width)
     with torch.inference_mode():
         for x0 in stmc.ddim(predict, model.schedule, draw(), draw, steps=5):  # noqa: B007
@@ -214,12 +217,13 @@ def test_a_body_part_obeys_its_own_prompt_alone(model):
     [
         ({"seed": [1]}, "1 seeds for 3 timelines"),
         ({"method": "magic"}, "magic"),
-        ({"seed": -5}, "seed -5 is negative"),
-        ({"overlap": -1.0}, "overlap -20 must be 0"),
+        ({"joints_from": "mesh"}, "mesh"),
+        ({"seed": -5}, "seed=-5: a whole number needed, at least 0"),
+        ({"overlap": -1.0}, r"overlap=-1\.0: must be at least 0"),
         ({"steps": 101}, "101"),
         ({"steps": 0}, "0"),
-        ({"late": 1.0}, r"late=1\.0: the share"),
-        ({"late": 0.5, "method": "sinc"}, "0 for SINC"),
+        ({"stitch_from": 1.0}, r"stitch_from=1\.0: must be"),
+        ({"stitch_from": 0.5, "method": "sinc"}, "SINC w/o Lerp has no such setting"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(model, arguments, message):
@@ -227,22 +231,22 @@ def test_what_cannot_be_meant_is_refused(model, arguments, message):
         model.generate(THREE, **({"steps": 2} | arguments))
 
 
-def test_guidance_spread_and_sampler_are_the_models_own_unless_told(model):
-    own = dataclasses.replace(model, guidance=1.5, spread="std")
-    [expected] = model.generate(NOD, steps=3, guidance=1.5, sampler=partial(ddpm, spread="std"))
+def test_guidance_noise_scale_and_sampler_are_the_models_own_unless_told(model):
+    own = dataclasses.replace(model, sampling=Sampling(guidance=1.5, noise_scale="std"))
+    [expected] = model.generate(NOD, steps=3, guidance=1.5, sampler=partial(ddpm, noise_scale="std"))
     assert apart(own.generate(NOD, steps=3)[0], expected) == 0
     assert apart(model.generate(NOD, steps=3)[0], expected) > 1e-3
-    [usual] = model.generate(NOD, steps=3, guidance=2.5, sampler=partial(ddpm, spread="variance"))
+    [usual] = model.generate(NOD, steps=3, guidance=2.5, sampler=partial(ddpm, noise_scale="variance"))
     assert apart(model.generate(NOD, steps=3)[0], usual) == 0
 
 
-def test_a_model_of_its_own_lateness_stitches_late_unless_told_and_its_baselines_do_not(model):
-    own, settings = dataclasses.replace(model, late=0.5), {"steps": 4, "sampler": ddim}
-    [late] = model.generate([WALK_WAVE], late=0.5, **settings)
+def test_a_model_that_stitches_late_does_so_unless_told_and_its_baselines_do_not(model):
+    own, settings = dataclasses.replace(model, sampling=Sampling(stitch_from=0.5)), {"steps": 4, "sampler": ddim}
+    [late] = model.generate([WALK_WAVE], stitch_from=0.5, **settings)
     [at_once] = model.generate([WALK_WAVE], **settings)
     assert apart(own.generate([WALK_WAVE], **settings)[0], late) == 0
-    assert apart(own.generate([WALK_WAVE], late=0.0, **settings)[0], at_once) == 0
-    for method in ("single_track", "sinc"):
+    assert apart(own.generate([WALK_WAVE], stitch_from=0.0, **settings)[0], at_once) == 0
+    for method in ("single_track", "sinc", "stmc_paper"):
         expected = model.generate([WALK_WAVE], method=method, **settings)[0]
         assert apart(own.generate([WALK_WAVE], method=method, **settings)[0], expected) == 0
 

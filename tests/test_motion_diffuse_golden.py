@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
-from published import close, drawn, motion_diffuse, watched, words_of
+from conftest import checked, golden, golden_sets
+from published import close, close_waves, drawn, limit_at, motion_diffuse, watched, waves, words_of
 from torch import Tensor
 
 from stmc.diffusion import Schedule, ddpm
@@ -28,8 +28,7 @@ def in_order(words: Tensor, ends) -> Tensor:
     return torch.stack(rows)
 
 
-@SETS
-def test_texts_are_read_as_by_the_published_network(folder):
+def texts_are_read_as_by_the_published_network(folder):
     data = golden(folder, "md_text.npz")
     network = motion_diffuse(int(data["weight_seed"]))
     read = network.read(texts(folder))
@@ -40,22 +39,22 @@ def test_texts_are_read_as_by_the_published_network(folder):
     close(words[:, -2:], data["xf_out_last2"])
 
 
-@SETS
-def test_the_network_answers_as_the_published_one(folder):
+def the_network_answers_as_the_published_one(folder):
     data = golden(folder, "md_forward.npz")
     network = motion_diffuse(int(data["weight_seed"]))
     steps = torch.from_numpy(data["timestep_embedding_t"])
-    close(network._waves(steps), data["timestep_embedding"])
-    close(network.time_embed(network._waves(steps)), data["time_embed"])
+    for table in (network._waves(steps), data["timestep_embedding"]):
+        sines, cosines = waves(steps, data["timestep_embedding"].shape[1])
+        close_waves(table, torch.cat([cosines, sines], dim=1), steps)
+    close(network.time_embed(network._waves(steps)), data["time_embed"], limit_at(steps))
     for i in range(int(data["n_cases"])):
         case = {key.removeprefix(f"c{i}/"): torch.from_numpy(data[key]) for key in data if key.startswith(f"c{i}/")}
         present = mask(case["length"], case["x"].shape[1])
         out = network(case["x"], case["t"], texts(folder)[case["text_index"]], None, present)
-        close(out, case["out"])
+        close(out, case["out"], limit_at(case["t"]))
 
 
-@SETS
-def test_every_block_is_that_of_the_published_network(folder):
+def every_block_is_that_of_the_published_network(folder):
     data = golden(folder, "md_trace.npz")
     network = motion_diffuse(int(data["weight_seed"]))
     blocks = network.temporal_decoder_blocks
@@ -67,15 +66,27 @@ def test_every_block_is_that_of_the_published_network(folder):
     before = seen["block0"][0]
     for name in inner:  # the published parts add what stands before them; ours are added outside
         before = before + seen[name][1]
-        close(before, data[f"trace/{name}"])
+        close(before, data[f"trace/{name}"], limit_at(t))
     for name in parts:
-        close(seen[name][1], data[f"trace/{name}"])
+        close(seen[name][1], data[f"trace/{name}"], limit_at(t))
     assert {f"trace/{name}" for name in seen} == {key for key in data if key.startswith("trace/")}
-    close(out, data["out"])
+    close(out, data["out"], limit_at(t))
 
 
 @SETS
-def test_posterior_steps_from_noise_are_those_of_the_published_code(folder):
+def test_motion_diffuse_is_the_published_network(folder, subtests):
+    checked(
+        subtests,
+        [
+            texts_are_read_as_by_the_published_network,
+            the_network_answers_as_the_published_one,
+            every_block_is_that_of_the_published_network,
+        ],
+        folder,
+    )
+
+
+def posterior_steps_from_noise_are_those_of_the_published_code(folder):
     data = golden(folder, "md_posterior_steps.npz")
     schedule = Schedule.linear(1000)
     for t in data["t_values"].tolist():
@@ -88,8 +99,7 @@ def test_posterior_steps_from_noise_are_those_of_the_published_code(folder):
         close(mean + variance.sqrt() * noise, data[f"t{t}/sample"])
 
 
-@SETS
-def test_the_last_ten_steps_are_those_of_the_published_code(folder):
+def the_last_ten_steps_are_those_of_the_published_code(folder):
     data = golden(folder, "md_last10_steps.npz")
     network, schedule = motion_diffuse(int(data["weight_seed"])), Schedule.linear(1000)
     x, length = torch.from_numpy(data["x_9"]), torch.from_numpy(data["length"])
@@ -105,7 +115,19 @@ def test_the_last_ten_steps_are_those_of_the_published_code(folder):
         return torch.from_numpy(noises.standard_normal(tuple(shape)).astype(np.float32))
 
     last = schedule.respaced(tuple(range(10)))
-    final = list(ddpm(predict, last, x, draw, spread="std"))[-1]
+    final = list(ddpm(predict, last, x, draw, noise_scale="std"))[-1]
     after = {9 - i: state for i, state in enumerate(states[1:])} | {0: final}
     for t in (9, 5, 1, 0):
         close(after[t], data[f"x_after_t{t}"])
+
+
+@SETS
+def test_motion_diffuse_is_sampled_as_by_the_published_code(folder, subtests):
+    checked(
+        subtests,
+        [
+            posterior_steps_from_noise_are_those_of_the_published_code,
+            the_last_ten_steps_are_those_of_the_published_code,
+        ],
+        folder,
+    )

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stmc.benchmarks.atomic_prompts import SHORTEST, AtomicPrompt, construct, read_atoms, write_atoms
 from stmc.body import BodyPart
-from stmc.mtt import SHORTEST, AtomicPrompt, construct, read_atoms, write_atoms
 from stmc.timeline import Timeline, TimelineError
 
 PUBLISHED = Path(__file__).parents[1] / ".." / "shared" / "data" / "mtt"
@@ -30,7 +30,7 @@ ATOMS = [
 ]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32))
 def test_every_timeline_has_two_prompts_in_a_row_and_a_third_on_body_parts_of_its_own(seed):
     for timeline in construct(ATOMS, 20, seed):

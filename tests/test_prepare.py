@@ -7,14 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripting import run
+from scripting import configured, loaded, run
 from studio import Threads, amass, babel, humanml3d, published
 from test_body_model import write_body
+from tiny import tiny
 
 import stmc
 from stmc.data import preparation
 from stmc.data.cache import FEATURES, TABLE, Cache
 from stmc.data.report import NUMBERS, TEXT
+from stmc.files import LOCK, FolderInUse, locked
+from stmc.run import CARD
 
 TIMELINE = "walk # 0 # 2 # legs\nraise the right arm # 0.5 # 1.5 # right arm\n"
 
@@ -104,7 +107,7 @@ def test_what_is_skipped_is_counted_on_the_screen_and_named_in_the_report(tmp_pa
 )
 def test_what_cannot_be_meant_ends_in_a_sentence_and_leaves_nothing(overrides, message, tmp_path, in_this_process):
     given = [override.format(tmp_path) for override in overrides]
-    with pytest.raises(SystemExit, match=message):
+    with pytest.raises(ValueError, match=message):
         run("prepare", "prepare", *given, f"folder={tmp_path / 'cache'}", "workers=1")
     assert os.listdir(tmp_path) == []
 
@@ -113,7 +116,7 @@ def test_where_nothing_can_be_used_no_cache_is_left(tmp_path, in_this_process):
     source = humanml3d(tmp_path / "HumanML3D", clips=2)
     for path in (source / "new_joint_vecs").iterdir():
         path.write_bytes(b"")
-    with pytest.raises(SystemExit, match="not one clip could be used, 4 were skipped; the first: 000000: damaged"):
+    with pytest.raises(ValueError, match="not one clip could be used, 4 were skipped; the first: 000000: damaged"):
         run(
             "prepare",
             "prepare",
@@ -125,12 +128,29 @@ def test_where_nothing_can_be_used_no_cache_is_left(tmp_path, in_this_process):
     assert not (tmp_path / "c" / TABLE).exists()
 
 
-def test_a_worker_that_is_killed_ends_in_a_sentence(tmp_path, monkeypatch):
+def test_a_worker_that_is_killed_ends_in_a_sentence(tmp_path, monkeypatch, capsys):
     def killed(*_, **__):
         raise BrokenProcessPool
 
     monkeypatch.setattr(preparation, "ProcessPoolExecutor", killed)
     source = humanml3d(tmp_path / "HumanML3D", clips=2)
     settings = (f"source={source}", f"folder={tmp_path / 'c'}", "workers=1")
-    with pytest.raises(SystemExit, match="a worker was killed, perhaps for memory"):
-        run("prepare", "prepare", "data=humanml3d_processed", *settings)
+    assert loaded("prepare").main(["data=humanml3d_processed", *settings]) == 2
+    assert capsys.readouterr().err == "a worker was killed, perhaps for memory; ask again, with fewer workers=\n"
+
+
+def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, in_this_process):
+    busy, source = tmp_path / "busy", humanml3d(tmp_path / "HumanML3D", clips=2)
+    with locked(busy):
+        for name in ("train", "train_tmr"):
+            with pytest.raises(FolderInUse, match=rf"{busy} is being written by process {os.getpid()} on host"):
+                run(name, name, f"run={busy}", "data.folder=nowhere", "device=cpu")
+        with pytest.raises(ValueError, match="is being written by process"):
+            run("prepare", "prepare", "data=humanml3d_processed", f"source={source}", f"folder={busy}", "workers=1")
+        assert os.listdir(busy) == [LOCK]
+
+
+def test_a_card_tells_which_settings_were_changed_on_the_way(tmp_path):
+    config = configured("train", f"run={tmp_path}", "data.folder=cache")
+    loaded("train").export(config, tiny(), 8, ["after step 4: cache: abc → abd"])
+    assert "Settings changed after step 4: cache: abc → abd" in (tmp_path / CARD).read_text("utf-8")

@@ -8,7 +8,8 @@ import checkpoints
 import numpy as np
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
+from scripting import run
 from test_scripts import script
 from test_text import RunsCode
 
@@ -32,10 +33,9 @@ def test_a_checkpoint_becomes_a_run_directory_with_the_same_network(tmp_path, wr
     network = write(tmp_path / "theirs")
     source = tmp_path / "theirs" / FILES[write] if by_file else tmp_path / "theirs"
     model = stmc.load(convert(source, tmp_path / "ours"))
-    expected = network.state_dict()
-    assert {name: value.tolist() for name, value in model.denoiser.state_dict().items()} == {
-        name: value.tolist() for name, value in expected.items()
-    }
+    weights, expected = model.denoiser.state_dict(), network.state_dict()
+    assert set(weights) == set(expected)
+    assert all(torch.equal(weights[name], value) for name, value in expected.items())
     assert type(model.denoiser) is type(network)
     x, text = torch.randn(1, 7, model.representation.width), torch.randn(1, 1, 512)
     t = torch.tensor([3])
@@ -47,7 +47,8 @@ def test_what_mdm_smpl_is_sampled_with_is_that_of_the_published_code(tmp_path):
     checkpoints.mdm_smpl(tmp_path / "theirs")
     model = stmc.load(convert(tmp_path / "theirs", tmp_path / "ours"))
     assert (model.schedule.steps, model.fps, model.longest, model.prediction) == (100, 20, 200, "x0")
-    assert (model.guidance, model.spread, model.denoiser.window) == (2.5, "variance", None)
+    assert (model.own_sampling.guidance, model.own_sampling.noise_scale) == (2.5, "variance")
+    assert model.network.fixed_length is None
     state = torch.load(tmp_path / "theirs" / FILES[checkpoints.mdm_smpl], weights_only=True)["state_dict"]
     for side, statistics in (("motion", model.motion_statistics), ("text", model.text_statistics)):
         assert torch.equal(statistics.mean, state[f"{side}_normalizer.mean"])
@@ -59,7 +60,8 @@ def test_what_mdm_is_sampled_with_is_that_of_the_published_code(tmp_path):
     checkpoints.mdm(tmp_path / "theirs")
     model = stmc.load(convert(tmp_path / "theirs", tmp_path / "ours"))
     assert (model.schedule.steps, model.fps, model.longest, model.prediction) == (1000, 20, 196, "x0")
-    assert (model.guidance, model.spread, model.denoiser.window) == (2.5, "std", 196)
+    assert (model.own_sampling.guidance, model.own_sampling.noise_scale) == (2.5, "std")
+    assert model.network.fixed_length == 196
     np.testing.assert_array_equal(model.motion_statistics.mean, np.load(tmp_path / "theirs" / "Mean.npy"))
     np.testing.assert_array_equal(model.motion_statistics.std, np.load(tmp_path / "theirs" / "Std.npy"))
     assert not model.text_encoder.encode([""])[0].any()
@@ -71,7 +73,8 @@ def test_what_motion_diffuse_is_sampled_with_is_that_of_the_published_code(tmp_p
     checkpoints.motion_diffuse(tmp_path / "theirs")
     model = stmc.load(convert(tmp_path / "theirs", tmp_path / "ours"))
     assert (model.schedule.steps, model.fps, model.longest, model.prediction) == (1000, 20, 196, "eps")
-    assert (model.guidance, model.spread, model.denoiser.window) == (1.0, "std", None)
+    assert (model.own_sampling.guidance, model.own_sampling.noise_scale) == (1.0, "std")
+    assert model.network.fixed_length is None
     np.testing.assert_array_equal(model.motion_statistics.std, np.load(tmp_path / "theirs" / "meta" / "std.npy"))
     assert model.text_encoder.name == "openai/clip-vit-base-patch32 positions"
     assert float(model.schedule.beta[-1]) == pytest.approx(0.02)
@@ -91,12 +94,17 @@ def test_an_imported_model_samples_with_the_scripts(tmp_path):
     assert motion.frames == 30 and motion.joints.isfinite().all()
 
 
-@pytest.mark.parametrize("write", WRITERS)
+@pytest.fixture(scope="module", params=WRITERS)
+def imported(request, tmp_path_factory) -> stmc.Model:
+    folder = tmp_path_factory.mktemp("imported")
+    request.param(folder / "theirs")
+    return read(folder / "theirs", text_model=str(checkpoints.clip(folder / "clip"))).model
+
+
 @pytest.mark.parametrize("method", ["stmc", "sinc", "sinc_lerp", "single_track", "one_text"])
-def test_every_method_runs_with_every_imported_model(tmp_path, write, method):
+def test_every_method_runs_with_every_imported_model(imported, method):
     """Also for prompts longer than the model knows; a motion does not depend on its batch."""
-    write(tmp_path / "theirs")
-    model = read(tmp_path / "theirs", text_model=str(checkpoints.clip(tmp_path / "clip"))).model
+    model = imported
     timelines = [
         stmc.Timeline.parse("walk # 0 # 11 # legs\nturn left # 1 # 3 # head"),
         stmc.Timeline.parse("raise # 0 # 1 # right arm"),
@@ -122,10 +130,10 @@ def test_weights_in_a_file_with_a_moving_average_are_the_ones_that_args_ask_for(
         assert torch.equal(weight, network.embed_text.weight)
 
 
-def test_fifty_steps_with_masked_frames_need_no_window(tmp_path):
+def test_fifty_steps_with_masked_frames_need_no_fixed_length(tmp_path):
     checkpoints.mdm(tmp_path, diffusion_steps=50, mask_frames=True, text_encoder_type="clip")
     model = read(tmp_path).model
-    assert model.schedule.steps == 50 and model.denoiser.window is None
+    assert model.schedule.steps == 50 and model.denoiser.fixed_length is None
     assert float(model.schedule.beta[0]) == pytest.approx(0.00175, rel=1e-2)
 
 
@@ -235,22 +243,45 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
         (partial(checkpoints.mdm, pred_len=40, context_len=20), "pred_len is 40"),
         (partial(checkpoints.mdm, sigma_small=False), "sigma_small is False"),
         (partial(checkpoints.mdm, text_encoder_type="bert"), "reads CLIP's sentences only"),
-        (partial(checkpoints.mdm, layers="many"), "layers must be a positive whole number, not 'many'"),
+        (partial(checkpoints.mdm, layers="many"), "layers must be a positive whole number up to 10000, not 'many'"),
         (partial(checkpoints.mdm, latent_dim=18), "(?s)args.json: denoiser cannot be built: .*multiple of heads"),
         (partial(checkpoints.mdm, latent_dim=32), r"does not fit|another table of positions"),
-        (partial(checkpoints.mdm, layers=2), r"does not fit MdmEncoder. missing: seqTransEncoder\.layers\.1"),
+        (
+            partial(checkpoints.mdm, layers=2),
+            r"does not fit the denoiser .*, MdmEncoder. missing: seqTransEncoder\.layers\.1",
+        ),
         (partial(checkpoints.mdm, use_ema=True, wrap=lambda weights: {"model": weights}), "has no model_avg"),
         (partial(checkpoints.motion_diffuse, more="no_eff: True"), "no_eff is True"),
         (partial(checkpoints.motion_diffuse, more="no_clip: True"), "no_clip is True"),
         (partial(checkpoints.motion_diffuse, more="dataset_name: kit"), "dataset_name is kit"),
         (partial(checkpoints.motion_diffuse, more="num_layers: two"), "num_layers must be a positive whole number"),
-        (partial(checkpoints.motion_diffuse, more=""), "does not fit MotionDiffuse"),
+        (partial(checkpoints.motion_diffuse, more=""), "does not fit the denoiser of the config, MotionDiffuse"),
         (partial(checkpoints.mdm_smpl, motion_features="rots"), "motion_features must be smplrifke or guoh3dfeats"),
         (partial(checkpoints.mdm_smpl, diffusion__prediction="y"), "prediction must be one of x, x0"),
-        (partial(checkpoints.mdm_smpl, diffusion__schedule={"_target_": "Square"}), "a cosine or linear schedule"),
+        (
+            partial(checkpoints.mdm_smpl, diffusion__schedule={"_target_": "Square"}),
+            "schedule must be cosine or",
+        ),
         (partial(checkpoints.mdm_smpl, diffusion__denoiser__num_heads=7), "config.json: denoiser cannot be built"),
+        (partial(checkpoints.mdm, layers=10**9), "layers must be a positive whole number up to"),
+        (partial(checkpoints.mdm, layers=9_999), "denoiser cannot be built: it has more layers than the"),
+        (partial(checkpoints.mdm, latent_dim=10_000), "does not fit the denoiser of the config, MdmEncoder"),
+        (partial(checkpoints.mdm, layers=True), "layers must be a positive whole number"),
+        (partial(checkpoints.mdm, noise_schedule=["cosine"]), "noise_schedule is"),
+        (partial(checkpoints.mdm_smpl, diffusion__timesteps=10**9), "timesteps must be a positive whole number up to"),
+        (partial(checkpoints.mdm_smpl, diffusion__timesteps="ten"), "timesteps must be a positive whole number"),
+        (
+            partial(checkpoints.mdm_smpl, diffusion__denoiser__num_heads="two"),
+            "denoiser.heads='two': a whole",
+        ),
+        (partial(checkpoints.mdm_smpl, diffusion__denoiser__dropout=[0]), r"denoiser.dropout=\[0\]: a number needed"),
+        (partial(checkpoints.mdm_smpl, diffusion__prediction=[]), "prediction must be one of x, x0"),
+        (partial(checkpoints.mdm_smpl, motion_features={}), "motion_features must be smplrifke or"),
+        (partial(checkpoints.mdm_smpl, data__text_encoder__modelname=7), "modelname must be a model's name, not 7"),
+        (partial(checkpoints.mdm_smpl, data__motion_loader__fps=1e300), "fps must be a positive number up to 1000"),
+        (partial(checkpoints.motion_diffuse, more="num_layers: " + "9" * 5000), "num_layers must be a positive whole"),
         (partial(checkpoints.mdm_smpl, data__motion_loader={}), "has no setting data.motion_loader.fps"),
-        (partial(checkpoints.mdm_smpl, data__motion_loader__fps=0), "fps must be a positive number, not 0"),
+        (partial(checkpoints.mdm_smpl, data__motion_loader__fps=0), "fps must be a positive number up to 1000, not 0"),
         (
             partial(checkpoints.mdm_smpl, data__text_encoder__modelname="gpt"),
             "mean_pooling of 'gpt' is not supported",
@@ -269,6 +300,27 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
 def test_what_cannot_be_imported_is_refused_with_the_reason(tmp_path, write, message):
     write(tmp_path / "theirs")
     refused(tmp_path / "theirs", message)
+
+
+CODE = "${oc.create:{_target_:pathlib.Path.touch,self:proof}}"
+
+
+@pytest.mark.parametrize("setting", [
+    {"diffusion__denoiser__dropout": CODE},
+    {"diffusion__denoiser__num_heads": CODE},
+    {"diffusion__schedule": {"_target_": "CosineSchedule", "s": CODE}},
+    {"diffusion__timesteps": CODE},
+    {"data__text_encoder__modelname": CODE, "data__text_encoder__mean_pooling": False},
+    {"data__motion_loader__fps": CODE},
+    {"diffusion__denoiser__dropout": {"_target_": "pathlib.Path.touch", "self": "proof"}},
+])  # fmt: skip
+def test_nothing_in_published_settings_is_run_escaped_or_not(tmp_path, monkeypatch, setting):
+    monkeypatch.chdir(tmp_path)
+    for slash in ("", "\\"):
+        changed = json.loads(json.dumps(setting).replace(json.dumps(CODE)[1:-1], json.dumps(slash + CODE)[1:-1]))
+        checkpoints.mdm_smpl(tmp_path / f"theirs{slash and 1}", **changed)
+        refused(tmp_path / f"theirs{slash and 1}", "config.json")
+    assert not (tmp_path / "proof").exists()
 
 
 @pytest.mark.parametrize(
@@ -330,15 +382,15 @@ def test_a_run_directory_that_is_there_is_not_touched(tmp_path):
 
 def test_a_full_disk_leaves_no_part_of_a_run_directory(tmp_path, monkeypatch):
     checkpoints.mdm(tmp_path / "theirs")
-    monkeypatch.setattr("stmc.run.OmegaConf.save", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
+    monkeypatch.setattr("stmc.run.directories.write_text", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
     with pytest.raises(OSError, match="no space left"):
         convert(tmp_path / "theirs", tmp_path / "ours")
     assert [path.name for path in tmp_path.iterdir()] == ["theirs"]
 
 
 def test_the_script_says_in_a_sentence_what_is_wrong(tmp_path):
-    done = script("import_checkpoint", f"source={tmp_path}", f"output={tmp_path / 'o'}", folder=tmp_path, check=False)
-    assert done.returncode == 1 and "expected one of" in done.stdout and "Traceback" not in done.stdout
+    with pytest.raises(ValueError, match="expected one of"):
+        run("import_checkpoint", "import_checkpoint", f"source={tmp_path}", f"output={tmp_path / 'o'}")
 
 
 # The published files' own names -------------------------------------------------------------------
@@ -361,18 +413,16 @@ def test_every_name_of_the_published_lightning_checkpoint_has_its_place(folder, 
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == 27_007_181
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("mdm"))
-@pytest.mark.parametrize(
-    ("name", "args"),
-    [
-        ("mdm_trans_enc", {}),
-        ("mdm_trans_dec_clip", {"arch": "trans_dec"}),
-        ("mdm_trans_dec_clip_emb", {"arch": "trans_dec", "emb_trans_dec": True}),
-        ("mdm_trans_dec_bert", {"arch": "trans_dec", "text_encoder_type": "bert", "diffusion_steps": 50}),
-    ],
-)
-def test_every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path, name, args):
+ARGS = {
+    "mdm_trans_enc": {},
+    "mdm_trans_dec_clip": {"arch": "trans_dec"},
+    "mdm_trans_dec_clip_emb": {"arch": "trans_dec", "emb_trans_dec": True},
+    "mdm_trans_dec_bert": {"arch": "trans_dec", "text_encoder_type": "bert", "diffusion_steps": 50},
+}
+
+
+def every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path, name):
+    tmp_path = tmp_path / name
     listed = golden(folder.parent / "state_dicts", f"{name}.json")["entries"]
     checkpoints.mdm(tmp_path)
     table = sinusoids(5000, 512)[:, None]
@@ -380,15 +430,13 @@ def test_every_name_of_mdms_published_checkpoints_has_its_place(folder, tmp_path
         entry["name"]: flat(entry["shape"]) if entry["kind"] == "parameter" else table.clone() for entry in listed
     }
     torch.save(weights, tmp_path / FILES[checkpoints.mdm])
-    (tmp_path / "args.json").write_text(json.dumps(args))
+    (tmp_path / "args.json").write_text(json.dumps(ARGS[name]))
     model = read(tmp_path).model
     parameters = [np.prod(entry["shape"], dtype=int) for entry in listed if entry["kind"] == "parameter"]
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == sum(parameters)
 
 
-@pytest.mark.golden
-@pytest.mark.parametrize("folder", golden_sets("mdm"))
-def test_every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder, tmp_path):
+def every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder, tmp_path):
     checkpoints.motion_diffuse(tmp_path, more="")
     listed = [
         entry
@@ -399,3 +447,11 @@ def test_every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder
     torch.save({"encoder": weights, "ep": 49, "total_it": 1}, tmp_path / FILES[checkpoints.motion_diffuse])
     model = read(tmp_path).model
     assert sum(parameter.numel() for parameter in model.denoiser.parameters()) == 87_152_135
+
+
+@pytest.mark.slow
+@pytest.mark.golden
+@pytest.mark.parametrize("folder", golden_sets("mdm"))
+def test_every_name_of_the_published_checkpoints_of_mdm_and_motion_diffuse_has_its_place(folder, tmp_path, subtests):
+    checks = [(every_name_of_mdms_published_checkpoints_has_its_place, name) for name in ARGS]
+    checked(subtests, [*checks, every_name_of_motion_diffuses_published_checkpoint_has_its_place], folder, tmp_path)

@@ -66,7 +66,7 @@ def test_what_stands_in_the_padding_influences_no_frame(network):
 def test_padding_a_text_leaves_an_answer_alone_as_mixed_says(name):
     network = seeded(name)
     x, t, text = inputs(words=3)
-    assert network.mixed
+    assert network.supports_padding
     padded = torch.cat([text, torch.full((3, 2, 5), 1e3)], dim=1)
     beside = network(x, t, padded, mask(torch.tensor([3, 3, 3]), 5))
     torch.testing.assert_close(beside, network(x, t, text), atol=1e-4, rtol=0)
@@ -112,8 +112,8 @@ def test_what_cannot_be_built_or_denoised_is_an_error():
         MdmEncoder(**SIZES | {"heads": 3})
     with pytest.raises(ValueError, match=r"width 16 must be even and a multiple of heads \(3\)"):
         MotionDiffuse(**SIZES | {"heads": 3})
-    with pytest.raises(ValueError, match="a window has at least 1 frame, not 0"):
-        MdmEncoder(**SIZES, window=0)
+    with pytest.raises(ValueError, match="fixed_length must be 1 to 4999 frames, not 0"):
+        MdmEncoder(**SIZES, fixed_length=0)
     with pytest.raises((ValueError, TypeError), match="leading"):
         MdmDecoder(**SIZES, leading="text")
     with pytest.raises(ValueError, match="13 frames exceed the 12"):
@@ -156,9 +156,9 @@ def test_no_text_is_the_same_to_the_decoder_in_one_word_of_zeros_and_in_many():
 
 @torch.no_grad()
 def test_the_window_decides_what_is_asked_of_mdm_and_not_how_it_answers():
-    wide, narrow = seeded("encoder"), MdmEncoder(**SIZES, window=None).eval()
+    wide, narrow = seeded("encoder"), MdmEncoder(**SIZES, fixed_length=None).eval()
     narrow.load_state_dict(wide.state_dict())
-    assert wide.window == 196 and narrow.window is None
+    assert wide.fixed_length == 196 and narrow.fixed_length is None
     assert torch.equal(wide(*inputs()), narrow(*inputs()))
 
 

@@ -97,7 +97,7 @@ def test_the_evaluator_of_guo_is_read_from_its_file_whatever_its_sizes(tmp_path)
     torch.save(sections | {"epoch": 3, "opt_text_encoder": {"state": {}}}, tmp_path / "finest.tar")
     back = read_guo(tmp_path / "finest.tar")
     motions, lengths = torch.randn(2, 12, 9), torch.tensor([12, 8])
-    assert torch.equal(back.motions(motions, lengths), network.motions(motions, lengths))
+    torch.testing.assert_close(back.motions(motions, lengths), network.motions(motions, lengths))
     del sections["text_encoder"]
     torch.save(sections, tmp_path / "finest.tar")
     with pytest.raises(CheckpointError, match="holds no text_encoder"):

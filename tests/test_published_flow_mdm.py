@@ -7,7 +7,7 @@ import checkpoints
 import numpy as np
 import pytest
 import torch
-from conftest import GOLDEN
+from conftest import GOLDEN, checked
 from flow import entries, parameters
 from published import weight
 
@@ -74,7 +74,7 @@ def test_a_checkpoint_becomes_a_model_that_is_sampled_as_published(tmp_path, dat
     assert isinstance(model.representation, BabelRepresentation if babel else HumanML3DRepresentation)
     assert model.denoiser.horizon == 9
     assert model.denoiser.absolute_from == (876 if babel else 941)
-    assert (model.fps, model.longest, model.guidance, model.spread) == (
+    assert (model.fps, model.longest, model.own_sampling.guidance, model.own_sampling.noise_scale) == (
         (30, 250, 1.5, "std") if babel else (20, 196, 2.5, "std")
     )
     assert torch.equal(model.schedule.alpha_bar, Schedule.cosine(1000).alpha_bar)
@@ -104,7 +104,7 @@ def test_one_file_and_statistics_elsewhere_do(tmp_path):
     ("change", "message"),
     [
         ({"dataset": "kit"}, "dataset must be humanml or babel, not 'kit'"),
-        ({"rpe_horizon": -1}, "rpe_horizon must be a positive whole number, not -1"),
+        ({"rpe_horizon": -1}, "rpe_horizon must be a positive whole number up to 10000, not -1"),
         ({"noise_schedule": "sigmoid"}, "noise_schedule must be cosine or linear"),
         ({"diffusion_steps": 50}, "diffusion_steps must be at least 60, not 50"),
         ({"extra": {"embed_action.weight": torch.zeros(1)}}, r"not known: embed_action\.weight"),
@@ -131,15 +131,19 @@ def test_statistics_that_are_none_are_refused(tmp_path, value):
         read(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.golden
-@pytest.mark.skipif(not (GOLDEN / "flow").exists(), reason="no golden numbers")
-@SETS
-def test_every_name_of_the_published_checkpoints_has_its_place(tmp_path, dataset):
+@pytest.mark.skipif(not (GOLDEN / "flow").exists(), reason=f"no golden numbers at {GOLDEN / 'flow'} (set STMC_GOLDEN)")
+def test_every_name_of_the_published_checkpoints_has_its_place(tmp_path, subtests):
+    checked(subtests, [(every_name_has_its_place, dataset) for dataset in FILE], tmp_path)
+
+
+def every_name_has_its_place(tmp_path, dataset):
+    tmp_path = tmp_path / dataset
     write(tmp_path, dataset)
-    name = f"full_{dataset}"
-    shapes = parameters(name)
+    shapes = parameters(f"full_{dataset}")
     learned = {key: weight(key, shape, False, 0) for key, shape in shapes.items()}
-    assert set(learned) | set(tables(512)) >= set(entries(name))
+    assert set(learned) | set(tables(512)) >= set(entries(f"full_{dataset}"))
     torch.save(learned | tables(512), tmp_path / FILE[dataset])
     network = read(tmp_path).model.denoiser
     assert len(network.seqTransEncoder.attn_layers.layers) == 16

@@ -5,7 +5,7 @@ import math
 
 import pytest
 import torch
-from conftest import golden, golden_sets
+from conftest import checked, golden, golden_sets
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_motion import walk
@@ -63,7 +63,7 @@ def test_a_layout_names_what_is_wrong_with_it():
 
 
 @given(frames=st.integers(1, 40), seed=st.integers(0, 1000), heading=st.floats(-3, 3))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_features_turn_back_into_the_motion_up_to_place_and_heading(frames, seed, heading):
     motion = walk(frames, seed=seed)
     back = REPRESENTATION.decode(REPRESENTATION.encode(motion), motion.fps, heading=heading)
@@ -78,7 +78,7 @@ def test_features_turn_back_into_the_motion_up_to_place_and_heading(frames, seed
 
 
 @given(turn=st.floats(-7, 7), x=st.floats(-100, 100), y=st.floats(-100, 100), seed=st.integers(0, 100))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_features_do_not_depend_on_place_and_heading(turn, x, y, seed):
     motion = walk(9, seed=seed)
     features = REPRESENTATION.encode(moved(motion, turn, (x, y)))
@@ -168,9 +168,7 @@ def kinds(data):
     return [name.removesuffix("_feats") for name in data if name.endswith("_feats") and not name.startswith("net")]
 
 
-@pytest.mark.golden
-@GOLDEN
-def test_features_agree_with_the_published_ones(folder):
+def features_agree_with_the_published_ones(folder):
     data = tensors(folder)
     assert kinds(data)
     for kind in kinds(data):
@@ -181,20 +179,14 @@ def test_features_agree_with_the_published_ones(folder):
         assert_close(single.double(), data[f"{kind}_feats"], atol=1e-5, rtol=0)
 
 
-@pytest.mark.golden
-@GOLDEN
-@pytest.mark.parametrize(("suffix", "heading"), [("a0", 0.0), ("api", math.pi)])
-def test_the_way_back_agrees_with_the_published_one(folder, suffix, heading):
+def the_way_back_agrees_with_the_published_one(folder, suffix, heading):
     data = tensors(folder)
     for kind in kinds(data):
         motion = REPRESENTATION.decode(data[f"{kind}_feats"], 20.0, heading=heading)
         assert_matches(motion, data, f"{kind}_inv_{suffix}", 1e-10)
 
 
-@pytest.mark.golden
-@GOLDEN
-@pytest.mark.parametrize(("suffix", "dtype", "limit"), [("f32", torch.float32, 5e-4), ("f64", torch.float64, 1e-10)])
-def test_noisy_features_of_a_network_decode_as_published(folder, suffix, dtype, limit):
+def noisy_features_of_a_network_decode_as_published(folder, suffix, dtype, limit):
     data = tensors(folder)
     motion = REPRESENTATION.decode(data["net_feats"].to(dtype), 20.0, heading=math.pi)
     assert_matches(motion, data, f"net_inv_api_{suffix}", limit)
@@ -207,15 +199,30 @@ def assert_matches(motion, data, prefix, limit):
     assert_close(motion.rotations, rotations_of(data[f"{prefix}_poses"]), atol=limit, rtol=0)
 
 
-@pytest.mark.golden
-@GOLDEN
-def test_body_parts_own_the_published_columns(folder):
+def body_parts_own_the_published_columns(folder):
     tables = golden(folder, "body_part_indexes.json")
     assert list(JOINTS) == tables["joint_names_24"]
     for name, layout in (("smplrifke", SMPL_LAYOUT), ("guoh3dfeats", HUMANML3D_LAYOUT)):
         assert {part.value: list(columns) for part, columns in layout.columns.items()} == {
             part: sorted(columns) for part, columns in tables[name].items()
         }
+
+
+@pytest.mark.golden
+@GOLDEN
+def test_features_there_and_back_are_the_published_ones(folder, subtests):
+    checked(
+        subtests,
+        [
+            features_agree_with_the_published_ones,
+            (the_way_back_agrees_with_the_published_one, "a0", 0.0),
+            (the_way_back_agrees_with_the_published_one, "api", math.pi),
+            (noisy_features_of_a_network_decode_as_published, "f32", torch.float32, 5e-4),
+            (noisy_features_of_a_network_decode_as_published, "f64", torch.float64, 1e-10),
+            body_parts_own_the_published_columns,
+        ],
+        folder,
+    )
 
 
 @pytest.mark.golden

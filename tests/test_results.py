@@ -20,15 +20,19 @@ from stmc.results import (
     write_results,
 )
 from stmc.results.charts import bars, quality_against_cost, sweep
+from stmc.sampling import Sampling
 
-SETTINGS = {"denoiser": "mdm_smpl", "steps": 100, "sampler": "ddpm", "overlap": 0.5, "guidance": 2.5}
+SETTINGS = {"steps": 100, "sampler": "ddpm", "overlap": 0.5, "guidance": 2.5}
 
 
-def runs(method: str, recalls: list, distances: list | None = None, **settings) -> list[Result]:
+def runs(
+    method: str, recalls: list, distances: list | None = None, denoiser: str = "mdm_smpl", **settings
+) -> list[Result]:
     """A run per seed."""
     distances = distances or [1.0] * len(recalls)
+    sampling = Sampling(**(SETTINGS | settings))
     return [
-        Result(method, seed, {"recall_3": recall, "transition": distance}, **(SETTINGS | settings))
+        Result(method, seed, {"recall_3": recall, "transition": distance}, denoiser, sampling)
         for seed, (recall, distance) in enumerate(zip(recalls, distances, strict=True))
     ]
 
@@ -65,7 +69,7 @@ def test_the_best_of_each_column_is_marked_in_its_direction_and_never_the_ground
         [REAL, *runs("stmc", [50, 52], [0.8, 1.0]), *runs("sinc", [49, 51], [4.0, 4.4]), *runs("one_text", [20, 21])]
     ).text()
     half = math.tan(0.475 * math.pi)
-    assert cells(text, "STMC")[-2:] == [f"51.0±{half:.1f}*", f"0.9±{0.1 * half:.1f}*"]
+    assert cells(text, "STMC (cross-faded)")[-2:] == [f"51.0±{half:.1f}*", f"0.9±{0.1 * half:.1f}*"]
     assert cells(text, "SINC w/o Lerp")[-2:] == [f"50.0±{half:.1f}", f"4.2±{0.2 * half:.1f}"]
     assert cells(text, "Ground truth")[-2:] == ["73.3", "1.5"]
 
@@ -82,8 +86,8 @@ def test_rows_stand_in_the_paper_s_order_and_each_denoiser_has_its_own_best():
     table = comparison_table(results)
     assert [[row.labels[:2] for row in block] for block in table.blocks] == [
         [("–", "Ground truth")],
-        [("mdm_smpl", "One text"), ("mdm_smpl", "STMC")],
-        [("mdm", "SINC w/o Lerp"), ("mdm", "STMC")],
+        [("mdm_smpl", "One text"), ("mdm_smpl", "STMC (cross-faded)")],
+        [("mdm", "SINC w/o Lerp"), ("mdm", "STMC (cross-faded)")],
     ]
     assert table.text().count("40.0*") == table.text().count("30.0*") == 1
 
@@ -98,7 +102,7 @@ def test_latex_has_the_best_in_bold_and_escapes_what_latex_would_take_for_its_ow
 
 
 def test_a_comparison_is_of_one_setting_each():
-    with pytest.raises(ResultError, match="stmc of mdm_smpl stands there with steps 100 and 50; choose one"):
+    with pytest.raises(ResultError, match="stmc of mdm_smpl is there with steps 100 and 50; choose one"):
         comparison_table([*runs("stmc", [50]), *runs("stmc", [50], steps=50)])
 
 
@@ -114,7 +118,7 @@ def test_the_overlap_table_has_a_row_per_overlap_in_order():
 
 
 def test_a_seed_that_stands_twice_is_an_error():
-    with pytest.raises(ResultError, match="seed 1 stands twice"):
+    with pytest.raises(ResultError, match="seed 1 is duplicated"):
         by_setting([*runs("stmc", [1, 2]), runs("stmc", [1, 2])[1]])
 
 
@@ -125,9 +129,13 @@ anything = st.builds(
     seed=st.integers(),
     metrics=st.dictionaries(st.text(), numbers),
     denoiser=st.text(),
-    steps=st.none() | st.integers(),
-    overlap=st.none() | numbers,
-    spread=st.none() | st.text(),
+    sampling=st.builds(
+        Sampling,
+        steps=st.none() | st.integers(min_value=1),
+        overlap=st.none() | st.floats(min_value=0, allow_infinity=False),
+        noise_scale=st.sampled_from([None, "std", "variance"]),
+        guidance=st.none() | numbers,
+    ),
 )
 
 
@@ -145,11 +153,14 @@ def test_records_are_read_as_they_were_written(tmp_path_factory, results):
         ("{", "not JSON"),
         ("[]", "a record is an object"),
         ('{"method": "stmc", "seed": 0}', "no metrics"),
-        ('{"method": "stmc", "seed": 0, "metrics": {}, "stepps": 3}', "unknown key 'stepps'; choose from method, seed"),
+        (
+            '{"method": "stmc", "seed": 0, "metrics": {}, "stepps": 3}',
+            "unknown key 'stepps'; choose from method",
+        ),
         ('{"method": "stmc", "seed": true, "metrics": {}}', "seed: True is not int"),
         ('{"method": "stmc", "seed": 0, "metrics": {"fid": "low"}}', "metrics.fid: 'low' is not int or float"),
         ('{"method": "stmc", "seed": 0, "metrics": {"fid": NaN}}', "metrics.fid: nan is not a finite number"),
-        ('{"method": "stmc", "seed": 0, "metrics": {}, "steps": 1.5}', "steps: 1.5 is not int or null"),
+        ('{"method": "stmc", "seed": 0, "metrics": {}, "steps": 1.5}', "steps=1.5: a whole number or null needed"),
     ],
 )
 def test_a_record_that_cannot_be_meant_is_named_by_its_line(tmp_path, line, complaint):
@@ -170,13 +181,14 @@ def test_bars_are_as_tall_as_the_means_and_their_whiskers_as_long_as_the_interva
     low, high = recall.collections[0].get_segments()[0][:, 1]
     assert (high - low) / 2 == pytest.approx(math.tan(0.475 * math.pi))
     assert any(set(line.get_ydata()) == {73.3} for line in recall.lines)
-    assert [text.get_text() for text in plot.legends[0].get_texts()].count("STMC") == 1
+    assert [text.get_text() for text in plot.legends[0].get_texts()].count("STMC (cross-faded)") == 1
 
 
 def test_quality_is_drawn_against_steps_and_time_with_a_line_per_sampler():
     results = [
-        Result("stmc", seed, {"recall_3": 40.0 + steps, "fid": 1 / steps, "seconds": steps / 10}, "mdm", steps, sampler)
+        Result("stmc", seed, metrics, "mdm", Sampling(steps, sampler))
         for steps, sampler, seed in product((10, 5, 100), ("ddpm", "ddim"), (0, 1))
+        for metrics in [{"recall_3": 40.0 + steps, "fid": 1 / steps, "seconds": steps / 10}]
     ]
     recall, recall_by_time, fid, fid_by_time = quality_against_cost(results).axes
     assert [list(box.lines[0].get_xdata()) for box in recall.containers] == [[5, 10, 100]] * 2
@@ -189,7 +201,7 @@ def test_quality_is_drawn_against_steps_and_time_with_a_line_per_sampler():
 def test_what_should_not_vary_is_named():
     results = [*runs("stmc", [50]), *runs("stmc", [50], guidance=3.0)]
     with pytest.raises(
-        ResultError, match=r"differ in more than sampler, spread, steps: guidance 2.5 and 3.0; choose one"
+        ResultError, match=r"differ in more than sampler, noise_scale, steps: guidance 2.5 and 3.0; choose one"
     ):
         quality_against_cost(results)
     with pytest.raises(ResultError, match=r"guidance 2.5 and 3.0"):

@@ -16,6 +16,7 @@ import stmc
 from stmc.diffusion import ddim
 from stmc.model import Model
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, RunError, bundled
+from stmc.sampling import Sampling
 from stmc.text import MiniLM
 from stmc.timeline import Timeline
 
@@ -79,12 +80,18 @@ def test_a_loaded_model_saves_the_same_files_again(run, tmp_path):
 
 
 def test_how_it_is_sampled_comes_with_the_model_and_older_runs_have_the_usual_ones(model, run, tmp_path):
-    own = stmc.save(dataclasses.replace(model, guidance=1.0, spread="std", late=0.25), tmp_path / "own", "")
+    own = stmc.save(
+        dataclasses.replace(model, sampling=Sampling(guidance=1.0, noise_scale="std", stitch_from=0.25)),
+        tmp_path / "own",
+        "",
+    )
     back = stmc.load(own)
-    assert (back.guidance, back.spread, back.late) == (1.0, "std", 0.25)
-    edit(run, guidance=None, spread=None, late=None)
+    assert back.sampling == Sampling(guidance=1.0, noise_scale="std", stitch_from=0.25)
+    edit(own, noise_scale=None, stitch_from=None, spread="std", late=0.25)
+    assert stmc.load(own).sampling == back.sampling, "keys of earlier versions"
+    edit(run, guidance=None, noise_scale=None, stitch_from=None)
     usual = stmc.load(run)
-    assert (usual.guidance, usual.spread, usual.late) == (2.5, "variance", 0.0)
+    assert usual.own_sampling == Sampling(100, "ddpm", "variance", 2.5, 0.5, 0.0)
 
 
 def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, run, tmp_path):
@@ -131,7 +138,7 @@ def test_writing_that_fails_leaves_the_old_model_and_no_litter(model, run, monke
         path.write_bytes(b"half")
         raise OSError("no space left on device")
 
-    monkeypatch.setattr("stmc.run.save_file", full)
+    monkeypatch.setattr("stmc.run.directories.save_file", full)
     with pytest.raises(OSError, match="no space"):
         stmc.save(model, run, "# Another\n")
     assert {name: (run / name).read_bytes() for name in os.listdir(run)} == before
@@ -195,23 +202,36 @@ def test_a_config_that_is_none_is_named(run, text):
     [
         ({"schedule": None}, "schedule missing"),
         ({"fps": None, "prediction": None}, "fps, prediction missing"),
-        ({"fps": 0}, "fps must be a positive number, not 0"),
-        ({"fps": "twenty"}, "fps must be a positive number, not 'twenty'"),
-        ({"longest": 7.5}, r"longest must be a positive number of frames, not 7\.5"),
-        ({"longest": 0}, "longest must be a positive number of frames, not 0"),
-        ({"prediction": "noise"}, "prediction must be one of x0, eps, v, score, not 'noise'"),
-        ({"guidance": "much"}, "guidance must be a number, not 'much'"),
-        ({"late": 1.0}, r"late must be a number from 0 to below 1, not 1\.0"),
-        ({"spread": "wide"}, "spread must be one of std, variance, not 'wide'"),
+        ({"fps": 0}, "fps=0: must be above 0 and at most 1000 Hz"),
+        ({"fps": "twenty"}, "fps='twenty': a number needed"),
+        ({"fps": True}, "fps=true: a number needed"),
+        ({"fps": 1001}, "fps=1001: must be"),
+        ({"longest": 7.5}, r"longest=7\.5: a whole number needed"),
+        ({"longest": 0}, "longest=0: must be at least 1"),
+        ({"longest": 10**30}, "longest=1000000000000000000000000000000: a finite number needed"),
+        ({"prediction": "noise"}, "prediction='noise': one of x0, eps, v, score needed"),
+        ({"guidance": "much"}, "guidance='much': a number or null needed"),
+        ({"late": 1.0}, r"stitch_from=1\.0: must be at least 0 and below 1"),
+        ({"spread": "wide"}, "noise_scale='wide': one of std, variance or null needed"),
         ({"denoiser": 3}, "denoiser must say what to build as `_target_`, not 3"),
         ({"denoiser": {"width": 16}}, "denoiser must say what to build"),
-        ({"denoiser": PARTS["denoiser"] | {"depth": 3}}, "denoiser cannot be built: .*depth"),
+        ({"denoiser": PARTS["denoiser"] | {"depth": 3}}, "denoiser.depth: .* has no such argument; it has features"),
+        ({"denoiser": {"_target_": "stmc.denoisers.MdmSmpl", "features": 205}}, "MdmSmpl needs text_width"),
+        ({"denoiser": PARTS["denoiser"] | {"layers": True}}, "denoiser.layers=true: a whole number needed"),
+        ({"denoiser": PARTS["denoiser"] | {"dropout": "0.1"}}, "denoiser.dropout='0.1': a number needed"),
         ({"denoiser": PARTS["denoiser"] | {"heads": 5}}, r"denoiser cannot be built: .*multiple of heads \(5\)"),
-        ({"schedule": PARTS["schedule"] | {"steps": 0}}, "schedule cannot be built"),
-        ({"denoiser": PARTS["denoiser"] | {"features": 263}}, "denoiser has 263 features, the representation 205"),
-        ({"denoiser": PARTS["denoiser"] | {"width": 32}}, f"{WEIGHTS} does not fit the denoiser of {CONFIG}:.*size"),
-        ({"denoiser": PARTS["denoiser"] | {"layers": 2}}, f"{WEIGHTS} does not fit .*{CONFIG}.*layers.1"),
-        ({"text_encoder": {"_target_": "stmc.text.Clip"}}, rf"{STATISTICS}: text_mean must be \(512,\) .*not \(384,\)"),
+        ({"schedule": PARTS["schedule"] | {"steps": 0}}, "schedule cannot be built: steps=0: a schedule has 1 to"),
+        ({"schedule": PARTS["schedule"] | {"steps": 10**9}}, "schedule cannot be built: steps=1000000000: a schedule"),
+        ({"schedule": {"_target_": "stmc.text.MiniLM"}}, "schedule: 'stmc.text.MiniLM' is not a class of stmc.diff"),
+        ({"schedule": {"_target_": "stmc.diffusion.Schedule", "alpha_bar": 3}}, "schedule.alpha_bar=3: .*needed"),
+        ({"text_encoder": {"_target_": "stmc.text.TextEncoder"}}, "text_encoder cannot be built: Protocols cannot"),
+        ({"text_encoder": {"_target_": "stmc.text.Cached", "encoder": PARTS["text_encoder"], "folder": "."}},
+         "text_encoder.folder: a config may not choose places"),
+        ({"text_encoder": PARTS["text_encoder"] | {"pooling": "max"}}, "pooling='max': one of mean, tokens needed"),
+        ({"denoiser": PARTS["denoiser"] | {"features": 263}}, r"of another shape: .*skel_embedding.weight"),
+        ({"denoiser": PARTS["denoiser"] | {"width": 32}}, f"{WEIGHTS} does not fit the denoiser of the config.*shape"),
+        ({"denoiser": PARTS["denoiser"] | {"layers": 2}}, f"{WEIGHTS} does not fit .*missing: seqT.*layers.1.* more"),
+        ({"text_encoder": {"_target_": "stmc.text.Clip"}}, "the network has text_width 384, the text_encoder 512"),
     ],
 )  # fmt: skip
 def test_a_config_that_does_not_describe_the_files_says_where(run, changes, message):
@@ -225,10 +245,16 @@ def test_a_config_that_does_not_describe_the_files_says_where(run, changes, mess
     ("name", "change", "message"),
     [
         ("motion_mean", lambda value: None, "motion_mean missing"),
-        ("skeleton", lambda value: value[:22], r"skeleton must be \(24, 3\) finite numbers, not \(22, 3\)"),
+        ("skeleton", lambda value: value[:22], r"skeleton must be \(24, 3\) finite numbers, not .*\(22, 3\)"),
         ("text_std", lambda value: 0 * value, "text_std must be above 0"),
         ("motion_std", lambda value: value * torch.nan, r"motion_std must be \(205,\) finite"),
-        ("motion_mean", lambda value: value[:-1], r"motion_mean must be \(205,\) finite numbers, not \(204,\)"),
+        ("motion_mean", lambda value: value[:-1], r"motion_mean must be \(205,\) finite numbers, not .*\(204,\)"),
+        (
+            "motion_mean",
+            lambda value: value * 0 + 1e38,
+            r"motion_mean must be \(205,\) finite numbers of at most 1e\+06",
+        ),
+        ("text_std", lambda value: value.long() + 1, r"text_std must be \(384,\) finite numbers, not torch.int64"),
     ],
 )
 def test_statistics_that_cannot_be_meant_are_named(run, name, change, message):
@@ -243,6 +269,7 @@ def test_weights_that_are_not_finite_are_named(run):
     weights = load_file(run / WEIGHTS)
     weights["registers"][0, 0] = torch.inf
     save_file(weights, run / WEIGHTS)
+    edit(run, digest=None)
     with pytest.raises(RunError, match=f"{WEIGHTS} holds weights that are not finite: registers"):
         stmc.load(run)
 
@@ -282,34 +309,19 @@ TARGETS = [
 @pytest.mark.parametrize("target", TARGETS, ids=str)
 def test_a_config_that_asks_for_anything_but_the_part_s_own_classes_is_refused_unexecuted(run, part, target, tmp_path):
     proof = tmp_path / "proof"
-    edit(run, **{part: {"_target_": target, "_args_": [f"touch {proof}"]}})
-    with pytest.raises(RunError, match=f"{part}: .* is not a class of stmc"):
+    edit(run, **{part: {"_target_": target, "command": f"touch {proof}"}})
+    with pytest.raises(RunError, match=f"{part}: .* is not a class of stmc|_target_.* is invalid"):
         stmc.load(run)
     assert not proof.exists()
-
-
-@pytest.mark.parametrize(
-    "hidden",
-    [
-        {"nested": {"_target_": "os.system", "_args_": ["touch proof"]}},
-        {"nested": [1, {"deep": {"_target_": "os.system", "_args_": ["touch proof"]}}]},
-        {"_target_": "${text_encoder.evil}", "evil": "os.system", "_args_": ["touch proof"]},
-    ],
-)
-def test_what_is_hidden_deep_inside_is_refused_too(run, hidden, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    edit(run, text_encoder=PARTS["text_encoder"] | hidden)
-    with pytest.raises(RunError, match=r"'os\.system' is not a class of stmc\.text"):
-        stmc.load(run)
-    assert not (tmp_path / "proof").exists()
 
 
 def test_a_module_that_is_named_is_not_even_imported(run, tmp_path, monkeypatch):
     (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'proof')!r}, 'w')\nclass Evil: pass\n")
     monkeypatch.syspath_prepend(tmp_path)
     edit(run, schedule={"_target_": "evil.Evil"})
-    with pytest.raises(RunError, match=r"'evil\.Evil' is not a class of stmc\.diffusion"):
-        stmc.load(run)
+    for trusted in ((), ("mylab",), ("evi", "evil.Ev")):
+        with pytest.raises(RunError, match=r"'evil\.Evil' is not a class of stmc\.diffusion"):
+            stmc.load(run, trusted=trusted)
     assert not (tmp_path / "proof").exists()
 
 

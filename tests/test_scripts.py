@@ -1,10 +1,13 @@
-"""From motion capture to motions to look at, as a user goes: the scripts, on a toy data set, as processes."""
+"""From motion capture to motions to look at, as a user goes: the scripts, on a toy data set."""
 
 import csv
+import io
 import json
 import os
+import re
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +15,12 @@ import pytest
 import torch
 from mocap import about, bvh_text, posed
 from scripting import ROOT, configured, loaded
+from scripting import run as in_this_process
+from studio import Threads
 from tiny import tiny
 
 import stmc
+from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, fingerprint
 
@@ -29,7 +35,7 @@ raise the right arm # 0 # 1 # right arm
 def script(name: str, *settings: object, folder: Path, check: bool = True) -> subprocess.CompletedProcess:
     """Runs a script with its output in one stream, in a folder where it must leave nothing."""
     command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *map(str, settings)]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200", "HYDRA_FULL_ERROR": "1"}
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200"}
     folder.mkdir(exist_ok=True)
     done = subprocess.run(
         command, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
@@ -69,32 +75,43 @@ def source(work) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def prepared(work, source) -> tuple[Path, subprocess.CompletedProcess]:
-    settings = (f"source={source}", f"folder={work / 'cache'}", "workers=1")
-    return work / "cache", script("prepare", *settings, folder=work / "here")
+def preparing(work: Path, source: Path) -> tuple[str, ...]:
+    return (f"source={source}", f"folder={work / 'cache'}", "workers=1")
 
 
 @pytest.fixture(scope="module")
-def trained(work, prepared) -> tuple[Path, subprocess.CompletedProcess]:
+def prepared(work, source) -> tuple[Path, str]:
+    """The folder of the cache, and what was said meanwhile."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
+        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        in_this_process("prepare", "prepare", *preparing(work, source))
+    return work / "cache", " ".join(said.getvalue().split())
+
+
+def training(work: Path) -> tuple[str, ...]:
     small = ("denoiser=mdm_smpl_small", "denoiser.width=32", "denoiser.feedforward=64", "denoiser.layers=1")
     few = ("training.steps=4", "training.log_every=2", "training.validate_every=4", "training.checkpoint_every=4")
-    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1", "draw_every=4")
-    done = script(
-        "train",
-        f"run={work / 'run'}",
-        f"data.folder={prepared[0]}",
-        f"text_cache={work / 'texts'}",
+    batches = ("data.sampling.rows=4", "data.sampling.pool=2", "validation=1")
+    drawing = ("draw_every=4", "draw=['nod # 0 # 1 # head']")
+    places = (f"run={work / 'run'}", f"data.folder={work / 'cache'}", f"text_cache={work / 'texts'}")
+    return (
+        *places,
         *small,
         *few,
         *batches,
+        *drawing,
         "device=cpu",
         "threads=1",
         "training.warmup=1",
-        "spread=std",
-        folder=work / "here",
+        "noise_scale=std",
     )
-    return work / "run", done
+
+
+@pytest.fixture(scope="module")
+def trained(work, prepared) -> Path:
+    in_this_process("train", "train", *training(work))
+    return work / "run"
 
 
 @pytest.fixture(scope="module")
@@ -104,44 +121,56 @@ def timeline(work) -> Path:
 
 
 @pytest.fixture(scope="module")
-def sampled(work, trained, timeline) -> tuple[Path, subprocess.CompletedProcess]:
-    return work / "out", script("sample", *sampling(work, timeline), folder=work / "here")
+def sampled(work, trained, timeline) -> Path:
+    in_this_process("sample", "sample", *sampling(work, timeline))
+    return work / "out"
 
 
 def sampling(work: Path, timeline: Path) -> tuple[str, ...]:
     return (f"timeline={timeline}", f"model={work / 'run'}", f"output={work / 'out'}", "steps=2", "device=cpu")
 
 
-def test_preparing_makes_a_cache_names_what_it_skipped_and_leaves_the_rest_alone(prepared, work):
-    folder, done = prepared
+def test_preparing_makes_a_cache_and_names_what_it_skipped(prepared):
+    folder, said = prepared
     cache = Cache.read(folder)
     assert len(cache.clips) == 30
     assert {clip.content for clip in cache.clips} == {"walk", "raise-up-left-hand", "raise-up-right-hand"}
     assert {clip.split for clip in cache.clips} == {"train", "val", "test"}
-    assert "skipped dataset-1_bow_normal_001" in done.stdout
-    assert "30 clips" in done.stdout
-    assert list((work / "here").iterdir()) == []
+    assert "skipped dataset-1_bow_normal_001" in said
+    assert "30 clips" in said
 
 
-def test_preparing_again_sees_that_nothing_changed(prepared, source, work):
+def test_preparing_again_sees_that_nothing_changed(prepared, source, capsys):
     before = {path: path.stat().st_mtime_ns for path in prepared[0].iterdir()}
-    done = script("prepare", f"source={source}", f"folder={prepared[0]}", folder=work / "here")
-    assert "is up to date" in done.stdout
+    in_this_process("prepare", "prepare", f"source={source}", f"folder={prepared[0]}")
+    assert "is up to date" in " ".join(capsys.readouterr().out.split())
     assert {path: path.stat().st_mtime_ns for path in prepared[0].iterdir()} == before
 
 
+@pytest.mark.slow
+def test_the_scripts_as_processes_prepare_train_and_sample_and_leave_nothing_where_they_were_started(tmp_path, source):
+    (tmp_path / "two.txt").write_text(TIMELINES)
+    here = tmp_path / "here"
+    assert "30 clips" in script("prepare", *preparing(tmp_path, source), folder=here).stdout
+    script("train", *training(tmp_path), folder=here)
+    script("sample", *sampling(tmp_path, tmp_path / "two.txt"), folder=here)
+    assert len(list((tmp_path / "out").iterdir())) == 8
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.slow
 def test_preparing_what_is_not_there_is_a_sentence_and_no_traceback(work):
     done = script("prepare", f"source={work / 'nowhere'}", folder=work / "here", check=False)
-    assert done.returncode != 0
+    assert done.returncode == 2
+    assert len(done.stdout.splitlines()) == 1
     assert "nowhere does not exist" in done.stdout
-    assert "Traceback" not in done.stdout
 
 
 def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
-    run, _ = trained
+    run = trained
     model = stmc.load(run)
     assert model.fps == 20
-    assert model.spread == "std"
+    assert model.own_sampling.noise_scale == "std"
     assert {CARD, CONFIG, STATISTICS, WEIGHTS, "train.csv", "validation.csv"} <= {path.name for path in run.iterdir()}
     with (run / "train.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -153,13 +182,8 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
     assert str(work) not in (run / CONFIG).read_text(), "a run can be moved"
 
 
-def test_training_refuses_a_spread_that_sampling_would():
-    with pytest.raises(SystemExit, match="spread=wide: choose from std, variance"):
-        loaded("train").main.__wrapped__(configured("train", "spread=wide", "run=nowhere"))
-
-
 def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
-    folder, _ = sampled
+    folder = sampled
     names = [f"two_{number:04d}_0.{kind}" for number in (0, 1) for kind in ("bvh", "html", "json", "npz")]
     assert sorted(path.name for path in folder.iterdir()) == names
     for name, frames in (("two_0000_0", 40), ("two_0001_0", 20)):
@@ -174,10 +198,10 @@ def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
 
 
 def test_sampling_again_makes_nothing_but_what_is_missing(sampled, work, timeline):
-    folder, _ = sampled
+    folder = sampled
     (folder / "two_0001_0.bvh").unlink()
     before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
-    script("sample", *sampling(work, timeline), folder=work / "here")
+    in_this_process("sample", "sample", *sampling(work, timeline))
     after = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
     assert "two_0001_0.bvh" in after
     assert {name for name in before if after[name] == before[name]} == {name for name in before if "0000" in name}
@@ -201,17 +225,18 @@ def run(tmp_path) -> Path:
 
 
 def jobs_left(sample, config, timeline: str = TIMELINES.split("\n\n")[1]) -> int:
-    timelines = [("nod", stmc.Timeline.parse(timeline))]
-    return len(sample.waiting(timelines, config, fingerprint(config.model)))
+    seeds = range(config.seed, config.seed + config.samples)
+    jobs = [sample.Job(f"nod_{seed}", stmc.Timeline.parse(timeline), seed) for seed in seeds]
+    return sum(not sample.finished(job, config, fingerprint(config.model)) for job in jobs)
 
 
 def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample, run, tmp_path):
     base = (f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz]", "steps=2")
     config, timeline = settings(*base), stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
-    sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
+    sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
     assert jobs_left(sample, config) == 0
-    for change in ("guidance=2", "overlap=0.6", "method=sinc", "sampler=ddim", "spread=std", "seed=1"):
+    for change in ("guidance=2", "overlap=0.6", "method=sinc", "sampler=ddim", "noise_scale=std", "seed=1", "fps=30"):
         assert jobs_left(sample, settings(*base, change)) == 1, change
     assert jobs_left(sample, settings(*base[:3], "steps=3")) == 1
     assert jobs_left(sample, settings(*base, "samples=3")) == 2
@@ -239,7 +264,7 @@ def test_a_motion_whose_record_is_damaged_or_files_are_gone_is_made_again(sample
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
     for damage in (lambda out: (out / "nod_0.json").write_text("{"), lambda out: (out / "nod_0.npz").unlink()):
-        sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
+        sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
         assert jobs_left(sample, config) == 0
         damage(tmp_path / "out")
         assert jobs_left(sample, config) == 1
@@ -249,27 +274,17 @@ def test_a_motion_whose_files_cannot_be_written_is_not_taken_for_finished(sample
     config = settings(f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz,bvh]", "steps=2")
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
-    sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
+    sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
     monkeypatch.setattr(stmc, "write", lambda *_: (_ for _ in ()).throw(OSError("no space left on device")))
     with pytest.raises(OSError, match="no space"):
-        sample.save(motion, "nod_0", timeline, 0, config, fingerprint(config.model))
+        sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
     assert jobs_left(sample, config) == 1
 
 
-def test_every_timeline_gets_a_file_name_of_its_own(sample):
-    one = stmc.Timeline.parse("nod # 0 # 1 # head")
-    named = [stmc.Timeline(one.prompts, name) for name in ("a", "a", "", "b/../c", "…", "a_0001", "a_0006", "a")]
-    names = [name for name, _ in sample.named(named, "file")]
-    assert names == ["a", "a_0001", "file_0002", "b_.._c", "file_0004", "a_0001_0005", "a_0006", "a_0007"]
-    assert [name for name, _ in sample.named([one], "file")] == ["file"]
-    collision = [stmc.Timeline(one.prompts, name) for name in ("a_0002", "a", "a")]
-    assert len({name for name, _ in sample.named(collision, "file")}) == 3
-
-
 def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp_path):
-    config = settings(f"model={run}", "steps=2", "batch=4", "sampler=ddim")
+    config = settings(f"model={run}", "steps=2", "sampler=ddim")
     timelines = [stmc.Timeline.parse("nod # 0 # 1 # head")] * 5
-    jobs = [(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
+    jobs = [sample.Job(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
     model, tried = tiny(), []
 
     class Small:
@@ -282,7 +297,7 @@ def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp
             return model.generate(timelines, **arguments)
 
     with sample.Progress(disable=True) as progress:
-        made = list(sample.sampled(Small(), jobs, config, progress))
+        made = list(sample.sampled(Small(), jobs, {job.name for job in jobs}, 4, config, progress))
     assert tried == [4, 2, 2, 1]
     assert [job for job, _ in made] == jobs
     whole = model.generate(timelines, seed=0, steps=2, sampler=stmc.ddim)
@@ -290,45 +305,71 @@ def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp
         torch.testing.assert_close(motion.joints, expected.joints, atol=1e-4, rtol=0)
 
 
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("sampler=euler", "sampler=euler: choose from ddpm, ddim, dpm_solver"),
-        ("method=magic", "method=magic: choose from stmc, stmc_soft, sinc"),
-        ("spread=wide", "spread=wide: choose from std, variance"),
-        ("formats=[fbx]", "choose from npz, bvh, html"),
-        ("formats=[]", "choose from npz, bvh, html"),
-        ("samples=0", "samples=0: at least 1"),
-        ("batch=0", "batch=0: at least 1"),
-        ("steps=0", "steps=0: at least 1"),
-    ],
-)
-def test_a_setting_that_cannot_be_meant_is_refused_before_anything_is_loaded(sample, override, message):
-    with pytest.raises(SystemExit, match=message.replace("[", r"\[")):
-        sample.check(settings(override))
+def test_in_bf16_a_run_that_goes_on_makes_the_batches_of_one_that_was_not_stopped(sample, run):
+    timelines = [stmc.Timeline.parse(f"nod # 0 # {seconds} # head") for seconds in (2, 2, 1)]
+    jobs = [sample.Job(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
+    tried = []
+
+    class Watched:
+        schedule = tiny().schedule
+
+        def generate(self, timelines, seed, **_):
+            tried.append(list(seed))
+            return list(seed)
+
+    for precision, expected in (("bf16", [[0, 1]]), ("fp32", [[1]])):
+        tried.clear()
+        config = settings(f"model={run}", "steps=2", f"precision={precision}")
+        with sample.Progress(disable=True) as progress:
+            made = list(sample.sampled(Watched(), jobs, {"nod_1"}, 2, config, progress))
+        assert tried == expected
+        assert [(job.name, motion) for job, motion in made] == [("nod_1", 1)]
 
 
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("timeline={0}/none.txt", "none.txt"),
-        ("timeline={0}/bad.txt", r"bad\.txt, line 1"),
-        ("model={0}/nowhere", "is not a run directory"),
-        ("overlap=-1", "overlap -20 must be 0"),
-        ("late=1", "late=1: the share of the steps before stitching"),
-    ],
-)
-def test_what_the_user_got_wrong_ends_in_a_sentence(sample, run, tmp_path, override, message):
-    (tmp_path / "bad.txt").write_text("walk # 3 # 1 # legs\n")
-    (tmp_path / "good.txt").write_text("walk # 0 # 1 # legs\n")
-    given = {"timeline": f"{tmp_path}/good.txt", "model": str(run), "output": f"{tmp_path}/out"}
-    given |= [override.format(tmp_path).split("=")]
-    with pytest.raises(SystemExit, match=message):
-        sample.main.__wrapped__(settings(*(f"{key}={value}" for key, value in given.items())))
-    assert not (tmp_path / "out").exists()
+def test_sampling_tells_each_motion_in_a_line_and_writes_the_frame_rate_that_was_asked_for(
+    sample, run, tmp_path, capsys
+):
+    output = tmp_path / "out"
+    asked = ("nod # 0 # 1 # head", str(output), f"model={run}", "steps=2", "samples=2", "fps=30", "formats=bvh,npz")
+    assert sample.main([*asked]) == 0
+    told = capsys.readouterr()
+    assert told.err == ""
+    assert [line.partition(":")[0] for line in told.out.splitlines()] == [
+        "timeline_0",
+        "timeline_1",
+        "motions in " + str(output),
+    ]
+    assert "Frame Time: 0.0333" in (output / "timeline_0.bvh").read_text()
+    assert stmc.read(output / "timeline_1.npz").fps == 30
+    assert sample.main([*asked, "--json", "samples=3"]) == 0
+    [line] = capsys.readouterr().out.splitlines()
+    line = json.loads(line)
+    assert (line["name"], line["seed"], line["files"]) == (
+        "timeline_2", 2, [str(output / f"timeline_2.{kind}") for kind in ("bvh", "npz")]
+    )  # fmt: skip
+
+
+def test_a_log_hears_of_the_steps_now_and_then(sample, monkeypatch):
+    monkeypatch.setattr(sample, "SILENCE", 0)
+    console = sample.Console(file=io.StringIO())
+    with sample.told(console) as progress:
+        task = progress.add_task("", total=3)
+        assert list(sample.followed(range(3), 3, progress, task, 8)) == [0, 1, 2]
+    assert "denoising 8: step 3 of 3" in console.file.getvalue()
+
+
+def test_the_page_shows_the_transitions_that_were_sampled(sample, run, tmp_path):
+    two = "walk # 0 # 2 # legs\nrun # 2 # 4 # legs"
+    common = (two, f"model={run}", "steps=2", "formats=html")
+    for number, (setting, width) in enumerate((("overlap=0.5", 0.5), ("overlap=1", 1.0), ("method=sinc", None))):
+        output = tmp_path / str(number)
+        assert sample.main([*common, f"output={output}", setting]) == 0
+        page = (output / "timeline_0.html").read_text()
+        spans = re.findall(r'class="span change"[^>]*style="left:([\d.]+)%;width:([\d.]+)%', page)
+        assert {round(4 * float(span) / 100, 2) for _, span in spans} == ({width} if width else set())
 
 
 def test_the_record_of_a_motion_can_be_read_by_people(sampled):
-    record = json.loads((sampled[0] / "two_0000_0.json").read_text())
+    record = json.loads((sampled / "two_0000_0.json").read_text())
     assert record["seed"] == 0
     assert record["prompts"][0] == ["walk forwards", 0.0, 2.0, ["legs"]]

@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stmc.body import BodyPart
-from stmc.data.sentences import ALWAYS_STYLED, CONTENTS, STYLES, content, describe, mirrored, mirrored_content
+from stmc.data.sources.bandai_sentences import (
+    ALWAYS_STYLED,
+    CONTENTS,
+    STYLES,
+    content,
+    describe,
+    mirrored,
+    mirrored_content,
+)
 
 LABELS = (
     "walk", "walk-back", "walk-left", "walk-right", "walk-turn-left", "walk-turn-right", "run", "dash",

@@ -9,9 +9,9 @@ from strategies import timelines as any_timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
+from stmc.composing import SequenceDenoiser, body_sequences, guided_sequences, weave
 from stmc.denoisers import Denoiser, FlowMdm
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
-from stmc.sequences import SequenceDenoiser, body_sequences, guided_sequences, weave
 from stmc.tensors import mask
 from stmc.training.loss import Denoising, draw_noise
 from stmc.training.sequences import Sequences

@@ -6,7 +6,6 @@ import math
 import re
 from collections import Counter
 from dataclasses import replace
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from statistics import NormalDist
 
@@ -15,7 +14,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from test_scripts import ROOT, script
+from scripting import loaded, run
+from test_scripts import script
 from walker import walking
 
 import stmc
@@ -141,13 +141,31 @@ def test_the_honeypots_right_side_is_the_first_method_s_own_motion(study, pairs)
                 assert np.array_equal(clips["wrong"].points, Clip.of(other.first).points)
 
 
-def test_a_study_belongs_to_its_seed_and_its_motions(study, pairs):
+def test_a_study_belongs_to_its_seed_and_the_names_of_its_methods_and_timelines(study, pairs):
     surveys, key = study
-    again, same = design(pairs, METHODS, seed=3)
-    assert same == key and [each.id for each in again] == [each.id for each in surveys]
-    others = [replace(pairs[0], first=pairs[0].second), *pairs[1:]]
-    for different in (design(pairs, METHODS, seed=4)[1], design(others, METHODS, seed=3)[1]):
+    renamed = [replace(pairs[0], name="another"), *pairs[1:]]
+    for different in (
+        design(pairs, METHODS, seed=4)[1],
+        design(pairs, ("collage", "another"), seed=3)[1],
+        design(renamed, METHODS, seed=3)[1],
+    ):
         assert not set(different.surveys) & set(key.surveys)
+    again, same = design(pairs[::-1], METHODS, seed=3)
+    assert same == key
+    for survey, other in zip(surveys, again, strict=True):
+        assert [(each.id, each.timeline) for each in survey.questions] == [
+            (each.id, each.timeline) for each in other.questions
+        ]
+
+
+def test_the_last_bits_of_motions_which_no_two_processors_share_change_nothing_of_a_study(study, pairs):
+    def elsewhere(motion: Motion) -> Motion:
+        return replace(motion, joints=motion.joints * (1 + 2**-50))
+
+    moved = [replace(each, first=elsewhere(each.first), second=elsewhere(each.second)) for each in pairs]
+    assert not torch.equal(moved[0].first.joints, pairs[0].first.joints)
+    surveys, key = design(moved, METHODS, seed=3)
+    assert key == study[1] and [each.id for each in surveys] == [each.id for each in study[0]]
 
 
 def test_too_few_timelines_and_methods_of_one_name_are_errors(pairs):
@@ -168,6 +186,8 @@ def test_the_stranger_has_other_texts_few_of_the_words_and_about_the_same_length
     same, words = made("walk forwards # 0 # 10"), made("walk forwards slowly # 0 # 10")
     short, right = made("jump # 0 # 2"), made("jump up # 0 # 9")
     assert stranger(own, [same, words, short, right]) is right
+    tied = replace(right, name="a")
+    assert stranger(own, [right, tied]) is stranger(own, [tied, right]) is tied
     with pytest.raises(StudyError, match="no timeline without 'walk forwards', 'wave'"):
         stranger(own, [same])
 
@@ -456,14 +476,14 @@ def tampered(change: str, data: dict, key: Key) -> None:
     [
         ("a question is gone", r"answers: '[0-9a-f]{16}' is missing$"),
         ("a question is new", r"answers: '0000000000000000' does not belong there"),
-        ("a choice is another question's", r"answers\.[0-9a-f]{16}\.realism: \"[0-9a-f]{16}\" is neither of the two"),
+        ("a choice is another question's", r"answers\.[0-9a-f]{16}\.realism: '[0-9a-f]{16}' is neither of the two"),
         ("a choice is no text", r"realism: \[\"none\"\] is neither of the two motions nor 'none'"),
         ("an answer is gone", r"answers\.[0-9a-f]{16}: 'timeline' is missing"),
         ("an answer is none at all", r"answers\.[0-9a-f]{16}: null is no object"),
-        ("the survey is unknown", 'survey: "ffffffffffffffff" is none of the 2 surveys of this key'),
+        ("the survey is unknown", "survey: 'ffffffffffffffff' is none of the 2 surveys of this key"),
         ("the survey is a list", r"survey: \[\] is none of the 2 surveys"),
-        ("the rater is a name", 'rater: "Anna" is not the code of 16 hexadecimal digits'),
-        ("the format is another", "format: \"stmc study answers 2\" is not 'stmc study answers 1'"),
+        ("the rater is a name", "rater: 'Anna' is not the code of 16 hexadecimal digits"),
+        ("the format is another", "format: 'stmc study answers 2' is not 'stmc study answers 1'"),
         ("a key is new", "the document: 'method' does not belong there"),
     ],
 )
@@ -479,12 +499,13 @@ def test_a_tampered_file_is_named_with_the_place_that_is_wrong(study, tmp_path, 
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        (b"", "not JSON"),
-        (b"\xff\xfe", "not JSON"),
+        (b"", "line 1, column 1: not JSON"),
+        (b"\xff\xfe", "not UTF-8 text"),
         (b"[" * 100000, "not JSON"),
         (b"[]", r"the document: \[\] is no object"),
-        (b'{"rater": "a", "rater": "b"}', "'rater' stands twice"),
+        (b'{"rater": "a", "rater": "b"}', "the key 'rater' is duplicated"),
         (b"{}", "the document: 'format' is missing, and 3 more"),
+        (b" " * (2**20 + 1), "larger than 1 MiB"),
     ],
 )
 def test_what_is_no_answer_file_is_named(study, tmp_path, content, complaint):
@@ -522,38 +543,46 @@ def test_a_key_is_read_as_it_was_written_and_else_refused(study, tmp_path):
 # ---- scripts --------------------------------------------------------------------------------------------------------
 
 
-def test_from_folders_of_motions_to_an_analysis_by_the_scripts(pairs, tmp_path):
+@pytest.fixture
+def asked(pairs, tmp_path) -> tuple[str, ...]:
+    """Settings of a study of seven timelines whose motions lie in two folders."""
     for each in pairs[:7]:
         sampled(tmp_path / "stmc", each.timeline, each.first, name=each.name)
         sampled(tmp_path / "sinc", each.timeline, each.second, name=each.name)
     Timeline.write_all([each.timeline for each in pairs], tmp_path / "timelines.json")
-    here, output = tmp_path / "here", tmp_path / "study"
-    folders = (f"first={tmp_path / 'stmc'}", f"second={tmp_path / 'sinc'}", f"output={output}")
-    settings = (*folders, f"timelines={tmp_path / 'timelines.json'}", "size=2", "names=[null,rival]")
-    assert "4 surveys" in script("study", *settings, folder=here).stdout
+    folders = (f"first={tmp_path / 'stmc'}", f"second={tmp_path / 'sinc'}", f"output={tmp_path / 'study'}")
+    return (*folders, f"timelines={tmp_path / 'timelines.json'}", "size=2", "names=[null,rival]")
+
+
+def test_from_folders_of_motions_to_an_analysis_by_the_scripts(asked, tmp_path, capsys):
+    output = tmp_path / "study"
+    run("study", "study", *asked)
+    assert "4 surveys" in capsys.readouterr().out
     assert sorted(path.name for path in (output / "surveys").iterdir()) == [f"survey_{n:02d}.html" for n in range(1, 5)]
     key = Key.read(output / "key.json")
     assert key.methods == ("stmc", "rival")
     written(tmp_path / "answers", *(answered(key, survey, 5) for survey in key.surveys))
-    done = script("analyse_study", f"study={output}", f"answers={tmp_path / 'answers'}", folder=here)
-    assert re.search(r"stmc or similar +7 +100\.0 %", done.stdout)
-    assert (output / "analysis.txt").read_text() == done.stdout
+    run("analyse_study", "analyse_study", f"study={output}", f"answers={tmp_path / 'answers'}")
+    told = capsys.readouterr().out
+    assert re.search(r"stmc or similar +7 +100\.0 %", told)
+    assert (output / "analysis.txt").read_text() == told
     assert json.loads((output / "analysis.json").read_text())["preferences"]["timeline"]["pairs"] == 7
+
+
+@pytest.mark.slow
+def test_the_scripts_leave_nothing_in_the_folder_that_they_are_called_in(asked, tmp_path):
+    here, output = tmp_path / "here", tmp_path / "study"
+    script("study", *asked, folder=here)
+    key = Key.read(output / "key.json")
+    written(tmp_path / "answers", *(answered(key, survey, 5) for survey in key.surveys))
+    script("analyse_study", f"study={output}", f"answers={tmp_path / 'answers'}", folder=here)
     assert not list(here.iterdir())
 
 
 def test_a_study_is_not_overwritten_and_an_analysis_needs_answers(tmp_path):
     (tmp_path / "key.json").write_text("{}")
     with pytest.raises(StudyError, match="holds a study already, whose key its answers need"):
-        module("study").made({}, tmp_path)
+        loaded("study").made({}, tmp_path)
     Key(METHODS, {}).write(tmp_path / "key.json")
     with pytest.raises(StudyError, match="has no answer files"):
-        module("analyse_study").analysed(tmp_path, tmp_path / "answers")
-
-
-def module(name: str):
-    """A script without a process of its own."""
-    spec = spec_from_file_location(f"{name}_script", ROOT / "scripts" / f"{name}.py")
-    loaded = module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    return loaded
+        loaded("analyse_study").analysed(tmp_path, tmp_path / "answers")

@@ -1,8 +1,11 @@
 """Text encoders: parity with the model cards, independence of batch mates, and a disk cache that survives damage."""
 
 import importlib.util
+import os
+import sqlite3
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -419,39 +422,88 @@ def test_a_damaged_file_is_made_anew(tmp_path, damage):
     encoder = Letters()
     cached = Cached(encoder, tmp_path)
     expected, _ = cached.encode(["walk"])
-    cached.file("walk").write_bytes(damage(cached.file("walk").read_bytes()))
+    cached.file.write_bytes(damage(cached.file.read_bytes()))
     for _ in range(2):
         assert torch.equal(cached.encode(["walk"])[0], expected)
     assert encoder.asked == ["walk", "walk"]  # first, and once more after the damage
 
 
-def test_a_file_that_holds_another_text_is_not_believed(tmp_path):
+def test_words_that_stand_under_another_text_are_not_believed(tmp_path):
     encoder = Letters()
     cached = Cached(encoder, tmp_path)
     cached.encode(["walk", "turn"])
-    cached.file("turn").write_bytes(cached.file("walk").read_bytes())
+    with closing(sqlite3.connect(cached.file)) as database, database:
+        query = "UPDATE texts SET (words, sha256) = (SELECT words, sha256 FROM texts WHERE text = ?) WHERE text = ?"
+        database.execute(query, (b"walk", b"turn"))
     assert torch.equal(cached.encode(["turn"])[0], Letters().encode(["turn"])[0])
 
 
-def test_a_failed_write_leaves_no_file_behind(tmp_path, monkeypatch):
+def test_all_texts_are_in_one_file_and_the_missing_are_known(tmp_path):
     cached = Cached(Letters(), tmp_path)
+    texts = ["walk", "", "geh", "走", "a\0b", "x" * 10_000]
+    assert cached.missing([*texts, "walk"]) == texts
+    cached.encode(texts)
+    assert list(tmp_path.iterdir()) == [cached.file]
+    assert cached.missing([*texts, "run"]) == ["run"]
 
+
+def test_a_kill_while_words_are_written_leaves_a_cache_that_can_be_read(tmp_path):
+    cached = Cached(Letters(), tmp_path)
+    cached.encode(["walk"])
+    whole = cached.file.read_bytes()
+
+    class Killed(BaseException):
+        pass
+
+    with pytest.raises(Killed), cached._opened("rw") as database:
+        database.execute("PRAGMA cache_size = 1")
+        database.executemany("INSERT INTO texts VALUES (?, ?, ?)", [(bytes([n]), b"w" * 9000, b"") for n in range(50)])
+        half = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+        raise Killed
+    for name, content in half.items():
+        (tmp_path / name).write_bytes(content)
+    assert len(half) == 2 and cached.file.read_bytes() != whole
+    assert cached.missing(["walk", "\1"]) == ["\1"]
+    assert cached.file.read_bytes()[100:] == whole[100:] and list(tmp_path.iterdir()) == [cached.file]
+
+
+@pytest.mark.skipif(os.name == "nt" or os.getuid() == 0, reason="root may write anything")
+def test_a_cache_that_may_not_be_written_can_be_read(tmp_path):
+    Cached(Letters(), tmp_path).encode(["walk"])
+    tmp_path.chmod(0o555)
+    try:
+        assert Cached(Letters(), tmp_path).missing(["walk"]) == []
+        with pytest.raises(OSError, match="cannot be written"):
+            Cached(Letters(), tmp_path).encode(["run"])
+    finally:
+        tmp_path.chmod(0o755)
+
+
+def test_a_full_disk_is_an_os_error(tmp_path, monkeypatch):
     def full(*_):
-        raise OSError("no space left on device")
+        raise sqlite3.OperationalError("database or disk is full")
 
-    monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(OSError, match="no space"):
-        cached.encode(["walk"])
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    monkeypatch.setattr(Cached, "_insert", full)
+    with pytest.raises(OSError, match=r"letters_.*\.sqlite cannot be written: database or disk is full"):
+        Cached(Letters(), tmp_path).encode(["walk"])
 
 
-def test_many_writers_of_one_folder_leave_complete_files_only(tmp_path):
+def test_it_says_how_far_it_has_come(tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr("stmc.text.cached.AT_ONCE", 2)
+    caplog.set_level("INFO")
+    Cached(Letters(), tmp_path).encode(["turn", "walk", "kick"])
+    assert "encoding 3 texts with letters; 0 are known" in caplog.text
+    assert "encoded 2 of 3 texts" in caplog.text and "encoded 3 of 3 texts" in caplog.text
+
+
+def test_many_writers_of_one_folder_leave_one_complete_file(tmp_path):
     texts = [f"walk {'a' * number}" for number in range(20)]
     expected, _ = Letters().encode(texts)
     with ThreadPoolExecutor(8) as pool:
         results = list(pool.map(lambda _: Cached(Letters(), tmp_path).encode(texts)[0], range(16)))
     assert all(torch.equal(words, expected) for words in results)
-    assert len([path for path in tmp_path.rglob("*") if path.is_file()]) == len(texts)
+    assert list(tmp_path.iterdir()) == [Cached(Letters(), tmp_path).file]
+    assert Cached(Letters(), tmp_path).missing(texts) == []
 
 
 class Recorder(torch.nn.Module):

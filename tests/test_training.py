@@ -14,10 +14,24 @@ from jaxtyping import TypeCheckError
 from torch import nn
 from toys import LAYOUT, LetterCounts, cache
 
-from stmc.data.dataset import ClipBatches, Corpus, Sampling
+from stmc.data.batches import ClipBatches, Sampling
+from stmc.data.dataset import Corpus
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion.schedule import Schedule
-from stmc.training import Batch, Checkpoints, Denoising, Ema, Hook, Settings, Trainer, draw_noise, squared_errors
+from stmc.training import (
+    Batch,
+    CheckpointError,
+    Checkpoints,
+    Denoising,
+    Ema,
+    Hook,
+    Settings,
+    SettingsChanged,
+    Trainer,
+    draw_noise,
+    find_accelerator,
+    squared_errors,
+)
 from stmc.training.logs import Table
 from stmc.training.speed import ByteDropout, quick_attention, quicken_dropout
 
@@ -40,7 +54,10 @@ class Killed(BaseException):
     """As sudden as a kill, within one process."""
 
 
-def trainer(folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, objective=None, **settings) -> Trainer:
+def trainer(
+    folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, objective=None,
+    described=None, allow_changed_settings=False, **settings,
+) -> Trainer:  # fmt: skip
     torch.manual_seed(0)
     corpus = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
     sampling = Sampling(rows=8, pool=2, pieces=pieces)
@@ -52,6 +69,8 @@ def trainer(folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, objective=No
         Settings(**({"steps": 16} | QUICK | settings)),
         validation=ClipBatches(corpus, "val", sampling)(0),
         hooks=hooks,
+        described=described,
+        allow_changed_settings=allow_changed_settings,
     )
 
 
@@ -138,7 +157,7 @@ def test_steps_of_noising_are_uniform_and_noise_is_standard():
 
 
 def test_the_loss_falls_and_the_average_learns_too(tmp_path):
-    model = trainer(tmp_path, steps=120, precision="fp32").run()
+    model = trainer(tmp_path, steps=48, rate=1e-2, precision="fp32").run()
     first, *_, last = rows(tmp_path / "train.csv")
     assert float(last["loss"]) < 0.6 * float(first["loss"])
     first, *_, last = rows(tmp_path / "validation.csv")
@@ -147,9 +166,9 @@ def test_the_loss_falls_and_the_average_learns_too(tmp_path):
 
 
 def test_half_precision_learns_the_same_and_keeps_weights_in_full(tmp_path):
-    half = trainer(tmp_path / "half", steps=20, dropout=0.0)
+    half = trainer(tmp_path / "half", steps=8, dropout=0.0)
     half.run()
-    trainer(tmp_path / "full", steps=20, dropout=0.0, precision="fp32").run()
+    trainer(tmp_path / "full", steps=8, dropout=0.0, precision="fp32").run()
     assert {parameter.dtype for parameter in half.network.parameters()} == {torch.float32}
     for a, b in zip(rows(tmp_path / "half/train.csv"), rows(tmp_path / "full/train.csv"), strict=True):
         assert float(a["loss"]) == pytest.approx(float(b["loss"]), rel=0.03)
@@ -215,7 +234,7 @@ def test_the_average_follows_at_the_warmed_up_decay():
 
 def test_a_run_stopped_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
     whole = trainer(tmp_path / "whole").run().state_dict()
-    for moment in (1, 4, 7, 12, 15):
+    for moment in (1, 7, 12):
 
         def kill(step, _, moment=moment):
             if step == moment:
@@ -225,7 +244,7 @@ def test_a_run_stopped_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
         with pytest.raises(Killed):
             trainer(folder, hooks=[Hook(1, kill)]).run()
         resumed = trainer(folder)
-        assert resumed.step == moment // 4 * 4
+        assert resumed.step == (moment - 1) // 4 * 4  # a checkpoint is the last thing that a step does
         model = resumed.run().state_dict()
         assert all(torch.equal(model[name], whole[name]) for name in whole)
         assert losses(folder) == losses(tmp_path / "whole")
@@ -241,8 +260,99 @@ def test_a_finished_run_has_nothing_to_do(tmp_path):
 
 def test_another_seed_cannot_go_on_with_a_run(tmp_path):
     trainer(tmp_path, steps=4).run()
-    with pytest.raises(ValueError, match="begun with seed 0, not 1"):
-        trainer(tmp_path, steps=8, seed=1)
+    with pytest.raises(SettingsChanged, match="seed: 0 → 1"):
+        trainer(tmp_path, steps=8, lr_decay_steps=4, seed=1)
+
+
+def test_what_a_run_was_begun_with_is_named_with_both_values_where_it_differs(tmp_path):
+    trainer(tmp_path, steps=2, described={"data": {"rows": 48, "trim": 0.1}, "cache": "abc"}).run()
+    other = {"data": {"rows": 8, "trim": 0.1}, "cache": "abd", "start": None}
+    with pytest.raises(SettingsChanged) as refusal:
+        trainer(tmp_path, steps=2, rate=1.0, described=other)
+    for difference in ("data.rows: 48 → 8", "cache: abc → abd", "start: absent → None", "training.rate: 0.003 → 1.0"):
+        assert difference in str(refusal.value)
+    assert "trim" not in str(refusal.value) and "allow_changed_settings=true" in str(refusal.value)
+
+
+def test_a_run_may_go_on_with_other_settings_where_that_is_asked_for_and_remembers_it(tmp_path, caplog):
+    trainer(tmp_path, steps=2, described={"cache": "abc"}).run()
+    changed = {"steps": 4, "lr_decay_steps": 2, "described": {"cache": "abd"}}
+    trainer(tmp_path, **changed, allow_changed_settings=True).run()
+    assert "goes on with other settings: cache: abc → abd" in caplog.text
+    again = trainer(tmp_path, **changed)
+    assert (again.step, again.changes) == (4, ["after step 2: cache: abc → abd"])
+
+
+def test_places_machines_and_intervals_may_change(tmp_path):
+    begun = {"run": "a", "device": "cpu", "threads": 2, "data": {"folder": "b", "preparation": {"fps": 20}, "rows": 8}}
+    trainer(tmp_path, steps=2, described=begun).run()
+    moved = {"run": "c", "device": "cuda", "threads": None, "data": {"folder": "d", "rows": 8}}
+    intervals = {"log_every": 1, "validate_every": 2, "checkpoint_every": 2, "keep": 3}
+    assert trainer(tmp_path, **intervals, steps=1, lr_decay_steps=2, described=moved).step == 2
+
+
+def test_a_longer_run_must_say_where_its_rate_has_fallen(tmp_path):
+    trainer(tmp_path, steps=2, warmup=1).run()
+    with pytest.raises(SettingsChanged, match=r"a longer run needs training\.lr_decay_steps=2"):
+        trainer(tmp_path, steps=4, warmup=1)
+    trainer(tmp_path, steps=4, lr_decay_steps=2, warmup=1).run()
+    trainer(tmp_path / "whole", steps=4, lr_decay_steps=2, warmup=1, validate_every=2).run()
+    assert losses(tmp_path) == losses(tmp_path / "whole")
+    assert rows(tmp_path / "train.csv")[-1]["rate"] == format(3e-3 * 0.02, ".9g")
+
+
+def cut(content: bytes) -> bytes:
+    return content[: len(content) // 2]
+
+
+def flipped(content: bytes) -> bytes:
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+@pytest.mark.parametrize("damage", [cut, flipped, lambda content: b"", lambda content: content + b"0"])
+def test_a_damaged_checkpoint_is_passed_over_and_named(tmp_path, damage, caplog):
+    checkpoints, found = Checkpoints(tmp_path), []
+    for step in (4, 8):
+        checkpoints.save(step, {"value": torch.tensor(step)})
+    newest = tmp_path / "step-00000008.pt"
+    newest.write_bytes(damage(newest.read_bytes()))
+    assert checkpoints.restore(lambda step, state: found.append(int(state["value"]))) == 4
+    assert found == [4] and "step-00000008.pt is damaged (checksum); going on from step 4" in caplog.text
+
+
+def test_where_no_checkpoint_is_whole_the_message_says_what_to_do(tmp_path):
+    for step in (4, 8):
+        (tmp_path / f"step-{step:08d}.pt").touch()
+    with pytest.raises(CheckpointError, match=r"0008.pt is damaged.*0004.pt is damaged.*remove this folder"):
+        Checkpoints(tmp_path).restore(lambda *state: pytest.fail("taken"))
+
+
+def test_a_run_whose_newest_checkpoint_is_damaged_comes_to_the_same_end(tmp_path):
+    quick = {"steps": 4, "checkpoint_every": 2, "validate_every": 2}
+    whole = trainer(tmp_path, **quick).run().state_dict()
+    logged, newest = losses(tmp_path), tmp_path / "checkpoints" / "step-00000004.pt"
+    newest.write_bytes(flipped(newest.read_bytes()))
+    resumed = trainer(tmp_path, **quick)
+    assert resumed.step == 2
+    model = resumed.run().state_dict()
+    assert all(torch.equal(model[name], whole[name]) for name in whole)
+    assert resumed.checkpoints.steps() == [2, 4] and losses(tmp_path) == logged
+
+
+def test_a_checkpoint_of_another_network_is_passed_over_and_changes_nothing(tmp_path, caplog):
+    trainer(tmp_path, steps=4).run()
+    wide = trainer(tmp_path / "wide", MdmSmpl(LAYOUT.width, 8, width=32, feedforward=32, layers=1, heads=2), steps=4)
+    Checkpoints(tmp_path / "checkpoints").save(8, wide._state())
+    resumed = trainer(tmp_path, steps=4)
+    assert resumed.step == 4 and "step-00000008.pt is damaged (it is of another network)" in caplog.text
+
+
+def test_a_damaged_checkpoint_of_a_later_step_outlives_no_whole_one(tmp_path):
+    checkpoints = Checkpoints(tmp_path, keep=1)
+    checkpoints.save(8, {})
+    checkpoints.save(6, {})
+    assert checkpoints.steps() == [6]
 
 
 def test_a_step_leaves_the_global_generator_alone(tmp_path):
@@ -281,12 +391,14 @@ def test_tensorboard_gets_what_the_tables_get(tmp_path):
 
 def test_only_the_newest_checkpoints_stay(tmp_path):
     checkpoints = Checkpoints(tmp_path, keep=2)
-    assert checkpoints.load() is None
+    found = []
+    assert checkpoints.restore(lambda *state: found.append(state)) == 0 and not found
     for step in (5, 10, 100):
         checkpoints.save(step, {"value": torch.tensor(step)})
     (tmp_path / ".step-00000200.pt.1234").write_bytes(b"a kill while writing")
     assert checkpoints.steps() == [10, 100]
-    step, state = checkpoints.load()
+    assert checkpoints.restore(lambda *state: found.append(state)) == 100
+    [(step, state)] = found
     assert (step, int(state["value"])) == (100, 100)
 
 
@@ -295,10 +407,33 @@ def test_a_checkpoint_that_carries_code_is_not_run(tmp_path):
         def __reduce__(self):
             return os.mkdir, (str(tmp_path / "pwned"),)
 
-    torch.save({"model": Evil()}, tmp_path / "step-00000001.pt")
-    with pytest.raises(Exception, match=r"[Ww]eights.only"):
-        Checkpoints(tmp_path).load()
+    Checkpoints(tmp_path).save(1, {"model": Evil()})
+    with pytest.raises(CheckpointError, match="more than tensors and plain data"):
+        Checkpoints(tmp_path).restore(lambda *state: pytest.fail("taken"))
     assert not (tmp_path / "pwned").exists()
+
+
+def test_a_checkpoint_can_be_read_without_this_library(tmp_path):
+    Checkpoints(tmp_path).save(1, {"model": {"weight": torch.ones(3)}})
+    assert torch.load(tmp_path / "step-00000001.pt", weights_only=True)["model"]["weight"].sum() == 3
+
+
+def test_an_accelerator_that_is_not_there_is_an_error(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ValueError, match="device=cuda: there is none"):
+        find_accelerator("cuda")
+    with pytest.raises(ValueError, match="device='gpu': choose from auto, cpu, cuda"):
+        find_accelerator("gpu")
+    assert find_accelerator("auto").device.type == "cpu"
+
+
+def test_where_there_is_no_terminal_the_loss_is_told_in_lines(tmp_path, caplog):
+    caplog.set_level("INFO")
+    trainer(tmp_path, steps=2).run()
+    assert f"beginning {tmp_path} on cpu: 0 of 2 steps are done" in caplog.text
+    assert "step 2 of 2: loss " in caplog.text
+    trainer(tmp_path, steps=2)
+    assert f"resuming {tmp_path} on cpu: 2 of 2 steps are done" in caplog.text
 
 
 def test_a_table_forgets_later_rows_and_half_rows(tmp_path):

@@ -20,8 +20,9 @@ from stmc.body import JOINTS, BodyPart
 from stmc.body_model import Skeleton, load_body
 from stmc.geometry import rotation_z
 from stmc.motion import Motion
+from stmc.planning import plan
 from stmc.timeline import Timeline
-from stmc.viewing import figure, page, pictures, view
+from stmc.viewing import figure, page, pictures, plot_plan, view
 from stmc.viewing.camera import framing
 from stmc.viewing.colours import NEUTRAL, as_rgb, hand_overs, ink, owners, palette, worn
 from stmc.viewing.mannequin import dressed, sculpt
@@ -289,3 +290,15 @@ def test_view_shows_the_page_within_a_notebook(timeline, monkeypatch):
     view(standing(), timeline, height=333)
     assert shown[0].startswith("<div><iframe srcdoc=") and "height:333px" in shown[0]
     assert html.escape("<!doctype html>") in shown[0].lower()
+
+
+def test_a_plan_is_drawn_as_its_crops_and_as_the_weights_of_every_part_that_differs(timeline):
+    drawn = plan(timeline, fps=20.0, overlap=10)
+    crops, others, arm = plot_plan(drawn, 20.0).axes
+    assert [text.get_text() for text in crops.texts] == [crop.text or "" for crop in drawn.crops]
+    spans = [edge for bar in crops.patches for edge in (bar.get_x(), bar.get_x() + bar.get_width())]
+    assert spans == pytest.approx([edge / 20 for crop in drawn.crops for edge in (crop.start, crop.end)])
+    assert others.get_ylabel() == "left arm\nlegs\nhead\nspine"
+    assert arm.get_ylabel() == "right arm"
+    tops = [np.abs(steps.get_data().values).max() for steps in arm.patches]
+    assert tops == [1, 2, 1, 1]  # the walk, the raise on top of it while both count, and the two transitions subtracted

@@ -2,16 +2,19 @@
 
 A pickle is a program: it names functions and calls them. Here every name becomes one of our own few, harmless
 callables, or a stand-in that only remembers its state; anything else is refused. So neither chumpy (which SMPL's files
-need, and which no longer installs) nor SciPy is imported on a file's behalf. Knows NumPy's, SciPy's and chumpy's way of
-pickling arrays; knows no array by name.
+need, and which no longer installs) nor SciPy is imported on a file's behalf, and NumPy's own `__setstate__`, which
+believes whatever a file says of memory, never sees one: an array is made of its vetted fields once it is asked for.
+Knows NumPy's, SciPy's and chumpy's way of pickling arrays; knows no array by name.
 """
 
 from __future__ import annotations
 
+import io
+import math
 import pickle
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -19,9 +22,13 @@ from scipy import sparse
 from stmc.arrays.numpy_files import LARGEST, ArraysError
 
 _SPARSE = ("csc", "csr", "coo")
+_LARGEST_MATRIX = 2**27
+"""Bytes of a sparse matrix once it is dense; SMPL-X's regressor has 2**22."""
 
 _NUMPY = ("numpy.core", "numpy._core")
 """Where NumPy's own functions of this name lived before and after version 2."""
+_KINDS = "biufSU"
+"""Of arrays that are read: booleans, whole numbers, floats, bytes and texts."""
 
 
 def read_pickle(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
@@ -31,17 +38,19 @@ def read_pickle(path: Path, required: Sequence[str], optional: Sequence[str] = (
     not asked for may be anything inert. Raises `ArraysError` for a pickle that asks for any other function or class, or
     is damaged, and where an array is missing.
     """
-    with path.open("rb") as file:
-        try:
-            content = _Unpickler(file).load()
-        except ArraysError as error:
-            raise ArraysError(f"{path}: {error}") from error
-        except Exception as error:  # a damaged pickle can raise whatever it likes
-            raise ArraysError(f"{path} is no pickle, or a damaged one: {type(error).__name__}: {error}") from error
+    if path.stat().st_size > LARGEST:
+        raise ArraysError(f"{path} is larger than the {LARGEST} bytes of any real file")
+    try:
+        content = _Unpickler(path.read_bytes()).load()
+    except ArraysError as error:
+        raise ArraysError(f"{path}: {error}") from error
+    except Exception as error:  # a damaged pickle can raise whatever it likes
+        reason = f"{type(error).__name__}: {error}"[:200]
+        raise ArraysError(f"{path} is no pickle, or a damaged one: {reason}") from error
     if not isinstance(content, dict):
         raise ArraysError(f"{path} holds a {type(content).__name__}, not a dict of arrays")
     if missing := [name for name in required if name not in content]:
-        raise ArraysError(f"{path} has no array {', '.join(missing)}; it has {', '.join(map(str, content))}")
+        raise ArraysError(f"{path} has no array {', '.join(missing)}; it has {_names(content)}")
     wanted = [*required, *(name for name in optional if name in content)]
     try:
         return {name: _dense(content[name], name) for name in wanted}
@@ -66,11 +75,73 @@ class _StandIn:
         self.state = state if isinstance(state, dict) else {}
 
 
-class _Unpickler(pickle.Unpickler):
-    """`find_class` is the only door between a pickle and Python; what it hands out dies with this unpickler."""
+class _Type(_StandIn):
+    """What a dtype becomes: its name and the rest of its state, of which only the byte order means anything."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        super().__init__(file, encoding="latin1")  # Python 2's bytes, as SMPL's files have them
+    def __init__(self, name: object = "", *_: object) -> None:
+        self.name = name
+
+    def __setstate__(self, state: object) -> None:
+        self.state = state
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of a plain kind; `ArraysError` for fields, objects, sub-arrays, and sizes or offsets of the file's choice."""
+        if not isinstance(self.name, str) or self.name.strip("<>=|")[:1] not in ("?", "b", *_KINDS):
+            raise ArraysError(_OBJECTS if str(self.name)[:1] == "O" else f"numbers of the type {self.name!r:.40}")
+        dtype = np.dtype(self.name)
+        if dtype.kind not in _KINDS or not dtype.itemsize:
+            raise ArraysError(f"numbers of the type {self.name!r:.40}")
+        if self.state == {}:
+            return dtype
+        if not isinstance(self.state, tuple) or len(self.state) != 8:
+            raise ArraysError("a type of numbers with a state that NumPy does not write")
+        _, order, *structure, size, alignment = self.state[:7]
+        inherent = (dtype.itemsize, np.dtype(dtype.char).alignment) if dtype.kind in "SU" else (-1, -1)
+        if order not in ("<", ">", "|", "=") or structure != [None, None, None] or (size, alignment) != inherent:
+            raise ArraysError("a type of numbers with fields, or with sizes of its own")
+        return dtype.newbyteorder(order)
+
+
+class _Array(_StandIn):
+    """What an array becomes: its state (version, shape, type, whether in Fortran's order, bytes)."""
+
+    def __setstate__(self, state: object) -> None:
+        self.state = state
+
+    @property
+    def array(self) -> np.ndarray:
+        """The array of its fields, once they fit one another."""
+        if not isinstance(self.state, tuple) or len(self.state) != 5:
+            raise ArraysError("an array with a state that NumPy does not write")
+        _, shape, type_, fortran, content = self.state
+        if not isinstance(type_, _Type) or not isinstance(shape, tuple) or not all(map(_is_size, shape)):
+            raise ArraysError("an array without a shape or a type")
+        if isinstance(content, list):
+            raise ArraysError(_OBJECTS)
+        raw = content.encode("latin1") if isinstance(content, str) else content
+        dtype = type_.dtype
+        if not isinstance(raw, (bytes, bytearray)) or math.prod(shape) * dtype.itemsize != len(raw):
+            raise ArraysError(f"an array of {shape!s:.40} numbers in another number of bytes")
+        return np.ndarray(shape, dtype, bytes(raw), order="F" if fortran else "C").copy(order="K")
+
+
+_OBJECTS = "Python objects, not numbers"
+
+
+def _is_size(size: object) -> bool:
+    return isinstance(size, int) and not isinstance(size, bool) and 0 <= size <= LARGEST
+
+
+class _Unpickler(pickle._Unpickler):
+    """`find_class` is the only door between a pickle and Python; what it hands out dies with this unpickler.
+
+    In Python, since the one in C asks for as much memory as a six-byte file says, and lets a file set attributes of
+    whatever it can reach.
+    """
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(io.BytesIO(content), encoding="latin1")  # Python 2's bytes, as SMPL's files have them
 
     def find_class(self, module: str, name: str) -> Any:
         """One of the harmless callables below, or a stand-in's class; `ArraysError` for any other name."""
@@ -89,53 +160,71 @@ class _Unpickler(pickle.Unpickler):
             ("collections", "OrderedDict"): dict,
             ("__builtin__", "set"): frozenset,
             ("builtins", "set"): frozenset,
+            ("__builtin__", "bytes"): self._no_bytes,
         }
         if (module, name) in ours:
             return ours[module, name]
         if module.split(".")[0] == "chumpy" or (module.startswith("scipy.sparse") and name[:3] in _SPARSE):
-            return type("StandIn", (_StandIn,), {"kind": f"{module}.{name}"})
-        raise ArraysError(f"refused to run {module}.{name}: this is not a file of arrays alone")
+            return type("StandIn", (_StandIn,), {"kind": f"{module}.{name}"[:100]})
+        raise ArraysError(f"refused to run {f'{module}.{name}':.100}: this is not a file of arrays alone")
 
-    def _empty(self, kind: object, *_: object) -> np.ndarray:
+    def load_build(self) -> None:
+        """A state, for a stand-in only."""
+        state = self.stack.pop()
+        if not isinstance(self.stack[-1], _StandIn):
+            raise ArraysError(f"a state for a {type(self.stack[-1]).__name__}: this is not a file of arrays alone")
+        self.stack[-1].__setstate__(state)
+
+    dispatch = pickle._Unpickler.dispatch | {pickle.BUILD[0]: load_build}
+
+    def _empty(self, kind: object, *_: object) -> _Array:
         if kind != "ndarray":
             raise ArraysError("an array of a foreign class")
-        return np.empty(0)
+        return _Array()
 
-    def _dtype(self, name: object, *_: object) -> np.dtype:
-        return np.dtype(str(name), False, True)  # a copy: the file may set its byte order
+    def _dtype(self, name: object, *_: object) -> _Type:
+        return _Type(name)
 
-    def _scalar(self, dtype: np.dtype, raw: object = b"") -> np.generic:
-        content = raw.encode("latin1") if isinstance(raw, str) else raw
-        return np.frombuffer(content, dtype, count=1)[0]
+    def _scalar(self, dtype: object, raw: object = b"") -> _Array:
+        return self._from_buffer(raw, dtype, (), "C")
 
-    def _from_buffer(self, buffer: object, dtype: np.dtype, shape: tuple, order: str) -> np.ndarray:
-        return np.frombuffer(buffer, dtype).reshape(shape, order=order)
+    def _from_buffer(self, buffer: object, dtype: object, shape: object, order: object) -> _Array:
+        made = _Array()
+        made.__setstate__((1, shape, dtype, order == "F", buffer))
+        return made
 
     def _made(self, kind: object, *_: object) -> _StandIn:
         if not (isinstance(kind, type) and issubclass(kind, _StandIn)):
-            raise ArraysError(f"an object of a class that is not to be built: {kind}")
+            raise ArraysError(f"an object of a class that is not to be built: {kind!r:.60}")
         return kind()
+
+    def _no_bytes(self) -> bytes:
+        """What older protocols call for empty bytes; with a number it would be so many."""
+        return b""
 
     def _encoded(self, text: str, encoding: str = "latin1") -> bytes:
         if encoding not in ("latin1", "latin-1"):
-            raise ArraysError(f"bytes in the encoding {encoding!r}")
+            raise ArraysError(f"bytes in the encoding {encoding!r:.40}")
         return text.encode("latin1")
 
 
+def _names(content: dict) -> str:
+    """Of what a file holds, the first few."""
+    names = [name if isinstance(name, str) else type(name).__name__ for name in content]
+    return f"{', '.join(names)[:200]}{'…' if len(', '.join(names)) > 200 else ''}"
+
+
 def _dense(value: object, name: str) -> np.ndarray:
-    if isinstance(value, (np.ndarray, np.generic, int, float)):
-        array = np.asarray(value)
-        if array.dtype.hasobject:
-            raise ArraysError(f"{name} holds Python objects, not numbers")
-        return array
+    if isinstance(value, (int, float)):
+        return np.asarray(value)
     if not isinstance(value, _StandIn):
         raise ArraysError(f"{name} is a {type(value).__name__}, not an array")
     try:
-        return _unfolded(value, name)
-    except ArraysError:
-        raise
-    except (KeyError, ValueError, TypeError, IndexError, AttributeError, MemoryError) as error:
-        raise ArraysError(f"{name} is a damaged {value.kind}: {error!r}") from error
+        return value.array if isinstance(value, _Array) else _unfolded(value, name)
+    except ArraysError as error:
+        raise ArraysError(f"{name} holds {error}" if isinstance(value, _Array) else str(error)) from error
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError, MemoryError, RecursionError) as error:
+        raise ArraysError(f"{name} is a damaged {value.kind or 'array'}: {error!r:.200}") from error
 
 
 def _unfolded(value: _StandIn, name: str) -> np.ndarray:
@@ -152,13 +241,15 @@ def _unfolded(value: _StandIn, name: str) -> np.ndarray:
 
 
 def _matrix(state: dict, layout: str) -> np.ndarray:
-    rows, columns = (int(size) for size in state.get("_shape", state.get("shape")))
-    if rows * columns * 8 > LARGEST:
+    rows, columns = state.get("_shape", state.get("shape"))
+    if not (_is_size(rows) and _is_size(columns)) or rows * columns * 8 > _LARGEST_MATRIX:
         raise ValueError(f"{rows} x {columns} numbers")
+    values = _dense(state["data"], "data")
     if layout == "coo":
         places = state["coords"] if "coords" in state else (state["row"], state["col"])
-        return sparse.coo_matrix((state["data"], tuple(places)), (rows, columns)).toarray()
+        indexes = tuple(_dense(place, "places") for place in places)
+        return sparse.coo_matrix((values, indexes), (rows, columns)).toarray()
     build = {"csc": sparse.csc_matrix, "csr": sparse.csr_matrix}[layout]
-    matrix = build((state["data"], state["indices"], state["indptr"]), (rows, columns))
+    matrix = build((values, _dense(state["indices"], "indices"), _dense(state["indptr"], "indptr")), (rows, columns))
     matrix.check_format(full_check=True)  # the places of a damaged matrix would be read beyond its end
     return matrix.toarray()

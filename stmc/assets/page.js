@@ -1,19 +1,91 @@
 // Keeps the tracks below viser's recording in step with it. viser has no interface for its clock; the handle of its
 // slider bears the time (aria-valuenow), and its number field takes one. "#t=2.5" in the address starts there, paused.
+// Its camera is reached through React's own tree; where that is not as we know it, the recording's camera stays.
 (() => {
   const root = document.getElementById("root");
   const tracks = document.getElementById("stmc-tracks");
   const duration = Number(document.body.dataset.duration);
-  let thumb = null;
+  const view = JSON.parse(document.body.dataset.view);
+  const button = document.getElementById("stmc-follow");
+  const SMALL = 0.25; // of the picture's height: a body that is smaller is followed
+  let thumb = null, time = 0, viewer = null, followed = null;
+
+  // The record that viser's components share: it has the camera and whoever controls it.
+  function found() {
+    const canvas = root.querySelector("canvas");
+    const key = canvas && Object.keys(canvas).find((name) => name.startsWith("__reactFiber"));
+    for (let fiber = key && canvas[key]; fiber; fiber = fiber.return)
+      for (let hook = fiber.memoizedState; hook && typeof hook === "object" && "next" in hook; hook = hook.next) {
+        const held = hook.memoizedState && hook.memoizedState.current;
+        if (held && held.cameraControl && held.camera && held.requestRender) return held;
+      }
+    return null;
+  }
+
+  const place = ([x, y, z]) => [-y, z, -x]; // metres, z up → three.js, as viser turns its scene
+  const plus = (one, other, share = 1) => one.map((value, axis) => value + share * other[axis]);
+  const slope = () => Math.tan((viewer.camera.fov * Math.PI) / 360);
+
+  function look(position, target) {
+    viewer.cameraControl.setLookAt(...position, ...target, false);
+    viewer.requestRender();
+  }
+
+  function pelvis() {
+    const last = view.path.length - 1;
+    const at = Math.min(time * view.rate, last), before = Math.floor(at), after = Math.min(before + 1, last);
+    const [x, y] = plus(view.path[before].map((v) => v * (1 - (at - before))), view.path[after], at - before);
+    return place([x, y, 0.95]);
+  }
+
+  // The camera for the window as it is: the whole motion, or the body alone seen from the same side.
+  function frame() {
+    if (!viewer) return;
+    const canvas = root.querySelector("canvas");
+    const aspect = canvas.clientWidth / canvas.clientHeight;
+    const fitting = view.cameras.filter((each) => each.aspect <= aspect);
+    const { position, target } = fitting[fitting.length - 1] || view.cameras[0];
+    const away = plus(place(position), place(target), -1);
+    const distance = Math.hypot(...away);
+    if (followed === null) followed = 1.8 / (2 * slope() * distance) < SMALL ? pelvis() : false;
+    button.setAttribute("aria-pressed", followed !== false);
+    if (followed === false) return look(place(position), place(target));
+    followed = pelvis();
+    const near = Math.max(2.4, 1.6 / aspect) / (2 * slope());
+    look(plus(followed, away, near / distance), followed);
+  }
+
+  function keepUp() {
+    if (!viewer || !followed) return;
+    const here = pelvis(), moved = plus(here, followed, -1);
+    const { position } = viewer.camera, target = viewer.cameraControl.getTarget(position.clone());
+    followed = here;
+    look(plus(position.toArray(), moved), plus(target.toArray(), moved));
+  }
+
+  // viser makes its camera some time after its canvas, and tells nobody.
+  const waiting = setInterval(() => {
+    viewer = found();
+    if (!viewer) return;
+    clearInterval(waiting);
+    frame();
+  }, 100);
+
+  button.addEventListener("click", () => {
+    followed = followed === false ? pelvis() : false;
+    frame();
+  });
+  window.addEventListener("resize", frame);
 
   function follow() {
-    const time = Math.min(Number(thumb.getAttribute("aria-valuenow")), duration);
+    time = Math.min(Number(thumb.getAttribute("aria-valuenow")), duration);
     document.body.dataset.time = time.toFixed(3);
     for (const element of document.querySelectorAll("[data-from]")) {
       const now = Number(element.dataset.from) <= time && time < Number(element.dataset.to);
       if (element.classList.contains("bar")) element.classList.toggle("now", now);
       else element.hidden = !now;
     }
+    keepUp();
     if (!tracks) return;
     document.getElementById("stmc-time").textContent = time.toFixed(1) + " s";
     const cursor = document.getElementById("stmc-cursor");
@@ -34,10 +106,10 @@
   }
 
   new MutationObserver(() => {
-    const found = root.querySelector("[role=slider]");
-    if (!found || found === thumb) return;
+    const slider = root.querySelector("[role=slider]");
+    if (!slider || slider === thumb) return;
     const first = thumb === null;
-    thumb = found;
+    thumb = slider;
     new MutationObserver(follow).observe(thumb, { attributes: true, attributeFilter: ["aria-valuenow"] });
     follow();
     const start = /[#&]t=([0-9.]+)/.exec(location.hash);

@@ -25,7 +25,7 @@ from stmc.metrics.plausibility import check_joints
 from stmc.metrics.realism import fid
 from stmc.metrics.smoothness import HUMANML3D_WINDOW, transition_window
 from stmc.motion import Motion
-from stmc.representation import Representation
+from stmc.representation import JointsFrom, Representation
 from stmc.timeline import Prompt, Timeline
 
 ASKED, REFERENCE, REAL = range(3)
@@ -67,6 +67,8 @@ class Compositions:
     Raises `CacheError` for a test split that holds too little, `ImplausibleMotion` where its motions are not people's,
     and `ValueError` for numbers that cannot be meant.
     """
+
+    joints_from: JointsFrom = "skeleton"
 
     def __init__(
         self,

@@ -5,7 +5,7 @@ Knows which frames of a motion should show which text; how that is measured is `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from importlib.resources import files
@@ -17,26 +17,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stmc.benchmarks.ability import Question, questions
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atoms
+from stmc.benchmarks.ground_truth import Footage, amass_footage, cache_footage
 from stmc.benchmarks.protocol import Scores, TextJudge
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.data.footage import Footage, amass_footage, cache_footage
-from stmc.metrics.ability import Question, questions
-from stmc.metrics.kinematics import local_joints, window_jerk
+from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.realism import fid
-from stmc.metrics.smoothness import quarter_points, transition_distance, transition_window
-from stmc.metrics.timelines import (
-    GroundTruth,
-    Span,
-    TimelineScores,
-    measured_points,
-    published_timeline_scores,
-    semantics,
-    timeline_scores,
-)
+from stmc.metrics.smoothness import quarter_points, transition_window
+from stmc.metrics.timelines import DEFINED, PUBLISHED, Formulas, GroundTruth, Span, measured_points, semantics
 from stmc.motion import Motion
-from stmc.mtt import AtomicPrompt, read_atoms
-from stmc.representation import SmplRepresentation
-from stmc.results.naming import ALONE
+from stmc.representation import JointsFrom, SmplRepresentation
+from stmc.sampling import INDEPENDENT
 from stmc.timeline import Prompt, Timeline, TimelineError
 
 PER_TEXT = 12
@@ -51,9 +43,9 @@ class MultiTrack:
     """A `Benchmark` of `asked` timelines whose texts are those of `atoms`.
 
     `truth` are the judge's latents of the atoms in their order, `footage` the motions that show them, at its frame
-    rate. `scored` says how to measure: `timeline_scores`, or `published_timeline_scores` to compare with the paper's
-    tables. `questions` are those that geometry can answer about a motion, for some of the texts: no learned judge is
-    asked.
+    rate. `formulas` and `joints_from` say how to measure, and which joints of a model's features: by definition, or as
+    published to compare with the paper's tables. `questions` are those that geometry can answer about a motion, for
+    some of the texts: no learned judge is asked.
     """
 
     asked: Sequence[Timeline]
@@ -61,7 +53,8 @@ class MultiTrack:
     judge: TextJudge
     truth: GroundTruth
     footage: Sequence[Motion]
-    scored: Callable[..., TimelineScores] = timeline_scores
+    formulas: Formulas = DEFINED
+    joints_from: JointsFrom = "skeleton"
     questions: Mapping[str, Question] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -79,7 +72,8 @@ class MultiTrack:
         judge: TextJudge,
         footage: Footage,
         others: Sequence[Motion] = (),
-        scored: Callable[..., TimelineScores] = timeline_scores,
+        formulas: Formulas = DEFINED,
+        joints_from: JointsFrom = "skeleton",
         questions: Mapping[str, Question] = MappingProxyType({}),
     ) -> MultiTrack:
         """The benchmark with the latents of its atoms, shown by `footage`, and of the `others` that FID compares with
@@ -91,17 +85,17 @@ class MultiTrack:
             motions=latents[: len(atoms)],
             others=latents[len(atoms) :] if others else None,
         )
-        return cls(asked, atoms, judge, truth, shown, scored, questions)
+        return cls(asked, atoms, judge, truth, shown, formulas, joints_from, questions)
 
     def timelines(self, method: str) -> list[Timeline]:
         """Those of the benchmark; for "independent" each of their prompts as a timeline."""
-        if method != ALONE:
+        if method != INDEPENDENT:
             return list(self.asked)
         prompts = [prompt for timeline in self.asked for prompt in timeline.prompts]
         return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """See `timeline_scores`; "shown" is the share, in percent, of the crops with a question that answer it. The
+        """See `formulas`; "shown" is the share, in percent, of the crops with a question that answer it. The
         peak jerk, the area under the jerk and the curve "jerk" are of windows around the transitions, compared with
         those around the quarters of real motion.
 
@@ -110,9 +104,9 @@ class MultiTrack:
         """
         motions = [motion.resampled(self.judge.fps) for motion in motions]
         spans = self._spans(method, [len(motion) for motion in motions])
-        scores = self.scored(motions, spans, self.judge, self.truth, seed)
+        scores = self.formulas.scores(motions, spans, self.judge, self.truth, seed)
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
-        if method == ALONE:
+        if method == INDEPENDENT:
             return Scores(metrics)
         metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
         points = [measured_points(each, len(motion)) for each, motion in zip(spans, motions, strict=True)]
@@ -122,15 +116,14 @@ class MultiTrack:
         """Of the atoms' real motions. FID is that of two random halves of what FID compares with: the least that can be
         hoped for; 0 where that is the atoms' own motions, as published."""
         found = semantics(self.truth.motions, range(len(self.atoms)), self.truth)
-        poses = [local_joints(motion) for motion in self.footage]
-        distance = transition_distance(poses, [quarter_points(len(pose)) for pose in poses])
         least = 0.0
         if self.truth.others is not None:
             order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
             least = fid(*(self.truth.real[half] for half in order.tensor_split(2)))
         whole = [[(0, len(motion), number)] for number, motion in enumerate(self.footage)]
         metrics = self._shown(self.footage, whole) | asdict(found)
-        metrics |= {"fid": least, "fid_plus": least, "transition": 100 * distance}
+        distance = self.formulas.real_transition(self.footage, self.judge)
+        metrics |= {"fid": least, "fid_plus": least, "transition": distance}
         return self._with_jerk(Scores(metrics), self._real_jerks)
 
     @cached_property
@@ -164,7 +157,7 @@ class MultiTrack:
         numbers, spans = {atom.text: number for number, atom in enumerate(self.atoms)}, []
         for timeline, length in zip(self.timelines(method), lengths, strict=True):
             whole = [(0, length)] * len(timeline.prompts)
-            asked = whole if method in ("one_text", ALONE) else timeline.spans(self.judge.fps)
+            asked = whole if method in ("one_text", INDEPENDENT) else timeline.spans(self.judge.fps)
             named = zip(asked, timeline.prompts, strict=True)
             spans.append([(start, min(end, length), numbers[prompt.text]) for (start, end), prompt in named])
         return spans
@@ -200,14 +193,15 @@ def published_mtt(
     amass: str | Path,
     body: str | Path | None = None,
     first: int | None = None,
+    joints_from: JointsFrom = "features",
 ) -> MultiTrack:
     """The paper's benchmark, measured as published: `folder` holds its MTT.txt, texts.txt and motions.txt; see
-    `amass_footage` for the rest."""
+    `amass_footage` for the rest. The paper's tables were made from the joints of the features."""
     folder = Path(folder).expanduser()
     atoms = read_atoms(folder / "texts.txt", folder / "motions.txt")
     footage = amass_footage(amass, judge.fps, body)
     asked = Timeline.read_all(folder / "MTT.txt")[:first]
-    return MultiTrack.of(asked, atoms, judge, footage, scored=published_timeline_scores)
+    return MultiTrack.of(asked, atoms, judge, footage, formulas=PUBLISHED, joints_from=joints_from)
 
 
 def _describes(cache: Cache, text: str, clip: Clip) -> bool:

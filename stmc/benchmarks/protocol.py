@@ -12,6 +12,7 @@ from torch import Tensor
 from stmc.metrics.smoothness import area_under_jerk, jerk_curve, peak_jerk
 from stmc.metrics.timelines import Judge
 from stmc.motion import Motion
+from stmc.representation import JointsFrom
 from stmc.timeline import Timeline
 
 
@@ -40,8 +41,13 @@ class TextJudge(Judge, Protocol):
 class Benchmark(Protocol):
     """Knows what is asked for, and how good what comes is; knows no model."""
 
+    @property
+    def joints_from(self) -> JointsFrom:
+        """Which joints of the features that a model makes are measured (see `Model.decode`)."""
+        ...
+
     def timelines(self, method: str) -> list[Timeline]:
-        """What a method (a name of `results.naming.METHODS`) is to make motions of, in order: always the same."""
+        """What a method (a name of `composing.METHODS`) is to make motions of, in order: always the same."""
         ...
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:

@@ -23,8 +23,12 @@ from torch import Tensor
 from stmc.body_model import Skeleton
 from stmc.files import write_whole
 from stmc.statistics import Statistics
+from stmc.untrusted import UnreadableError, cut, load_json, read_text
 
 FEATURES, TABLE = "clips.safetensors", "clips.json"
+
+MOST_BYTES = 256 * 2**20
+"""Of the table; forty thousand clips take some 20 MB."""
 
 
 class CacheError(ValueError):
@@ -121,7 +125,7 @@ class Cache:
         except SafetensorError as error:
             raise CacheError(f"{folder / FEATURES} is damaged: {error}; run scripts/prepare.py again") from error
         except (AttributeError, KeyError, TypeError) as error:
-            raise CacheError(f"{folder / TABLE} is not a cache's table: {error!r}") from error
+            raise CacheError(f"{folder / TABLE} is not a cache's table: {cut(repr(error), 200)}") from error
 
 
 def fresh(folder: Path, fingerprint: str) -> bool:
@@ -163,7 +167,9 @@ def read_caches(folders: str | Path | Sequence[str | Path]) -> Cache:
     """
     places = [folders] if isinstance(folders, str | Path) else list(folders)
     caches = [Cache.read(Path(place).expanduser()) for place in places]
-    return merged(caches) if len(caches) > 1 else caches[0]
+    if len(caches) == 1:
+        return caches[0]
+    return dataclasses.replace(merged(caches), fingerprint=" ".join(cache.fingerprint for cache in caches))
 
 
 def merged(caches: Sequence[Cache]) -> Cache:
@@ -198,10 +204,10 @@ def merged(caches: Sequence[Cache]) -> Cache:
 
 def _table(folder: Path) -> dict | None:
     try:
-        table = json.loads((folder / TABLE).read_text(encoding="utf-8"))
+        table = load_json(read_text(folder / TABLE, MOST_BYTES))
     except FileNotFoundError:
         return None
-    except ValueError as error:  # no JSON, or no text
+    except UnreadableError as error:
         raise CacheError(f"{folder / TABLE} is not a cache's table: {error}") from error
     if not isinstance(table, dict):
         raise CacheError(f"{folder / TABLE} is not a cache's table: it holds a {type(table).__name__}")

@@ -13,7 +13,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.data.dataset import ClipBatches, Draws
+from stmc.data.batches import ClipBatches
+from stmc.data.dataset import Draws
 from stmc.text import TextEncoder
 from stmc.training import Pairs
 

@@ -7,6 +7,8 @@ Knows caches; knows no format and no body.
 from __future__ import annotations
 
 import multiprocessing
+import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -50,10 +52,11 @@ class Preparation(Protocol):
 
 def code(*places: str) -> str:
     """A name for the state of these modules and packages of the library, on which a cache depends as on its inputs."""
-    library = Path(__file__).parents[1]
-    found = [
-        path for place in places for path in sorted([*library.glob(f"{place}.py"), *library.glob(f"{place}/*.py")])
-    ]
+    library, found = Path(__file__).parents[1], []
+    for place in places:
+        files = sorted([*library.glob(f"{place}.py"), *library.glob(f"{place}/*.py")])
+        assert files, f"{place} is no module of the library"
+        found += files
     return fingerprint(found, places)
 
 
@@ -95,9 +98,9 @@ def converted(
 
 def in_parallel(jobs: Iterable[tuple[str, Job | None]], workers: int) -> Iterator[tuple[str, Any]]:
     """Every job's name, and what its function returned (no job: None) or the message of its `ValueError`, in their
-    order."""
+    order. The workers end with this process, however it ends."""
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker) as pool:
         waiting: deque[tuple[str, Future | None]] = deque()
         for name, job in jobs:
             waiting.append((name, None if job is None else pool.submit(*job)))
@@ -105,6 +108,18 @@ def in_parallel(jobs: Iterable[tuple[str, Job | None]], workers: int) -> Iterato
                 yield _result(*waiting.popleft())
         while waiting:
             yield _result(*waiting.popleft())
+
+
+def _begin_worker() -> None:
+    torch.set_num_threads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A worker waits for its next job at a pipe that it holds open itself, so a parent that was killed leaves it there
+    for ever; this waits for the parent, on every platform, and takes the worker along."""
+    multiprocessing.parent_process().join()
+    os._exit(1)
 
 
 def write_piece(piece: Piece, folder: Path) -> None:

@@ -4,7 +4,7 @@ from stmc.denoisers.flow_mdm import FlowMdm
 from stmc.denoisers.mdm import MdmDecoder, MdmEncoder
 from stmc.denoisers.mdm_smpl import MdmSmpl
 from stmc.denoisers.motion_diffuse import MotionDiffuse
-from stmc.denoisers.network import Network
+from stmc.denoisers.network import Network, as_network
 from stmc.denoisers.protocol import Denoiser
 
-__all__ = ["Denoiser", "FlowMdm", "MdmDecoder", "MdmEncoder", "MdmSmpl", "MotionDiffuse", "Network"]
+__all__ = ["Denoiser", "FlowMdm", "MdmDecoder", "MdmEncoder", "MdmSmpl", "MotionDiffuse", "Network", "as_network"]

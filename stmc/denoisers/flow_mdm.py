@@ -28,12 +28,13 @@ class FlowMdm(Network):
     `features` numbers per frame, `text_width` numbers in the one word of a text; `width` of a frame inside,
     `feedforward` width inside a layer. A frame sees at most `horizon` frames to either side. The steps from
     `absolute_from` on (0 is the least noisy) are taken with absolute positions, those below with relative ones; 0: all
-    absolute. It may be set anew between samples: more absolute steps keep more to the texts, fewer make smoother
-    transitions (Fig. 5). In training each row is relative or absolute by chance, whatever its step. `dropout` acts on
-    the frames where they come in, `skipped` is the probability to skip a layer's half.
+    absolute. More absolute steps keep more to the texts, fewer make smoother transitions (Fig. 5). In training each row
+    is relative or absolute by chance, whatever its step. `dropout` acts on the frames where they come in, `skipped` is
+    the probability to skip a layer's half.
     """
 
     ends = "input_process.poseEmbedding", "output_process.poseFinal"
+    per_frame_text = True
 
     def __init__(
         self,
@@ -76,10 +77,13 @@ class FlowMdm(Network):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
         segment: Int[Tensor, "batch frames"] | None = None,
+        absolute_from: int | None = None,
     ) -> Float[Tensor, "batch frames features"]:
         """See `Denoiser`. With `segment`, which says of every frame to which segment it belongs, `text` has a word for
-        each of a row's segments; without it, a row is one segment. A segment may be interrupted by others."""
-        absolute = torch.rand(len(x), device=x.device) >= RELATIVE if self.training else t >= self.absolute_from
+        each of a row's segments; without it, a row is one segment. A segment may be interrupted by others.
+        `absolute_from`: None is the network's own."""
+        first = self.absolute_from if absolute_from is None else absolute_from
+        absolute = torch.rand(len(x), device=x.device) >= RELATIVE if self.training else t >= first
         return self.encoded(x, t, text, absolute, mask, segment)
 
     def forward(

@@ -27,14 +27,14 @@ class _Mdm(Network):
     ends = "input_process.poseEmbedding", "output_process.poseFinal"
 
     def __init__(
-        self, features: int, text_width: int, width: int, heads: int, dropout: float, window: int | None
+        self, features: int, text_width: int, width: int, heads: int, dropout: float, fixed_length: int | None
     ) -> None:
         super().__init__()
         if width % heads or width % 2:
             raise ValueError(f"width {width} must be even and a multiple of heads ({heads})")
-        if window is not None and window < 1:
-            raise ValueError(f"a window has at least 1 frame, not {window}")
-        self.window = window
+        if fixed_length is not None and not 1 <= fixed_length < POSITIONS:
+            raise ValueError(f"fixed_length must be 1 to {POSITIONS - 1} frames, not {fixed_length}")
+        self.fixed_length = fixed_length
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features, width)})
         time_embed = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.embed_timestep = nn.ModuleDict({"time_embed": time_embed})
@@ -70,9 +70,9 @@ class MdmEncoder(_Mdm):
     """MDM's `trans_enc`: one token for step and text together, then one per frame, through post-norm layers.
 
     `features` numbers per frame, `text_width` numbers in the one word of a text; `width` of a token, `feedforward`
-    width inside a layer. `window`: as published the network was trained on clips padded to 196 frames without being
-    told, so that it expects as many of every crop; None is for checkpoints trained with `mask_frames`, which attend to
-    a crop's own frames only. The output has no mask applied: padded frames carry arbitrary values.
+    width inside a layer. `fixed_length`: as published the network was trained on clips padded to 196 frames without
+    being told, so that it expects as many of every crop; None is for checkpoints trained with `mask_frames`, which
+    attend to a crop's own frames only. The output has no mask applied: padded frames carry arbitrary values.
     """
 
     def __init__(
@@ -84,9 +84,9 @@ class MdmEncoder(_Mdm):
         layers: int = 8,
         heads: int = 4,
         dropout: float = 0.1,
-        window: int | None = 196,
+        fixed_length: int | None = 196,
     ) -> None:
-        super().__init__(features, text_width, width, heads, dropout, window)
+        super().__init__(features, text_width, width, heads, dropout, fixed_length)
         self.seqTransEncoder = Stack([PostNormLayer(width, feedforward, heads, dropout) for _ in range(layers)])
 
     def denoise(
@@ -119,10 +119,10 @@ class MdmDecoder(_Mdm):
         layers: int = 8,
         heads: int = 4,
         dropout: float = 0.1,
-        window: int | None = 196,
+        fixed_length: int | None = 196,
         leading: Leading | None = None,
     ) -> None:
-        super().__init__(features, text_width, width, heads, dropout, window)
+        super().__init__(features, text_width, width, heads, dropout, fixed_length)
         if leading is not None and leading not in get_args(Leading):
             raise ValueError(f"unknown leading {leading!r}; choose from {', '.join(get_args(Leading))}, or None")
         self.leading = leading

@@ -42,6 +42,7 @@ class MdmSmpl(Network):
     ) -> None:
         super().__init__()
         self.words = words
+        self.supports_padding = words is not None  # else frames move behind the longest text of the batch
         if width % heads or width % 2:
             raise ValueError(f"width {width} must be even and a multiple of heads ({heads})")
         self.tx_embedding = nn.Sequential(
@@ -54,11 +55,6 @@ class MdmSmpl(Network):
         self.to_skel_layer = nn.Linear(width, features)
         self.dropout = nn.Dropout(dropout)
         self.register_buffer("positions", sinusoids(POSITIONS, width), persistent=False)
-
-    @property
-    def mixed(self) -> bool:
-        """Only with `words`: the published network moves the frames behind the longest text of the batch."""
-        return self.words is not None
 
     def read(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None

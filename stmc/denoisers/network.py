@@ -1,4 +1,4 @@
-"""A denoiser with weights, as a `Model` holds it: what of it depends on the text alone is done once, not at every step.
+"""A denoiser as sampling uses it: what of it depends on the text alone is done once, not at every step.
 
 Knows no layers; see `protocol` for what a denoiser is.
 """
@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from stmc.denoisers.protocol import Denoiser
 from stmc.statistics import Statistics
 
 WIDEST = 1.5
@@ -21,9 +22,20 @@ WIDEST = 1.5
 class Network(nn.Module, ABC):
     """A `Denoiser` in two parts: `read` a text once, then `denoise` with what was read, at every step."""
 
-    window: int | None = None
+    fixed_length: int | None = None
     """How many frames it always sees, from a crop's first one on: also those behind the crop's end, where the timeline
     goes on, or noise. None: a crop's own frames, with a mask where crops of a batch are padded."""
+
+    supports_padding: bool = True
+    """Whether texts of different numbers of words may share a call: whether padded words leave an answer alone."""
+
+    per_frame_text: bool = False
+    """Whether `denoise` takes as its last argument `segment`, which says of every frame to which word of the text it
+    belongs: see `FlowMdm.denoise`."""
+
+    absolute_from: int | None = None
+    """The least step with absolute positions, where `denoise` takes another one as an argument of that name; None: a
+    step is like any other."""
 
     ends: ClassVar[tuple[str, str]]
     """Names of the linear layers that take features in and give them out."""
@@ -42,11 +54,6 @@ class Network(nn.Module, ABC):
         scale = (1 / narrower).clamp(max=WIDEST)
         first.bias.add_(first.weight @ (scale * moved))
         first.weight.mul_(scale)
-
-    @property
-    def mixed(self) -> bool:
-        """Whether texts of different numbers of words may share a call: whether padded words leave an answer alone."""
-        return True
 
     @abstractmethod
     def read(
@@ -75,3 +82,30 @@ class Network(nn.Module, ABC):
     ) -> Float[Tensor, "batch frames features"]:
         """See `Denoiser`."""
         return self.denoise(x, t, self.read(text, text_mask), text_mask, mask)
+
+
+def as_network(denoiser: Denoiser) -> Network:
+    """The denoiser itself, or any function with a denoiser's signature as one that has nothing to read beforehand.
+
+    Attributes of the function's, such as `fixed_length`, say what it can; without them it is taken to be as `Network`
+    says. Raises `ValueError` for what cannot be called.
+    """
+    if isinstance(denoiser, Network):
+        return denoiser
+    if not callable(denoiser):
+        raise ValueError(f"a denoiser is a function (x, t, text, text_mask, mask) -> motion, not {denoiser!r:.60}")
+    return _Called(denoiser)
+
+
+class _Called(Network):
+    def __init__(self, denoiser: Denoiser) -> None:
+        super().__init__()
+        self.called = denoiser
+        for name in ("fixed_length", "supports_padding", "per_frame_text", "absolute_from"):
+            setattr(self, name, getattr(denoiser, name, getattr(Network, name)))
+
+    def read(self, text: Tensor, text_mask: Tensor | None = None) -> Tensor:
+        return text
+
+    def denoise(self, x: Tensor, t: Tensor, text: Tensor, *others: Tensor | None, **settings: int) -> Tensor:
+        return self.called(x, t, text, *others, **settings)

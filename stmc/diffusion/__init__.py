@@ -2,18 +2,19 @@
 
 from stmc.diffusion.guidance import guide
 from stmc.diffusion.noise import Noise, Seed
-from stmc.diffusion.samplers import SAMPLERS, Draw, Predict, Spread, ddim, ddpm, dpm_solver
+from stmc.diffusion.samplers import SAMPLERS, Draw, NoiseScale, Predict, Sampler, ddim, ddpm, dpm_solver
 from stmc.diffusion.schedule import Prediction, Schedule
 
 __all__ = [
     "SAMPLERS",
     "Draw",
     "Noise",
+    "NoiseScale",
     "Predict",
     "Prediction",
+    "Sampler",
     "Schedule",
     "Seed",
-    "Spread",
     "ddim",
     "ddpm",
     "dpm_solver",

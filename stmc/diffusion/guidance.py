@@ -7,11 +7,11 @@ from torch import Tensor
 
 
 def guide(
-    text: Float[Tensor, "batch ..."], null: Float[Tensor, "batch ..."], weight: float | int
+    text: Float[Tensor, "batch ..."], null: Float[Tensor, "batch ..."], guidance: float | int
 ) -> Float[Tensor, "batch ..."]:
-    """The prediction without a text (`null`), moved `weight` times the way to the prediction with it (`text`).
+    """The prediction without a text (`null`), moved `guidance` times the way to the prediction with it (`text`).
 
     0 ignores the text, 1 is the prediction with it, more exaggerates it. Predictions of x0, eps, v and the score can
     all be guided, and agree, since each is affine in the others.
     """
-    return null + weight * (text - null)
+    return null + guidance * (text - null)

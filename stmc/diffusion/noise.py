@@ -39,6 +39,9 @@ class Noise:
         self._generators = [_generator(seed) for seed in seeds]
         self._device, self._dtype = device, dtype
 
+    def __repr__(self) -> str:
+        return f"Noise({len(self._lengths)} samples of up to {self.shape[1]} frames, {self.shape[2]} features)"
+
     def __call__(self, shape: Sequence[int] | None = None) -> Float[Tensor, "batch frames features"]:
         """The next noise of every sample. `shape`, what a sampler asks for, can only be `self.shape`."""
         if shape is not None and tuple(shape) != tuple(self.shape):

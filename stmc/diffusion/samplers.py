@@ -6,7 +6,7 @@ what to show, when to stop, and whether gradients are recorded. The last value y
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Literal, get_args
 
 import torch
@@ -21,7 +21,11 @@ Predict = Callable[[Float[Tensor, "batch frames features"], int], Float[Tensor, 
 Draw = Callable[[torch.Size], Tensor]
 """shape → standard normal noise of that shape, on the device and in the dtype of the sample."""
 
-Spread = Literal["std", "variance"]
+Sampler = Callable[..., Iterable[Tensor]]
+"""(predict, schedule, x, draw) → the clean sample that each step predicts, for steps of that very schedule."""
+
+NoiseScale = Literal["std", "variance"]
+"""What scales the noise of ancestral steps: the posterior's standard deviation, or its variance."""
 
 
 def ddpm(
@@ -30,24 +34,24 @@ def ddpm(
     x: Float[Tensor, "batch ..."],
     draw: Draw,
     steps: int | None = None,
-    spread: Spread = "variance",
+    noise_scale: NoiseScale = "variance",
 ) -> Iterator[Float[Tensor, "batch ..."]]:
     """Ancestral sampling (Ho et al. 2020; STMC, Eq. 2 to 4) from the noise `x`, in all steps or in `steps` of them.
 
-    `draw(x.shape)` is called once a step, also at the last, where the noise has no weight. spread="std" scales it by
-    the posterior's standard deviation, the textbook's; "variance" by its variance, as the published code of STMC does:
-    too narrow a distribution. Measured on real motion (see the bundled model's card) both do as the text says equally
-    often, and "variance" slides a little less and is a little less diverse, so it is the default.
+    `draw(x.shape)` is called once a step, also at the last, where the noise has no weight. `noise_scale` "std" scales
+    it by the posterior's standard deviation, the textbook's; "variance" by its variance, as the published code of STMC
+    does (R1): too narrow a distribution. Measured on real motion (see the bundled model's card) both do as the text
+    says equally often, and "variance" slides a little less and is a little less diverse, so it is the default.
     """
-    if spread not in get_args(Spread):
-        raise ValueError(f"unknown spread {spread!r}; choose from {', '.join(get_args(Spread))}")
+    if noise_scale not in get_args(NoiseScale):
+        raise ValueError(f"unknown noise_scale {noise_scale!r}; choose from {', '.join(get_args(NoiseScale))}")
     times = schedule.spaced(steps)
     short = schedule.respaced(times)
     for i in reversed(range(len(times))):
         x0 = predict(x, times[i])
         yield x0
         mean, variance = short.posterior(x0, x, i)
-        x = mean + (variance.sqrt() if spread == "std" else variance) * draw(x.shape)
+        x = mean + (variance.sqrt() if noise_scale == "std" else variance) * draw(x.shape)
 
 
 def ddim(

@@ -21,7 +21,11 @@ Steps = int | Int[Tensor, " batch"]
 """One step for the whole batch, or one for each sample; 0 is the least noisy."""
 
 
-@dataclass(frozen=True, eq=False)
+MOST_STEPS = 10_000
+"""Of a schedule; published ones have 50 to 1000."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Schedule:
     """A noise schedule: `alpha_bar[t]` is the share of the clean sample's variance that is left at step t."""
 
@@ -32,9 +36,13 @@ class Schedule:
         if len(before) < 2 or not bool((before[1:] < before[:-1]).all() & (before[1:] > 0).all()):
             raise ValueError(f"alpha_bar must fall from below 1 towards 0 at every step, not {self.alpha_bar.tolist()}")
 
+    def __repr__(self) -> str:
+        return f"Schedule({self.steps} steps, alpha_bar {self.alpha_bar[0]:.4g} to {self.alpha_bar[-1]:.4g})"
+
     @classmethod
     def cosine(cls, steps: int, s: float = 0.008) -> Schedule:
         """The schedule of Nichol and Dhariwal (2021), which MDM-SMPL uses with 100 steps; no beta exceeds 0.999."""
+        _check_steps(steps)
 
         def left(u: float) -> float:
             return math.cos(math.pi / 2 * (u + s) / (1 + s)) ** 2
@@ -44,6 +52,7 @@ class Schedule:
     @classmethod
     def linear(cls, steps: int) -> Schedule:
         """The schedule of Ho et al. (2020), 1e-4 to 0.02 for 1000 steps, rescaled to other numbers of steps."""
+        _check_steps(steps)
         scale = 1000 / steps
         return cls._from_betas(torch.linspace(1e-4 * scale, 0.02 * scale, steps, dtype=torch.float64).tolist())
 
@@ -86,7 +95,7 @@ class Schedule:
     def q_sample(
         self, x0: Float[Tensor, "batch ..."], t: Steps, noise: Float[Tensor, "batch ..."]
     ) -> Float[Tensor, "batch ..."]:
-        """x_t of clean samples `x0` with standard normal `noise` (Eq. 1)."""
+        """x_t of clean samples `x0` with standard normal `noise`: Eq. 1, reparameterised."""
         alpha_bar = self.alpha_bar
         return _at(alpha_bar.sqrt(), t, x0) * x0 + _at((1 - alpha_bar).sqrt(), t, x0) * noise
 
@@ -130,6 +139,11 @@ class Schedule:
         if prediction == "score":
             return 1 / signal, noise**2 / signal
         raise ValueError(f"unknown prediction {prediction!r}; choose from {', '.join(get_args(Prediction))}")
+
+
+def _check_steps(steps: int) -> None:
+    if not 1 <= steps <= MOST_STEPS:
+        raise ValueError(f"steps={steps}: a schedule has 1 to {MOST_STEPS} steps")
 
 
 def _at(coefficients: Float64[Tensor, " _"], t: Steps, like: Tensor) -> Tensor:

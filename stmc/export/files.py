@@ -13,16 +13,18 @@ from stmc.motion import Motion
 _WRITERS = {".npz": save_npz, ".bvh": save_bvh}
 
 
-def write(motion: Motion, path: str | Path, skeleton: Skeleton | None = None) -> None:
+def write(motion: Motion, path: str | Path, skeleton: Skeleton | None = None, fps: float | int | None = None) -> None:
     """Write a motion in the format of `path`'s suffix: `.npz` as AMASS has it, or `.bvh` for animation software.
 
-    `skeleton`: the body to write, by default the one the motion moves (its own bones; the bundled rest pelvis). Folders
-    are made; a file already there is replaced once the new one is whole. Another suffix is a `ValueError`.
+    `skeleton`: the body to write, by default the one the motion moves (its own bones; the bundled rest pelvis).
+    `fps`: the file's frame rate, by default the motion's own; rotations are resampled on the sphere. Folders are made;
+    a file already there is replaced once the new one is whole. Another suffix is a `ValueError`.
     """
     path = Path(path)
     save = _WRITERS.get(path.suffix.lower())
     if save is None:
         raise ValueError(f"{path}: cannot write {path.suffix!r} files; choose from {', '.join(_WRITERS)}")
+    motion = motion if fps is None else motion.resampled(fps)
     if skeleton is None:
         skeleton = Skeleton.measured(motion.rotations, motion.joints, Skeleton.default().offsets[0])
 

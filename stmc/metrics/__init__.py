@@ -1,0 +1,21 @@
+"""What motions are measured by: realism, retrieval, matching, smoothness, and the measures of whole timelines."""
+
+from stmc.metrics.matching import matching_score, multimodality, r_precision
+from stmc.metrics.realism import fid, frechet_distance
+from stmc.metrics.retrieval import Retrieval, both_ways, cosines, ranks
+from stmc.metrics.smoothness import jerk, peak_jerk, transition_distance
+
+__all__ = [
+    "Retrieval",
+    "both_ways",
+    "cosines",
+    "fid",
+    "frechet_distance",
+    "jerk",
+    "matching_score",
+    "multimodality",
+    "peak_jerk",
+    "r_precision",
+    "ranks",
+    "transition_distance",
+]

@@ -55,7 +55,7 @@ def pelvis_height(motion: Motion) -> Float[Tensor, " frames"]:
     return motion.translation[:, 2]
 
 
-def foot_heights(motion: Motion) -> Float[Tensor, "frames 2"]:
+def toe_heights(motion: Motion) -> Float[Tensor, "frames 2"]:
     """Heights of the left and the right toes above the lowest point of both."""
     heights = torch.stack([joint(motion, "left_foot")[:, 2], joint(motion, "right_foot")[:, 2]], dim=1)
     return heights - heights.min()
@@ -75,7 +75,7 @@ def stretches(mask: Bool[Tensor, " frames"]) -> list[tuple[int, int]]:
 
 def flights(motion: Motion) -> list[tuple[int, int]]:
     """Frames in which neither foot is on the floor, long enough for a jump."""
-    runs = stretches(foot_heights(motion).amin(dim=1) > OFF_THE_FLOOR)
+    runs = stretches(toe_heights(motion).amin(dim=1) > OFF_THE_FLOOR)
     return [(first, last) for first, last in runs if last - first >= FLIGHT * motion.fps]
 
 
@@ -86,7 +86,7 @@ def jumps(motion: Motion) -> bool:
 
 def lands(motion: Motion) -> bool:
     """Whether some foot stands on the floor in one of the last three frames."""
-    return bool((foot_heights(motion)[-3:] < OFF_THE_FLOOR).any())
+    return bool((toe_heights(motion)[-3:] < OFF_THE_FLOOR).any())
 
 
 def way(motion: Motion) -> float:
@@ -206,12 +206,12 @@ def _reaches(motion: Motion, side: str) -> bool:
 
 def _one_legged(motion: Motion) -> float:
     """The share of the frames with one foot 12 cm above the other."""
-    heights = foot_heights(motion)
+    heights = toe_heights(motion)
     return float(((heights[:, 0] - heights[:, 1]).abs() > 0.12).float().mean())
 
 
 def _hops(motion: Motion) -> bool:
-    return _one_legged(motion) > 0.5 and cycles(foot_heights(motion).amin(dim=1), 0.04) >= 2
+    return _one_legged(motion) > 0.5 and cycles(toe_heights(motion).amin(dim=1), 0.04) >= 2
 
 
 def _jumping_jacks(motion: Motion) -> bool:

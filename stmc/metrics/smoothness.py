@@ -98,7 +98,7 @@ def jerk(
 def jerk_curve(jerks: Float[Tensor, "transitions frames"]) -> Float[Tensor, " frames"]:
     """Mean `jerk` of all transitions in each frame of the window: what the two numbers below are read off.
 
-    As in FlowMDM's code, the mean comes first; the paper's formula (Eq. 5) reads as a mean of each transition's own
+    As in FlowMDM's code, the mean comes first; the paper's formula (Eq. 4) reads as a mean of each transition's own
     peak, which is several times as large.
     """
     return jerks.mean(dim=0)

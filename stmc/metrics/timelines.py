@@ -6,7 +6,7 @@ network and no way to make motions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -26,6 +26,7 @@ from stmc.metrics.smoothness import (
     transition_points,
 )
 from stmc.motion import Motion
+from stmc.representation import HUMANML3D_LAYOUT
 from stmc.representation.humanml3d import features_to_local_joints, z_up
 
 Span = tuple[int, int, int]
@@ -129,8 +130,7 @@ def published_timeline_scores(
     It differs in FID+ (`published_crop_starts`, the same whatever the `seed`) and in the transition distance
     (`published_transition_distance`, at `published_transition_points`).
     """
-    motions = _at(motions, judge.fps)
-    features = [judge.features(motion) for motion in motions]
+    features = _published_features(motions, judge)
     crop = int(CROP_SECONDS * judge.fps)
     starts = [published_crop_starts(rows.shape[1], crop) for rows in features]
     for number, rows in enumerate(features):
@@ -147,6 +147,49 @@ def published_timeline_scores(
     poses = [z_up(features_to_local_joints(rows)) for rows in features]
     distance = published_transition_distance(poses, points)
     return _scores(features, spans, starts, crop, judge, truth, distance)
+
+
+def real_transition(motions: Sequence[Motion], judge: Judge) -> float:
+    """The distance in centimetres from frame to frame in real motions, at their quarters: what `timeline_scores`'
+    transitions compare with."""
+    poses = [local_joints(motion) for motion in _at(motions, judge.fps)]
+    return _at_quarters(poses)
+
+
+def published_real_transition(motions: Sequence[Motion], judge: Judge) -> float:
+    """What the published code prints in the ground truth's row: of the joints of HumanML3D's features (22, one frame
+    less, on its skeleton), relative to the pelvis."""
+    return _at_quarters([z_up(features_to_local_joints(rows)) for rows in _published_features(motions, judge)])
+
+
+@dataclass(frozen=True)
+class Formulas:
+    """How all of a table is computed: `scores` of motions made from timelines, `real_transition` of the ground truth's
+    (its other measures have one formula)."""
+
+    scores: Callable[..., TimelineScores]
+    real_transition: Callable[[Sequence[Motion], Judge], float]
+
+
+DEFINED = Formulas(timeline_scores, real_transition)
+"""By the definitions of the paper."""
+
+PUBLISHED = Formulas(published_timeline_scores, published_real_transition)
+"""By the published code, to compare with the paper's tables."""
+
+
+def _published_features(motions: Sequence[Motion], judge: Judge) -> list[Float[Tensor, "_ features"]]:
+    features = [judge.features(motion) for motion in _at(motions, judge.fps)]
+    if (width := features[0].shape[1]) != HUMANML3D_LAYOUT.width:
+        raise ValueError(
+            f"the evaluator knows {width} features; the published formulas need one of HumanML3D's "
+            f"{HUMANML3D_LAYOUT.width}, such as the published TMR (scripts/import_checkpoint.py)"
+        )
+    return features
+
+
+def _at_quarters(poses: Sequence[Float[Tensor, "_ joints 3"]]) -> float:
+    return 100 * transition_distance(poses, [quarter_points(len(pose)) for pose in poses])
 
 
 def _at(motions: Sequence[Motion], fps: float | int) -> list[Motion]:

@@ -19,7 +19,10 @@ from torch import Tensor, nn
 from stmc.arrays import ArraysError, read_npy
 from stmc.evaluators import Evaluator
 from stmc.model import Model
-from stmc.run import RunError, build
+from stmc.run import PARTS, RunError, build_fitting
+from stmc.run.construction import Part
+from stmc.run.weights import listed, misfit, specs_of
+from stmc.settings import shown
 from stmc.statistics import Statistics
 
 
@@ -73,40 +76,47 @@ def _content(path: Path) -> Any:
 def state_dict(content: Any, place: str) -> dict[str, Tensor]:
     """The tensors of a dict by name, without gradients. Raises `CheckpointError` for anything else."""
     if not isinstance(content, Mapping) or not content:
-        raise CheckpointError(f"{place} must be a dict of tensors, not {type(content).__name__} {_short(content)}")
-    strange = [str(name) for name, value in content.items() if not isinstance(name, str) or not torch.is_tensor(value)]
+        raise CheckpointError(f"{place} must be a dict of tensors, not {type(content).__name__} {shown(content)}")
+    strange = [
+        str(name)[:60] for name, value in content.items() if not isinstance(name, str) or not torch.is_tensor(value)
+    ]
     if strange:
         raise CheckpointError(f"{place} must hold tensors only, but {', '.join(strange[:5])} are none")
     return {name: value.detach() for name, value in content.items()}
 
 
 def fill(network: nn.Module, weights: Mapping[str, Tensor], place: str) -> None:
-    """Loads `weights` into the network, as float32. Raises `CheckpointError` that lists every weight that is missing,
-    is not known, has another shape, or is not finite."""
-    expected = network.state_dict()
-    wrong = {
-        "missing": [name for name in expected if name not in weights],
-        "not known": [name for name in weights if name not in expected],
-        "of another shape": [
-            f"{name} {list(weights[name].shape)} instead of {list(value.shape)}"
-            for name, value in expected.items()
-            if name in weights and weights[name].shape != value.shape
-        ],
-        "not finite": [name for name, value in weights.items() if name in expected and not value.isfinite().all()],
-    }
-    if any(wrong.values()):
-        listed = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in wrong.items() if names)
-        raise CheckpointError(f"{place} does not fit {type(network).__name__}. {listed}")
+    """Loads `weights` into the network, as float32. Raises `CheckpointError` that lists the first weights that are
+    missing, not known, of another shape or type, or not finite."""
+    wrong = misfit(specs_of(network.state_dict()), specs_of(weights))
+    infinite = [name for name, value in weights.items() if not value.isfinite().all()]
+    if wrong or infinite:
+        reasons = "; ".join(filter(None, [wrong, listed({"not finite": infinite})]))
+        raise CheckpointError(f"{place} does not fit {type(network).__name__}. {reasons}")
     network.load_state_dict({name: value.float() for name, value in weights.items()})
     network.eval().requires_grad_(False)
 
 
-def built(config: Mapping[str, Any], place: str) -> dict[str, Any]:
-    """The parts of a model, as `run.build` makes them. Raises `CheckpointError` where they cannot be made."""
+def built(
+    config: Mapping[str, Any],
+    weights: Mapping[str, Tensor],
+    settings: Path,
+    place: str,
+    parts: Mapping[str, Part] = PARTS,
+) -> dict[str, Any]:
+    """The parts of a model, as `run.build_fitting` makes them of what a stranger's `settings` say. Raises
+    `CheckpointError` where they cannot be made, or the `weights` of the file at `place` do not fit."""
     try:
-        return build(config)
+        return build_fitting(config, specs_of(weights), place, parts)
     except RunError as error:
-        raise CheckpointError(f"{place}: {error}") from error
+        raise CheckpointError(str(error) if place in str(error) else f"{settings}: {error}") from error
+
+
+def whole(value: Any, name: str, path: Path, most: int = 10_000) -> int:
+    """A positive whole number of a file's settings. Raises `CheckpointError` for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
+        raise CheckpointError(f"{path}: {name} must be a positive whole number up to {most}, not {shown(value)}")
+    return value
 
 
 def size_of(weights: Mapping[str, Tensor], name: str, dimension: int, place: str) -> int:
@@ -123,7 +133,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise CheckpointError(f"{path} cannot be read: {error}") from error
     if not isinstance(settings, dict):
-        raise CheckpointError(f"{path} must hold settings by name, not {_short(settings)}")
+        raise CheckpointError(f"{path} must hold settings by name, not {shown(settings)}")
     return settings
 
 
@@ -195,8 +205,3 @@ def without_tables(weights: Mapping[str, Tensor], names: Sequence[str], table: T
             if theirs.shape[1] != table.shape[1] or not torch.allclose(theirs[:rows], table[:rows], atol=1e-2):
                 raise CheckpointError(f"{path}: {name} {list(weights[name].shape)} is another table of positions")
     return {name: value for name, value in weights.items() if name not in names}
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

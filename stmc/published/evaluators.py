@@ -10,10 +10,11 @@ from pathlib import Path
 
 from torch import Tensor
 
-from stmc.evaluators import Evaluator, GuoEvaluator, Tmr
+from stmc.evaluators import Evaluator, GuoEvaluator
 from stmc.published.checkpoint import (
     CheckpointError,
     Imported,
+    built,
     fill,
     identity,
     read_checkpoint,
@@ -23,7 +24,7 @@ from stmc.published.checkpoint import (
     state_dict,
 )
 from stmc.representation import HumanML3DRepresentation
-from stmc.text import Tokens
+from stmc.run import EVALUATOR_PARTS
 
 WEIGHTS, CHECKPOINT = Path("last_weights"), Path("logs/checkpoints/last.ckpt")
 PARTS = ("motion_encoder", "text_encoder", "motion_decoder")
@@ -56,21 +57,20 @@ def read_tmr(folder: Path, statistics: Path | None = None, text_model: str | Non
     moments = statistics or folder.absolute().parent.parent / STATISTICS
     if sizes["features"] != representation.width:
         raise CheckpointError(f"{folder} was trained on {sizes['features']} features, not HumanML3D's 263")
-    network = Tmr(**sizes)
-    fill(network, weights, place)
     text = {"_target_": "stmc.text.Tokens", "source": text_model or DISTILBERT, "width": sizes["text_width"]}
+    config = {
+        "network": {"_target_": "stmc.evaluators.Tmr"} | sizes,
+        "text_encoder": text,
+        "representation": {"_target_": "stmc.representation.HumanML3DRepresentation"},
+    }
+    parts = built(config, weights, folder, place, EVALUATOR_PARTS)
+    fill(parts["network"], weights, place)
     evaluator = Evaluator(
-        network=network,
-        text_encoder=Tokens(text["source"], text["width"]),
-        representation=representation,
+        **parts,
         motion_statistics=read_tensor_statistics(moments / "mean.pt", moments / "std.pt", representation.width),
         text_statistics=identity(text["width"]),
         fps=FPS,
-        config={
-            "network": {"_target_": "stmc.evaluators.Tmr"} | sizes,
-            "text_encoder": text,
-            "representation": {"_target_": "stmc.representation.HumanML3DRepresentation"},
-        },
+        config=config,
     )
     facts = ("TMR (Petrovich et al. 2023) on HumanML3D's 263 features.", f"Texts: tokens of {text['source']}.")
     return Imported(evaluator, "TMR", facts)

@@ -25,9 +25,12 @@ from stmc.published.checkpoint import (
     read_tensor_statistics,
     size_of,
     state_dict,
+    whole,
     without,
     without_tables,
 )
+from stmc.sampling import Sampling
+from stmc.settings import shown
 from stmc.statistics import Statistics
 
 
@@ -71,7 +74,8 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
     data = DATA[settings["dataset"]]
     weights = without(state_dict(read_checkpoint(path), str(path)), "clip_model.")
     config = _described(settings, weights, args, str(path), text_model)
-    parts = built(config, str(args))
+    fitting = without({name: value for name, value in weights.items() if name not in TABLES}, ROTARY)
+    parts = built(config, fitting, args, str(path))
     network, representation = parts["denoiser"], parts["representation"]
     learned = without(without_tables(weights, TABLES, network.positions, path), ROTARY)
     _check_frequencies(weights, path)
@@ -84,8 +88,7 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
         skeleton=representation.skeleton,
         fps=data.fps,
         longest=data.longest,
-        guidance=data.guidance,
-        spread="std",
+        sampling=Sampling(guidance=data.guidance, noise_scale="std"),
         config=config,
     )
     steps, first = settings["diffusion_steps"], network.absolute_from
@@ -102,11 +105,10 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
 def _settings(path: Path) -> dict[str, Any]:
     settings = DEFAULTS | read_json(path)
     for name, choices in (("dataset", tuple(DATA)), ("noise_schedule", ("cosine", "linear"))):
-        if settings.get(name) not in choices:
-            raise CheckpointError(f"{path}: {name} must be {' or '.join(choices)}, not {settings.get(name)!r}")
+        if not isinstance(settings.get(name), str) or settings[name] not in choices:
+            raise CheckpointError(f"{path}: {name} must be {' or '.join(choices)}, not {shown(settings.get(name))}")
     for name in ("diffusion_steps", "rpe_horizon"):
-        if isinstance(settings[name], bool) or not isinstance(settings[name], int) or settings[name] < 1:
-            raise CheckpointError(f"{path}: {name} must be a positive whole number, not {settings[name]!r}")
+        whole(settings[name], name, path)
     return settings
 
 

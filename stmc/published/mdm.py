@@ -21,9 +21,12 @@ from stmc.published.checkpoint import (
     read_json,
     read_statistics,
     state_dict,
+    whole,
     without,
     without_tables,
 )
+from stmc.sampling import Sampling
+from stmc.settings import shown
 
 DEFAULTS = {
     "dataset": "humanml",
@@ -73,7 +76,8 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
     weights = without(_weights(read_checkpoint(path), settings, path), "clip_model.")
     leading = _leading(settings, said)
     config = _described(settings, leading, text_model)
-    parts = built(config, str(path.parent / "args.json"))
+    learned = {name: value for name, value in weights.items() if name not in TABLES}
+    parts = built(config, learned, path.parent / "args.json", str(path))
     network = parts["denoiser"]
     fill(network, without_tables(weights, TABLES, network.positions, path), str(path))
     folder = path.parent if statistics is None else statistics
@@ -84,15 +88,14 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
         skeleton=parts["representation"].skeleton,
         fps=FPS,
         longest=FRAMES,
-        guidance=2.5 if settings["cond_mask_prob"] else 1.0,
-        spread="std",
+        sampling=Sampling(guidance=2.5 if settings["cond_mask_prob"] else 1.0, noise_scale="std"),
         config=config,
     )
     facts = [
         f"MDM (Tevet et al. 2023), {settings['arch']}, {settings['diffusion_steps']} steps, trained on HumanML3D.",
         f"Weights: {path.name}{', their moving average' if settings['use_ema'] else ''}.",
         "Sampled as published: the textbook's DDPM, guidance 2.5"
-        + (", every crop with 196 frames in sight." if network.window else "."),
+        + (", every crop with 196 frames in sight." if network.fixed_length else "."),
     ]
     if leading is not None:
         facts.append(f"The decoder's leading token tells {leading.replace('_', ' ')}.")
@@ -106,13 +109,12 @@ def _settings(path: Path) -> tuple[dict[str, Any], set[str]]:
     if "unconstrained" not in said and "cond_mode" in said:  # before August 2022
         settings["unconstrained"] = "text" not in str(said["cond_mode"])
     for name, choices in CHOICES.items():
-        if settings[name] not in choices:
+        if not any(settings[name] is choice or settings[name] == choice for choice in choices):
             raise CheckpointError(
-                f"{path}: {name} is {settings[name]!r}, but only {' or '.join(map(repr, choices))} can be imported"
+                f"{path}: {name} is {shown(settings[name])}, but only {' or '.join(map(repr, choices))} can be imported"
             )
     for name in ("layers", "latent_dim", "diffusion_steps"):
-        if not isinstance(settings[name], int) or settings[name] < 1:
-            raise CheckpointError(f"{path}: {name} must be a positive whole number, not {settings[name]!r}")
+        whole(settings[name], name, path)
     if settings["arch"] == "trans_enc" and settings["text_encoder_type"] == "bert":
         raise CheckpointError(f"{path}: trans_enc with bert: the published encoder reads CLIP's sentences only")
     return settings, set(said)
@@ -151,7 +153,7 @@ def _described(settings: Mapping[str, Any], leading: str | None, text_model: str
             "text_width": 768 if bert else 512,
             "width": settings["latent_dim"],
             "layers": settings["layers"],
-            "window": None if settings["mask_frames"] else FRAMES,
+            "fixed_length": None if settings["mask_frames"] else FRAMES,
         }
         | ({} if leading is None else {"leading": leading}),
         "schedule": {

@@ -19,7 +19,9 @@ from stmc.published.checkpoint import (
     read_json,
     size_of,
     state_dict,
+    whole,
 )
+from stmc.settings import shown
 from stmc.statistics import Statistics
 
 CHECKPOINT = Path("logs/checkpoints/last.ckpt")
@@ -46,7 +48,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         name.removeprefix("denoiser."): value for name, value in weights.items() if name.startswith("denoiser.")
     }
     config = _described(settings, denoiser, folder / "config.json", str(checkpoint), text_model)
-    parts = built(config, str(folder / "config.json"))
+    parts = built(config, denoiser, folder / "config.json", f"{checkpoint}: denoiser")
     network = parts["denoiser"]
     fill(network, denoiser, f"{checkpoint}: denoiser")
     rest = {name: value for name, value in weights.items() if not name.startswith("denoiser.")}
@@ -55,9 +57,9 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
     if unknown := [name for name in rest if not name.startswith(("motion_normalizer.", "text_normalizer."))]:
         raise CheckpointError(f"{checkpoint} has weights of another model: {', '.join(unknown)}")
     fps = _setting(settings, "data.motion_loader.fps", folder / "config.json")
-    if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps < float("inf"):
+    if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps <= 1000:
         raise CheckpointError(
-            f"{folder / 'config.json'}: data.motion_loader.fps must be a positive number, not {fps!r}"
+            f"{folder / 'config.json'}: data.motion_loader.fps must be a positive number up to 1000, not {shown(fps)}"
         )
     model = Model(
         **parts,
@@ -83,13 +85,13 @@ def _described(
 ) -> dict[str, Any]:
     """How to build the parts: sizes from the weights, everything else from the settings."""
     features = _setting(settings, "motion_features", path)
-    if features not in REPRESENTATIONS:
-        raise CheckpointError(f"{path}: motion_features must be {' or '.join(REPRESENTATIONS)}, not {features!r}")
+    if not isinstance(features, str) or features not in REPRESENTATIONS:
+        raise CheckpointError(f"{path}: motion_features must be {' or '.join(REPRESENTATIONS)}, not {shown(features)}")
     text_width = size_of(weights, "tx_embedding.0.weight", 1, place)
     options = _setting(settings, "diffusion.denoiser", path)
     options = options if isinstance(options, Mapping) else {}
     if options.get("activation", "gelu") != "gelu":
-        raise CheckpointError(f"{path}: activation must be gelu, not {options['activation']!r}")
+        raise CheckpointError(f"{path}: activation must be gelu, not {shown(options['activation'])}")
     layers = {name.split(".")[2] for name in weights if name.startswith("seqTransEncoder.layers.")}
     return {
         "denoiser": {
@@ -113,10 +115,10 @@ def _schedule(settings: Mapping[str, Any], path: Path) -> dict[str, Any]:
     described = _setting(settings, "diffusion.schedule", path)
     found = [kind for kind in ("cosine", "linear") if kind in str(described).lower()]
     steps = _setting(settings, "diffusion.timesteps", path)
-    if len(found) != 1 or not isinstance(steps, int):
-        raise CheckpointError(f"{path}: a cosine or linear schedule and its timesteps, not {described!r}, {steps!r}")
+    if len(found) != 1:
+        raise CheckpointError(f"{path}: diffusion.schedule must be cosine or linear, not {shown(described)}")
     own = {"s": described["s"]} if isinstance(described, Mapping) and "s" in described else {}
-    return {"_target_": f"stmc.diffusion.Schedule.{found[0]}", "steps": steps} | own
+    return {"_target_": f"stmc.diffusion.Schedule.{found[0]}", "steps": whole(steps, "diffusion.timesteps", path)} | own
 
 
 def _text_encoder(settings: Mapping[str, Any], path: Path, width: int, text_model: str | None) -> dict[str, Any]:
@@ -124,15 +126,19 @@ def _text_encoder(settings: Mapping[str, Any], path: Path, width: int, text_mode
     pooled = _setting(settings, "data.text_encoder.mean_pooling", path)
     if name in CLIP:
         return {"_target_": "stmc.text.Clip"} | ({} if text_model is None else {"source": text_model})
+    if not isinstance(name, str):
+        raise CheckpointError(f"{path}: data.text_encoder.modelname must be a model's name, not {shown(name)}")
     if pooled:
-        raise CheckpointError(f"{path}: mean_pooling of {name!r} is not supported; only CLIP, and tokens of any model")
+        raise CheckpointError(
+            f"{path}: mean_pooling of {shown(name)} is not supported; only CLIP, and tokens of any model"
+        )
     return {"_target_": "stmc.text.Tokens", "source": text_model or name, "width": width}
 
 
 def _prediction(settings: Mapping[str, Any], path: Path) -> str:
     named = _setting(settings, "diffusion.prediction", path)
-    if named not in PREDICTIONS:
-        raise CheckpointError(f"{path}: prediction must be one of {', '.join(PREDICTIONS)}, not {named!r}")
+    if not isinstance(named, str) or named not in PREDICTIONS:
+        raise CheckpointError(f"{path}: prediction must be one of {', '.join(PREDICTIONS)}, not {shown(named)}")
     return PREDICTIONS[named]
 
 

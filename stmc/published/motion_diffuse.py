@@ -19,8 +19,10 @@ from stmc.published.checkpoint import (
     read_statistics,
     size_of,
     state_dict,
+    whole,
     without,
 )
+from stmc.sampling import Sampling
 
 CHECKPOINT = Path("model/latest.tar")
 DEFAULTS = {
@@ -51,7 +53,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         raise CheckpointError(f"{checkpoint} has no encoder: it is no checkpoint of MotionDiffuse")
     weights = without(state_dict(content["encoder"], f"{checkpoint}: encoder"), "clip.")
     config = _described(settings, weights, str(checkpoint), text_model)
-    parts = built(config, str(folder / "opt.txt"))
+    parts = built(config, weights, folder / "opt.txt", f"{checkpoint}: encoder")
     network = parts["denoiser"]
     fill(network, weights, f"{checkpoint}: encoder")
     model = Model(
@@ -62,8 +64,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         fps=FPS,
         longest=config["denoiser"]["frames"],
         prediction="eps",
-        guidance=1.0,
-        spread="std",
+        sampling=Sampling(guidance=1.0, noise_scale="std"),
         config=config,
     )
     epoch = content.get("ep")
@@ -86,12 +87,11 @@ def _settings(path: Path) -> dict[str, Any]:
     for name, choices in CHOICES.items():
         if settings[name] not in choices:
             raise CheckpointError(
-                f"{path}: {name} is {settings[name]}, but only {' or '.join(choices)} can be imported"
+                f"{path}: {name} is {settings[name]:.60}, but only {' or '.join(choices)} can be imported"
             )
     for name in ("num_layers", "latent_dim", "diffusion_steps"):
-        if not settings[name].isdecimal() or int(settings[name]) < 1:
-            raise CheckpointError(f"{path}: {name} must be a positive whole number, not {settings[name]}")
-        settings[name] = int(settings[name])
+        value = settings[name]
+        settings[name] = whole(int(value) if value.isdecimal() and len(value) < 10 else value, name, path)
     return settings
 
 

@@ -5,7 +5,7 @@ Knows what follows from the layout alone, and no formula: these are `smpl`'s, `h
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -15,10 +15,16 @@ from stmc.body_model import Skeleton
 from stmc.motion import Motion
 from stmc.representation.layout import Layout
 
+JointsFrom = Literal["skeleton", "features"]
+"""Where a decoded motion has its joints from: a skeleton that is posed, or the features' own positions."""
+
 
 @runtime_checkable
 class Representation(Protocol):
     """Motion ⇄ features that are not normalised and do not depend on where the body stands and looks."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{each.name} {each.size}' for each in self.layout.fields)})"
 
     @property
     def layout(self) -> Layout:

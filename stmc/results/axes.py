@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stmc.results.intervals import Estimate, estimates
-from stmc.results.naming import REAL, Measure, measures, method
+from stmc.results.naming import REAL, Measure, measures, method_row
 from stmc.results.records import Result, ResultError, Setting
 from stmc.viewing.colours import palette
 from stmc.viewing.tracks import FAINT, INK
@@ -55,7 +55,7 @@ def real_line(axes: Axes, measure: Measure, groups: Groups) -> None:
     for setting, runs in groups.items():
         found = estimates(runs)
         if setting.method == REAL and measure.key in found:
-            axes.axhline(found[measure.key].mean, label=method(REAL).label, **DASHED)
+            axes.axhline(found[measure.key].mean, label=method_row(REAL).label, **DASHED)
 
 
 def shown(groups: Groups, keys: Sequence[str] | None = None) -> tuple[Measure, ...]:
@@ -105,7 +105,7 @@ def legend(plot: Figure, panels: Iterable[Axes]) -> None:
 
 def who(setting: Setting) -> str:
     """Denoiser and method."""
-    return ", ".join(filter(None, (setting.denoiser, method(setting.method).label)))
+    return ", ".join(filter(None, (setting.denoiser, method_row(setting.method).label)))
 
 
 def title(measure: Measure) -> str:

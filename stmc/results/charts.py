@@ -45,21 +45,21 @@ def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("reca
     """Rows: the metrics `keys` (those that the records have); left against the steps, right against the seconds a
     motion takes; a line per sampler, with 95 % intervals. Both axes of cost are logarithmic.
 
-    `results` are of one method of one denoiser. Raises `ResultError` where they differ in more than sampler, spread of
+    `results` are of one method of one denoiser. Raises `ResultError` where they differ in more than sampler, scale of
     the noise, and steps.
     """
-    groups = {setting: runs for setting, runs in by_setting(results).items() if setting.steps is not None}
-    refuse_other_differences(groups, ("sampler", "spread", "steps"))
+    groups = {setting: runs for setting, runs in by_setting(results).items() if setting.sampling.steps is not None}
+    refuse_other_differences(groups, ("sampler", "noise_scale", "steps"))
     columns = shown(groups, keys)
     timed = all(SECONDS in result.metrics for runs in groups.values() for result in runs)
     plot = Figure(figsize=(4.4 * (1 + timed), 2.9 * len(columns)), layout="constrained")
     rows = plot.subplots(len(columns), 1 + timed, squeeze=False, sharey="row")
     for row, measure in zip(rows, columns, strict=True):
-        lines(row[0], measure, groups, _sampler, lambda setting, runs: setting.steps, "steps")
+        lines(row[0], measure, groups, _sampler, lambda setting, runs: setting.sampling.steps, "steps")
         if timed:
             lines(row[1], measure, groups, _sampler, _mean_seconds, "seconds per motion")
             row[1].set_ylabel("")
-    steps = sorted({setting.steps for setting in groups})
+    steps = sorted({setting.sampling.steps for setting in groups})
     for axes in rows.flat:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -76,14 +76,14 @@ def sweep(results: Sequence[Result], varied: str, keys: Sequence[str] | None = N
     denoiser and method, with 95 % intervals; real motion is a dashed line. Raises `ResultError` for records without it,
     or that differ in other settings."""
     real = {setting: runs for setting, runs in by_setting(results).items() if setting.method == REAL}
-    groups = {setting: runs for setting, runs in by_setting(results).items() if getattr(setting, varied) is not None}
+    groups = {setting: runs for setting, runs in by_setting(results).items() if setting.value(varied) is not None}
     if not groups:
         raise ResultError(f"no record has {varied}")
     refuse_other_differences(groups, (varied, "denoiser", "method"))
     columns = shown(groups, keys)
     plot, panels = grid(len(columns), wide=3.0, tall=2.6)
     for axes, measure in zip(panels, columns, strict=True):
-        lines(axes, measure, groups, who, lambda setting, runs: getattr(setting, varied), HEADINGS[varied].lower())
+        lines(axes, measure, groups, who, lambda setting, runs: setting.value(varied), HEADINGS[varied].lower())
         real_line(axes, measure, real)
     legend(plot, panels)
     return plot
@@ -115,5 +115,6 @@ def _mean_seconds(setting: Setting, runs: list[Result]) -> float:
 
 
 def _sampler(setting: Setting) -> str:
-    name = _SAMPLERS.get(setting.sampler or "", setting.sampler or "–")
-    return f"{name}, {setting.spread}" if setting.spread else name
+    sampler, scale = setting.sampling.sampler or "–", setting.sampling.noise_scale
+    name = _SAMPLERS.get(sampler, sampler)
+    return f"{name}, {scale}" if scale else name

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from stmc.results.axes import DASHED, Groups, dress, grid, legend
 from stmc.results.charts import sweep
 from stmc.results.intervals import Estimate, estimate
-from stmc.results.naming import REAL, method, place, variant
+from stmc.results.naming import REAL, method_row, place, variant
 from stmc.results.records import Result, ResultError, by_setting
 from stmc.viewing.colours import palette
 from stmc.viewing.tracks import INK
@@ -52,7 +52,7 @@ def jerk_curves(results: Sequence[Result]) -> Figure:
 def trade_off(results: Sequence[Result]) -> Figure:
     """What more steps with absolute positions do to subsequences and transitions (their Fig. 5): R-precision, FID of
     transitions and area under the jerk against the share of these steps. Raises as `charts.sweep`."""
-    return sweep(results, "absolute", ("r_precision", "transition_fid", "area_under_jerk"))
+    return sweep(results, "ape_steps", ("r_precision", "transition_fid", "area_under_jerk"))
 
 
 def _draw_curves(axes: Axes, groups: Groups) -> None:
@@ -61,7 +61,7 @@ def _draw_curves(axes: Axes, groups: Groups) -> None:
     )
     labels = [", ".join(filter(None, (setting.denoiser, variant(setting)))) for setting in made]
     if twice := [label for label in labels if labels.count(label) > 1]:
-        raise ResultError(f"{twice[0]} stands there with several settings; choose one")
+        raise ResultError(f"{twice[0]} is there with several settings; choose one")
     for setting, label, colour in zip(made, labels, palette(len(made)), strict=True):
         frames, found = _curve(groups[setting])
         mean, half = np.array([each.mean for each in found]), np.array([each.half or 0.0 for each in found])
@@ -70,7 +70,7 @@ def _draw_curves(axes: Axes, groups: Groups) -> None:
     for setting in groups:
         if setting.method == REAL:
             frames, found = _curve(groups[setting])
-            axes.plot(frames, [each.mean for each in found], label=method(REAL).label, **DASHED)
+            axes.plot(frames, [each.mean for each in found], label=method_row(REAL).label, **DASHED)
 
 
 def _curve(runs: Sequence[Result]) -> tuple[np.ndarray, list[Estimate]]:

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from stmc.composing import METHODS
 from stmc.results.records import Setting
+from stmc.sampling import Sampling
+from stmc.settings import about
 
 REAL = "ground_truth"
 
-ALONE = "independent"
-"""Every prompt as a motion of its own: what composing could at best keep, no rival of its own (appendix E)."""
-
-HEADINGS = {
-    "method": "Method",
-    "denoiser": "Denoiser",
-    "steps": "Steps",
-    "sampler": "Sampler",
-    "overlap": "Overlap (s)",
-    "guidance": "Guidance",
-    "spread": "Spread of the noise",
-    "late": "Stitching from (share of steps)",
-    "absolute": "Absolute (share of steps)",
+HEADINGS = {"method": "Method", "denoiser": "Denoiser"} | {
+    name: name.replace("_", " ").capitalize() + (f" ({each.unit})" if each.unit else "")
+    for name, each in about(Sampling).items()
 }
 """What the settings are called."""
 
@@ -70,7 +63,7 @@ motions; then those of FlowMDM's Table 1 (section 4.1). "real": the nearer to re
 
 
 @dataclass(frozen=True)
-class Method:
+class MethodRow:
     """A row of Table 1: its label, and what it is given of a timeline ("Single" or "Multi" tracks, and crops each)."""
 
     label: str
@@ -78,39 +71,29 @@ class Method:
     crops: str = "–"
 
 
-METHODS = {
-    REAL: Method("Ground truth"),
-    "one_text": Method("One text", "Single", "Single"),
-    "single_track": Method("DiffCollage", "Single", "Multi"),
-    ALONE: Method("Prompts alone", "Multi", "Multi"),
-    "sinc": Method("SINC w/o Lerp", "Multi", "Multi"),
-    "sinc_lerp": Method("SINC w/ Lerp", "Multi", "Multi"),
-    "sinc_slerp": Method("SINC w/ Slerp", "Multi", "Multi"),
-    "multi_diffusion": Method("MultiDiffusion", "Multi", "Multi"),
-    "double_take": Method("DoubleTake", "Multi", "Multi"),
-    "stmc": Method("STMC", "Multi", "Multi"),
-    "stmc_soft": Method("STMC, soft", "Multi", "Multi"),
-    "flow_mdm": Method("FlowMDM", "Multi", "None"),
+ROWS: Mapping[str, MethodRow] = {REAL: MethodRow("Ground truth")} | {
+    name: MethodRow(method.label, method.tracks, method.crops) for name, method in METHODS.items()
 }
-"""In the order of Table 1's rows, and others beside those that they are nearest to."""
+"""Real motion, and the methods in their order."""
 
 
-def method(name: str) -> Method:
-    """The method of that name; one that the paper does not have is called by its own name."""
-    return METHODS.get(name, Method(name))
+def method_row(name: str) -> MethodRow:
+    """That of the method of that name; one that is not ours is called by its own name."""
+    return ROWS.get(name, MethodRow(name))
 
 
 def variant(setting: Setting) -> str:
     """The method's label, with the share of the steps from which on it stitches."""
-    label = method(setting.method).label
-    return f"{label}, from {setting.late:.0%} on" if setting.late else label
+    label, start = method_row(setting.method).label, setting.sampling.stitch_from
+    return f"{label}, from {start:.0%} on" if start else label
 
 
 def place(setting: Setting) -> tuple[int, float]:
-    """Where a row stands among others: in the order of `METHODS`, those that it does not have last; the later a method
+    """Where a row stands among others: in the order of `ROWS`, those that it does not have last; the later a method
     stitches, the later."""
-    known = list(METHODS)
-    return known.index(setting.method) if setting.method in METHODS else len(known), float(setting.late or 0)
+    known = list(ROWS)
+    start = float(setting.sampling.stitch_from or 0)
+    return known.index(setting.method) if setting.method in ROWS else len(known), start
 
 
 def measures(keys: Iterable[str]) -> tuple[Measure, ...]:

@@ -5,62 +5,63 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 from stmc.files import write_whole
+from stmc.sampling import Sampling
+from stmc.settings import SettingError, about, record_of, shown
 
 
 class ResultError(ValueError):
-    """A record that cannot be meant; the message names the file, the line and the key."""
+    """A record that is invalid; the message names the file, the line and the key."""
 
 
-class Setting(NamedTuple):
+@dataclass(frozen=True)
+class Setting:
     """All that was chosen for a run but the seed: runs that share it differ by chance alone."""
 
     method: str
-    denoiser: str
-    steps: int | None
-    sampler: str | None
-    overlap: float | int | None
-    guidance: float | int | None
-    spread: str | None
-    late: float | int | None
-    absolute: float | int | None
+    denoiser: str = ""
+    sampling: Sampling = Sampling()
+
+    def value(self, name: str) -> Any:
+        """Of the field, or of the setting of sampling, of that name."""
+        return getattr(self if name in ("method", "denoiser") else self.sampling, name)
+
+    def without(self, names: Iterable[str]) -> Setting:
+        """The same with these left open."""
+        open_ = {name: None for name in names if name in about(Sampling)}
+        here = {name: "" for name in names if name not in open_}
+        return replace(self, **here, sampling=replace(self.sampling, **open_))
+
+
+SETTINGS = ("method", "denoiser", *about(Sampling))
+"""The names of all that was chosen."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What one seed of one setting measured. None: the setting does not apply, as none does to real motion.
+    """What one seed of one setting measured. A setting of sampling that is None does not apply, as none does to real
+    motion; the sampler is a name.
 
-    `method` is a name of `naming.METHODS` or any other; `metrics` has the keys of `naming.MEASURES` or others.
-    Raises `ResultError` for a number that is not finite.
+    `method` is a name of `composing.METHODS` or any other; `metrics` has the keys of `naming.MEASURES` or others,
+    `curves` what was measured frame by frame. Raises `ResultError` for a number that is not finite.
     """
 
     method: str
     seed: int
     metrics: Mapping[str, float | int]
     denoiser: str = ""
-    steps: int | None = None
-    sampler: str | None = None
-    overlap: float | int | None = None
-    """Seconds of a whole transition (2 l in the paper)."""
-    guidance: float | int | None = None
-    spread: str | None = None
-    """Of `ddpm`'s noise."""
-    late: float | int | None = None
-    """The share of steps before stitching begins."""
-    absolute: float | int | None = None
-    """The share of steps that FlowMDM takes with absolute positions."""
+    sampling: Sampling = Sampling()
     curves: Mapping[str, Sequence[float | int]] = field(default_factory=dict)
-    """What was measured frame by frame."""
 
     def __post_init__(self) -> None:
         numbers = {f"metrics.{name}": value for name, value in self.metrics.items()}
         numbers |= {f"curves.{name}[{i}]": value for name, row in self.curves.items() for i, value in enumerate(row)}
-        for name, value in (numbers | self.setting._asdict()).items():
+        for name, value in numbers.items():
             if isinstance(value, float) and not math.isfinite(value):
                 raise ResultError(f"{name}: {value} is not a finite number")
         for name in ("metrics", "curves"):
@@ -69,29 +70,15 @@ class Result:
     @property
     def setting(self) -> Setting:
         """Everything but the seed and what was measured."""
-        return Setting(*(getattr(self, name) for name in Setting._fields))
+        return Setting(self.method, self.denoiser, self.sampling)
 
 
-_KINDS: Mapping[str, tuple[type, ...]] = {
-    "method": (str,),
-    "seed": (int,),
-    "denoiser": (str,),
-    "steps": (int, type(None)),
-    "sampler": (str, type(None)),
-    "overlap": (int, float, type(None)),
-    "guidance": (int, float, type(None)),
-    "spread": (str, type(None)),
-    "late": (int, float, type(None)),
-    "absolute": (int, float, type(None)),
-    "curves": (dict,),
-    "metrics": (dict,),
-}
+_KINDS: Mapping[str, type] = {"method": str, "seed": int, "denoiser": str, "curves": dict, "metrics": dict}
 
 
-def _check(name: str, value: Any, kinds: tuple[type, ...]) -> None:
+def _check(name: str, value: Any, *kinds: type) -> None:
     if not isinstance(value, kinds) or isinstance(value, bool):
-        legal = " or ".join("null" if kind is type(None) else kind.__name__.lower() for kind in kinds)
-        raise ResultError(f"{name}: {value!r} is not {legal}")
+        raise ResultError(f"{name}: {shown(value)} is not {' or '.join(kind.__name__ for kind in kinds)}")
 
 
 def by_setting(results: Iterable[Result]) -> dict[Setting, list[Result]]:
@@ -103,38 +90,35 @@ def by_setting(results: Iterable[Result]) -> dict[Setting, list[Result]]:
     for result in results:
         group = groups.setdefault(result.setting, [])
         if any(other.seed == result.seed for other in group):
-            raise ResultError(f"seed {result.seed} stands twice for {result.setting}")
+            raise ResultError(f"seed {result.seed} is duplicated for {result.setting}")
         group.append(result)
     return groups
 
 
 def refuse_other_differences(groups: Iterable[Setting], varied: Sequence[str]) -> None:
-    """Raises `ResultError` where settings differ in more than the fields `varied`."""
-    same = dict.fromkeys(varied)
-    first, *others = groups
+    """Raises `ResultError` where settings differ in more than those that are `varied`."""
+    first, *others = (setting.without(varied) for setting in groups)
     for other in others:
-        if first._replace(**same) != other._replace(**same):
-            told = difference(first._replace(**same), other._replace(**same))
+        if first != other:
+            told = difference(first, other)
             raise ResultError(f"records differ in more than {', '.join(varied)}: {told}; choose one")
 
 
 def difference(first: Setting, second: Setting) -> str:
-    """In which fields two settings differ, and how."""
-    pairs = zip(Setting._fields, first, second, strict=True)
+    """In what two settings differ, and how."""
+    pairs = ((name, first.value(name), second.value(name)) for name in SETTINGS)
     return ", ".join(f"{name} {one} and {other}" for name, one, other in pairs if one != other)
 
 
 def write_results(results: Sequence[Result], path: str | Path) -> None:
     """Writes JSON, a record a line; the file appears whole or not at all."""
-    lines = [
-        json.dumps(
-            {key.name: getattr(result, key.name) for key in fields(Result)}
-            | {name: dict(getattr(result, name)) for name in ("metrics", "curves")}
-        )
-        for result in results
-    ]
-    content = "".join(f"{line}\n" for line in lines)
+    content = "".join(f"{json.dumps(_flat(result))}\n" for result in results)
     write_whole(Path(path), lambda temporary: temporary.write_text(content, encoding="utf-8"))
+
+
+def _flat(result: Result) -> dict[str, Any]:
+    chosen = {name: result.setting.value(name) for name in SETTINGS}
+    return chosen | {"seed": result.seed, "metrics": dict(result.metrics), "curves": dict(result.curves)}
 
 
 def read_results(path: str | Path) -> list[Result]:
@@ -161,17 +145,22 @@ def _of_line(line: str) -> Result:
         raise ResultError(f"not JSON ({error})") from None
     if not isinstance(data, dict):
         raise ResultError(f'a record is an object, {{"method": "stmc", "seed": 0, "metrics": {{…}}}}, not {line[:60]}')
-    known = [key.name for key in fields(Result)]
+    known = (*SETTINGS, "seed", "metrics", "curves")
     if unknown := [key for key in data if key not in known]:
-        raise ResultError(f"unknown key {unknown[0]!r}; choose from {', '.join(known)}")
+        raise ResultError(f"unknown key {shown(unknown[0])}; choose from {', '.join(known)}")
     if missing := [key for key in ("method", "seed", "metrics") if key not in data]:
         raise ResultError(f"no {', '.join(missing)}")
-    for name, value in data.items():
-        _check(name, value, _KINDS[name])
+    for name, kind in _KINDS.items():
+        if name in data:
+            _check(name, data[name], kind)
     for name, value in data["metrics"].items():
-        _check(f"metrics.{name}", value, (int, float))
+        _check(f"metrics.{name}", value, int, float)
     for name, row in data.get("curves", {}).items():
-        _check(f"curves.{name}", row, (list,))
+        _check(f"curves.{name}", row, list)
         for value in row:
-            _check(f"curves.{name}", value, (int, float))
-    return Result(**data)
+            _check(f"curves.{name}", value, int, float)
+    try:
+        sampling = record_of(Sampling, {name: data.pop(name) for name in about(Sampling) if name in data})
+    except SettingError as error:
+        raise ResultError(str(error)) from None
+    return Result(**data, sampling=sampling)

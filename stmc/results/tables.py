@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from itertools import chain
 
 from stmc.results.intervals import Estimate, estimates
-from stmc.results.naming import ALONE, HEADINGS, REAL, Measure, measures, method, place, variant
+from stmc.results.naming import HEADINGS, REAL, Measure, measures, method_row, place, variant
 from stmc.results.records import Result, ResultError, Setting, by_setting, difference, refuse_other_differences
+from stmc.sampling import INDEPENDENT
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -86,9 +87,9 @@ def comparison_table(results: Iterable[Result]) -> Table:
     _refuse_ambiguous(groups)
     blocks: dict[str, list[tuple[tuple[int, float], Row]]] = {}
     for setting, runs in groups.items():
-        shown = method(setting.method)
+        shown = method_row(setting.method)
         labels = (setting.denoiser or "–", variant(setting), shown.tracks, shown.crops)
-        row = Row(labels, estimates(runs), competes=setting.method not in (REAL, ALONE))
+        row = Row(labels, estimates(runs), competes=setting.method not in (REAL, INDEPENDENT))
         blocks.setdefault("" if setting.method == REAL else setting.denoiser, []).append((place(setting), row))
     ordered = sorted(blocks.items(), key=lambda block: block[0] != "")
     rows = tuple(tuple(row for _, row in sorted(block, key=lambda each: each[0])) for _, block in ordered)
@@ -97,19 +98,19 @@ def comparison_table(results: Iterable[Result]) -> Table:
 
 
 def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
-    """A row for each of the values that the settings `varied` take (names of `Setting`'s fields), with everything else
+    """A row for each of the values that the settings `varied` take (names of `HEADINGS`), with everything else
     the same; varied by the overlap it is Table A.1.
 
     Raises `ResultError` for a name that is no setting's, for records that differ in others, and for none that has one.
     """
     if unknown := [name for name in varied if name not in HEADINGS]:
         raise ResultError(f"unknown setting {unknown[0]!r}; choose from {', '.join(HEADINGS)}")
-    groups = by_setting(result for result in results if any(getattr(result, name) is not None for name in varied))
+    groups = by_setting(result for result in results if any(result.setting.value(name) is not None for name in varied))
     if not groups:
         raise ResultError(f"no record has {' or '.join(varied)}")
     refuse_other_differences(groups, varied)
     rows = [
-        Row(tuple(_value(getattr(setting, name)) for name in varied), estimates(runs))
+        Row(tuple(_value(setting.value(name)) for name in varied), estimates(runs))
         for setting, runs in sorted(groups.items(), key=lambda group: _order(group[0], varied))
     ]
     blocks, headings = (tuple(rows),), tuple(HEADINGS[name] for name in varied)
@@ -118,7 +119,7 @@ def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
 
 def _order(setting: Setting, varied: Sequence[str]) -> tuple:
     """Numbers by value, names by the alphabet, what is not said first."""
-    values = (getattr(setting, name) for name in varied)
+    values = (setting.value(name) for name in varied)
     return tuple((value is not None, value or 0) if not isinstance(value, str) else (True, value) for value in values)
 
 
@@ -129,10 +130,10 @@ def _value(value: str | float | int | None) -> str:
 def _refuse_ambiguous(groups: Mapping[Setting, Sequence[Result]]) -> None:
     seen: dict[tuple[str, str, float | int | None], Setting] = {}
     for setting in groups:
-        other = seen.setdefault((setting.denoiser, setting.method, setting.late), setting)
+        other = seen.setdefault((setting.denoiser, setting.method, setting.sampling.stitch_from), setting)
         if other != setting:
             name = f"{setting.method} of {setting.denoiser or 'no denoiser'}"
-            raise ResultError(f"{name} stands there with {difference(other, setting)}; choose one")
+            raise ResultError(f"{name} is there with {difference(other, setting)}; choose one")
 
 
 def _columns(blocks: Iterable[Iterable[Row]]) -> tuple[Measure, ...]:

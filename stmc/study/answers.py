@@ -5,7 +5,6 @@ Knows the form of an answer; what the answers mean for the methods is `analysis`
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,9 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from stmc.study.key import Aspect, Entry, Key
+from stmc.untrusted import UnreadableError, load_json, read_text, shown
 
 FORMAT = "stmc study answers 1"
 NO_PREFERENCE = "none"
+MOST_BYTES = 2**20
+"""Of an answer file; a page's has a few kilobytes."""
 _RATER = re.compile(r"[0-9a-f]{16}")
 _KEYS = ("format", "survey", "rater", "answers")
 
@@ -55,12 +57,12 @@ def _answers(path: Path, key: Key) -> Answers:
     data = _expect(_json(path), "the document")
     _same(data, _KEYS, "the document")
     if data["format"] != FORMAT:
-        raise AnswersError(f"format: {_shown(data['format'])} is not {FORMAT!r}")
+        raise AnswersError(f"format: {shown(data['format'])} is not {FORMAT!r}")
     rater, survey = data["rater"], data["survey"]
     if not isinstance(rater, str) or not _RATER.fullmatch(rater):
-        raise AnswersError(f"rater: {_shown(rater)} is not the code of 16 hexadecimal digits that a page gives")
+        raise AnswersError(f"rater: {shown(rater)} is not the code of 16 hexadecimal digits that a page gives")
     if not isinstance(survey, str) or survey not in key.surveys:
-        raise AnswersError(f"survey: {_shown(survey)} is none of the {len(key.surveys)} surveys of this key")
+        raise AnswersError(f"survey: {shown(survey)} is none of the {len(key.surveys)} surveys of this key")
     entries = key.surveys[survey]
     given = _expect(data["answers"], "answers")
     _same(given, tuple(entries), "answers")
@@ -74,35 +76,22 @@ def _choices(data: Any, entry: Entry, question: str) -> dict[Aspect, str]:
     legal = (*entry.sides, NO_PREFERENCE)
     for aspect, choice in data.items():
         if choice not in legal:
-            raise AnswersError(
-                f"{place}.{aspect}: {_shown(choice)} is neither of the two motions nor {NO_PREFERENCE!r}"
-            )
+            raise AnswersError(f"{place}.{aspect}: {shown(choice)} is neither of the two motions nor {NO_PREFERENCE!r}")
     return {aspect: data[aspect] for aspect in Aspect}
 
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once)
-    except AnswersError:
-        raise
+        return load_json(read_text(path, MOST_BYTES))
     except OSError as error:
         raise AnswersError(f"cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, too long a number, too many brackets
-        raise AnswersError(f"not JSON ({error})") from None
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object without a key that stands twice: which of them would count?"""
-    data = dict(pairs)
-    if len(data) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise AnswersError(f"{next(name for name in names if names.count(name) > 1)!r} stands twice")
-    return data
+    except UnreadableError as error:
+        raise AnswersError(str(error)) from None
 
 
 def _expect(data: Any, place: str) -> dict[str, Any]:
     if not isinstance(data, dict):
-        raise AnswersError(f"{place}: {_shown(data)} is no object")
+        raise AnswersError(f"{place}: {shown(data)} is no object")
     return data
 
 
@@ -112,9 +101,4 @@ def _same(data: Mapping[str, Any], keys: tuple[str, ...], place: str) -> None:
             f"{place}: {missing[0]!r} is missing" + (f", and {len(missing) - 1} more" * (len(missing) > 1))
         )
     if unknown := [key for key in data if key not in keys]:
-        raise AnswersError(f"{place}: {unknown[0]!r} does not belong there")
-
-
-def _shown(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) < 60 else f"{text[:59]}…"
+        raise AnswersError(f"{place}: {shown(unknown[0])} does not belong there")

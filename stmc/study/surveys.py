@@ -5,7 +5,7 @@ Knows pairs and the key; knows no page.
 
 from __future__ import annotations
 
-import hashlib
+import json
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,12 +46,14 @@ def design(pairs: Sequence[Pair], methods: tuple[str, str], seed: int = 0, size:
     method's motion beside its motion of another timeline, one with other words that lasts about as long. Where the
     pairs do not fill the last survey, it asks again about pairs of the first.
 
-    In each survey a method stands on the left for half of the pairs. All is drawn from `seed` and from the motions, so
-    ids of one study mean nothing in another. Raises `StudyError` for too few pairs, equal methods or names.
+    In each survey a method stands on the left for half of the pairs. All is drawn from `seed` and the names of methods
+    and pairs, whatever the order of `pairs`: a study is the same on every machine, and ids of one mean nothing in that
+    of other methods or seeds. Raises `StudyError` for too few pairs, equal methods or names.
     """
     _check(pairs, methods, size)
-    chance = random.Random(_digest(pairs, seed))
-    order = chance.sample(list(pairs), len(pairs))
+    named = sorted(pairs, key=lambda pair: pair.name)
+    chance = random.Random(json.dumps([seed, methods, [pair.name for pair in named]]))
+    order = chance.sample(named, len(named))
     surveys, entries = [], {}
     for start in range(0, len(order), size):
         asked = [order[place % len(order)] for place in range(start, start + size)]
@@ -63,16 +65,17 @@ def design(pairs: Sequence[Pair], methods: tuple[str, str], seed: int = 0, size:
 
 def stranger(timeline: Timeline, others: Sequence[Pair]) -> Pair:
     """Of pairs with other texts, the one whose words and duration make for the clearest wrong answer: few of the
-    timeline's words, and about as long. Raises `StudyError` where all share a text with it."""
+    timeline's words, and about as long; of equally good ones, the first by name. Raises `StudyError` where all share a
+    text with it."""
     texts = {prompt.text for prompt in timeline.prompts}
     candidates = [pair for pair in others if texts.isdisjoint(prompt.text for prompt in pair.timeline.prompts)]
     if not candidates:
         raise StudyError(f"no timeline without {', '.join(map(repr, sorted(texts)))} for a honeypot")
 
-    def likeness(pair: Pair) -> float:
+    def likeness(pair: Pair) -> tuple[float, str]:
         own, other = _words(timeline), _words(pair.timeline)
         longer = abs(pair.timeline.duration - timeline.duration) / timeline.duration
-        return len(own & other) / len(own | other) + longer
+        return len(own & other) / len(own | other) + longer, pair.name
 
     return min(candidates, key=likeness)
 
@@ -131,15 +134,6 @@ def _check(pairs: Sequence[Pair], methods: tuple[str, str], size: int) -> None:
             f"{len(pairs)} timelines with motions; a survey of {size} pairs needs {size + _APART}: {WARM_UPS} for "
             "warm-ups and 2 for honeypots. Sample more timelines, or ask about fewer pairs"
         )
-
-
-def _digest(pairs: Sequence[Pair], seed: int) -> str:
-    digest = hashlib.sha256(f"{seed}".encode())
-    for pair in pairs:
-        digest.update(pair.name.encode())
-        for motion in (pair.first, pair.second):
-            digest.update(motion.joints.cpu().numpy().tobytes())
-    return digest.hexdigest()
 
 
 def _words(timeline: Timeline) -> set[str]:

@@ -25,6 +25,9 @@ class Clip:
     its start and end among them; None: as many as CLIP has positions, 77. MDM reads 22 (of its captions the longer ones
     are cut) from weights in half precision: `weights` "fp16" rounds all but the norms' to it. The arithmetic is in
     float32 all the same, so that every device gives the same numbers.
+
+    STMC's authors encoded with OpenAI's `clip` on a GPU, which has weights and arithmetic in half precision: their
+    embeddings differ from those of "fp32" as much as half precision can tell, from those of "fp16" by the arithmetic.
     """
 
     def __init__(

@@ -63,9 +63,14 @@ def load(
         try:
             with _quiet():
                 model, report = build(
-                    source, local_files_only=local, weights_only=True, output_loading_info=True, **settings
+                    source,
+                    local_files_only=local,
+                    weights_only=True,
+                    output_loading_info=True,
+                    trust_remote_code=False,  # else a hub's model may ask to run its own code
+                    **settings,
                 )
-                tokenizer = AutoTokenizer.from_pretrained(source, local_files_only=local)
+                tokenizer = AutoTokenizer.from_pretrained(source, local_files_only=local, trust_remote_code=False)
             break
         except (OSError, ValueError, SafetensorError, pickle.UnpicklingError) as error:
             if local is attempts[-1]:

@@ -6,7 +6,11 @@ from collections.abc import Iterable
 
 from stmc.body import BodyPart
 from stmc.timeline.files import TimelineError
-from stmc.timeline.prompts import Prompt, Timeline, elementary
+from stmc.timeline.overlaps import elementary
+from stmc.timeline.prompts import Prompt, Timeline
+
+MOST_CHARACTERS = 10_000_000
+"""Of all texts of a single track together, where as many prompts may hold at once as there are."""
 
 
 def one_text(timeline: Timeline, longest_seconds: int | float) -> Timeline:
@@ -27,15 +31,18 @@ def single_track(timeline: Timeline, fps: int | float) -> Timeline:
     frame are one cut, at the earliest of their times, so that every piece has at least one frame (R12).
 
     Raises:
-        TimelineError: If no prompt lasts a frame.
+        TimelineError: If no prompt lasts a frame, or the texts together are longer than `MOST_CHARACTERS`.
     """
     spans = timeline.spans(fps)
     seconds = _seconds_of_frames(timeline, spans)
-    pieces = []
+    pieces, characters = [], 0
     for start, end, active in elementary(spans):
         prompts = [timeline.prompts[index] for index in active]
         if prompts:
             text = " while ".join(prompt.text for prompt in prompts)
+            characters += len(text)
+            if characters > MOST_CHARACTERS:
+                raise TimelineError(f"{timeline.place}: more than {MOST_CHARACTERS:,} characters as a single track")
             pieces.append(Prompt(text, seconds[start], seconds[end], _union(prompts)))
     if not pieces:
         raise TimelineError(f"no prompt lasts a frame at {fps:g} fps; make one longer than {1 / fps:g} seconds")

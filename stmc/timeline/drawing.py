@@ -14,10 +14,10 @@ def draw(draft: Draft) -> str:
     duration = max(entry.end for entry in draft.entries)
     count = len(draft.entries)
     title = f"{draft.name or 'timeline'}: {duration:g} s, {count} prompt{'s' if count > 1 else ''}"
-    rows = [
-        _row([(number, entry) for number, entry in enumerate(draft.entries, start=1) if entry.track == track], duration)
-        for track in sorted({entry.track for entry in draft.entries})
-    ]
+    tracks: dict[int, list[tuple[int, Entry]]] = {}
+    for number, entry in enumerate(draft.entries, start=1):
+        tracks.setdefault(entry.track, []).append((number, entry))
+    rows = [_row(tracks[track], duration) for track in sorted(tracks)]
     return "\n".join([title, _ruler(duration), *rows, *_list(draft.entries)])
 
 

@@ -13,6 +13,13 @@ from typing import Any, NamedTuple
 
 from stmc.body import BodyPart
 from stmc.files import write_text
+from stmc.untrusted import UnreadableError, cut, load_json, read_text, shown
+
+MOST_BYTES = 8 * 2**20
+"""Of a timeline file; a hundred bytes a prompt make five hundred timelines 0.1 MB."""
+
+MOST_PROMPTS_IN_FILE = 50_000
+"""In all timelines of a document together."""
 
 
 class TimelineError(ValueError):
@@ -38,6 +45,9 @@ class Draft(NamedTuple):
     entries: list[Entry]
 
 
+MOST_FIELDS = 32
+"""Of a line: beyond, the rest counts as one, which is no body part."""
+
 LINE = "text # start # end # part # part"
 KEYS = {"text": str, "start": float, "end": float, "body_parts": list}
 
@@ -45,11 +55,13 @@ KEYS = {"text": str, "start": float, "end": float, "body_parts": list}
 def parse_text(document: str) -> list[Draft]:
     """The timelines of a text: a prompt a line, blank lines between timelines. Errors name the line."""
     drafts: list[Draft] = []
-    after_blank = True
+    after_blank, count = True, 0
     for number, line in enumerate(document.removeprefix("\ufeff").splitlines(), start=1):
         if line.strip():
             if after_blank:
                 drafts.append(Draft(f"line {number}", "", []))
+            count += 1
+            _refuse_too_many(count, f"line {number}")
             drafts[-1].entries.append(_entry_of_line(line, f"line {number}"))
         after_blank = not line.strip()
     if not drafts:
@@ -58,32 +70,40 @@ def parse_text(document: str) -> list[Draft]:
 
 
 def _entry_of_line(line: str, place: str) -> Entry:
-    text, *rest = (field.strip() for field in line.split("#"))
+    text, *rest = (field.strip() for field in line.split("#", MOST_FIELDS))
     if len(rest) < 2:
         missing = "has no start and no end" if not rest else "has no end"
-        raise TimelineError(f"{place}: {line.strip()!r} {missing}; write {LINE} (parts: {', '.join(BodyPart)})")
+        raise TimelineError(f"{place}: {shown(line.strip())} {missing}; write {LINE} (parts: {', '.join(BodyPart)})")
     times = []
     for name, field in zip(("start", "end"), rest, strict=False):
         try:
             times.append(float(field))
         except ValueError:
-            raise TimelineError(f"{place}: {name} {field!r} is not a number of seconds; write {LINE}") from None
+            raise TimelineError(f"{place}: {name} {shown(field)} is not a number of seconds; write {LINE}") from None
     return Entry(place, None, text, *times, tuple(rest[2:]))
+
+
+def _refuse_too_many(count: int, place: str) -> None:
+    if count > MOST_PROMPTS_IN_FILE:
+        raise TimelineError(f"{place}: more than {MOST_PROMPTS_IN_FILE:,} prompts in one document, the limit")
 
 
 def parse_json(document: str) -> list[Draft]:
     """The timelines of a JSON document: one object or a list. Errors name the path, such as "tracks[0][1]"."""
     try:
-        data = json.loads(document.removeprefix("\ufeff"))
-    except json.JSONDecodeError as error:
-        raise TimelineError(f"line {error.lineno}, column {error.colno}: not JSON ({error.msg})") from None
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits, thousands of brackets
-        raise TimelineError(f"not JSON that can be read ({error})") from None
+        data = load_json(document.removeprefix("\ufeff"))
+    except UnreadableError as error:
+        raise TimelineError(str(error)) from None
     if not isinstance(data, list):
         return [_draft(data, "")]
     if not data:
         raise TimelineError("the list of timelines is empty; it needs at least one")
-    return [_draft(item, f"[{index}]") for index, item in enumerate(data)]
+    drafts, count = [], 0
+    for index, item in enumerate(data):
+        drafts.append(_draft(item, f"[{index}]"))
+        count += len(drafts[-1].entries)
+        _refuse_too_many(count, f"[{index}]")
+    return drafts
 
 
 def _draft(data: Any, path: str) -> Draft:
@@ -119,25 +139,26 @@ def _entry_of_object(data: Any, path: str, track: int) -> Entry:
 def _expect(value: Any, kind: type, path: str, meaning: str) -> Any:
     kinds = (int, float) if kind is float else kind
     if not isinstance(value, kinds) or isinstance(value, bool):
-        shown = _json(value)
-        raise TimelineError(f"{path}: {shown if len(shown) < 60 else shown[:59] + '…'} is not {meaning}")
+        raise TimelineError(f"{path}: {shown(value)} is not {meaning}")
     return value
 
 
 def _refuse_others(data: dict[str, Any], keys: Sequence[str], path: str) -> None:
     for key in data:
         if key not in keys:
-            raise TimelineError(f"{path}: unknown key {key!r}; choose from {', '.join(keys)}")
+            raise TimelineError(f"{path}: unknown key {shown(key)}; choose from {', '.join(keys)}")
 
 
 def to_text(drafts: Sequence[Draft]) -> str:
     """The text form. Raises `TimelineError` for a prompt that it cannot hold."""
-    return "\n".join("".join(f"{_line(entry)}\n" for entry in draft.entries) for draft in drafts)
+    text = "\n".join("".join(f"{_line(entry)}\n" for entry in draft.entries) for draft in drafts)
+    return f"\ufeff{text}" if text.startswith("\ufeff") else text  # readers take the first one for a byte order mark
 
 
 def _line(entry: Entry) -> str:
     if "#" in entry.text:
-        raise TimelineError(f"the text {entry.text!r} has a #, which separates fields in .txt; write .json instead")
+        text = shown(entry.text)
+        raise TimelineError(f"the text {text} has a #, which separates fields in .txt; write .json instead")
     return " # ".join((entry.text, repr(entry.start), repr(entry.end), *entry.parts))
 
 
@@ -175,11 +196,17 @@ def _in_order(entries: Sequence[Entry]) -> list[int]:
     return rows
 
 
+def named(path: str | Path) -> str:
+    """A path as messages name it."""
+    return cut(str(path), 200)
+
+
 def choose(path: Path, json_form: Callable, text_form: Callable) -> Callable:
     """The function for a file's suffix, or a `TimelineError` with the legal ones."""
     forms = {".json": json_form, ".txt": text_form}
     if path.suffix.lower() not in forms:
-        raise TimelineError(f"{path}: unknown kind of timeline file {path.suffix!r}; choose from {', '.join(forms)}")
+        kind = shown(path.suffix)
+        raise TimelineError(f"{named(path)}: unknown kind of timeline file {kind}; choose from {', '.join(forms)}")
     return forms[path.suffix.lower()]
 
 
@@ -187,11 +214,11 @@ def read(path: Path) -> list[Draft]:
     """The timelines of a file, by its suffix. Raises `TimelineError` naming the file and the place in it."""
     parse = choose(path, parse_json, parse_text)
     try:
-        return parse(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError as error:
-        raise TimelineError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
+        return parse(read_text(path, MOST_BYTES))
+    except UnreadableError as error:
+        raise TimelineError(f"{named(path)}: {error}") from None
     except TimelineError as error:
-        raise TimelineError(f"{path}, {error}") from None
+        raise TimelineError(f"{named(path)}, {error}") from None
 
 
 def write(drafts: Sequence[Draft], path: Path) -> None:

@@ -1,28 +1,39 @@
 """Timelines: short texts, each with a start and an end in seconds and the body parts it claims (STMC, section 3.1).
 
-Knows seconds, tracks and SINC's order among prompts that hold at once; `files` and `drawing` know what they look like.
-Frames appear only as `int(fps * seconds)`; who owns what, and what a denoiser is asked, are decided elsewhere.
+Knows seconds and what a timeline may ask for; `overlaps` knows who holds when, `rows` the tracks, `files` and `drawing`
+what they look like. Frames appear only as `int(fps * seconds)`; who owns what, and what a denoiser is asked, are
+decided elsewhere.
 """
 
 from __future__ import annotations
 
 import html
 import math
-import warnings
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import InitVar, dataclass, field, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 
 from stmc.body import BodyPart
 from stmc.timeline import files
+from stmc.timeline.advice import advise
 from stmc.timeline.drawing import draw
 from stmc.timeline.files import Draft, Entry, TimelineError
+from stmc.timeline.overlaps import Precedence, sweep
+from stmc.timeline.rows import crowded, first_fit, renumbered
+from stmc.untrusted import shown
 
+LATEST = 14_400
+"""Seconds: no prompt ends after four hours, for which a model's features alone take 0.25 GB at 20 fps."""
 
-class TimelineWarning(UserWarning):
-    """Something a timeline can mean but hardly wants, such as one body part claimed by two prompts at once."""
+MOST_FRAMES = 10_000_000
+"""Of a timeline at any frame rate."""
+
+MOST_PROMPTS = 10_000
+"""Of a timeline: ten thousand take a second to read and to plan."""
+
+LONGEST_TEXT = 1_000_000
+"""Characters; text encoders read some hundred words."""
 
 
 @dataclass(frozen=True)
@@ -30,14 +41,15 @@ class Prompt:
     """A text that holds from `start` to `end`.
 
     Args:
-        text: What to do. Runs of white space become one space.
+        text: What to do, in at most `LONGEST_TEXT` characters. Runs of white space become one space.
         start: Seconds, 0 or later; kept as a float.
-        end: Seconds, later than `start`; kept as a float.
+        end: Seconds, later than `start` and not after `LATEST`; kept as a float.
         parts: The body parts the text is about, as `BodyPart` or by name; kept as a frozenset of `BodyPart`. None
             listed means the whole body: the prompt claims all five parts and yields to any prompt that lists some.
 
     Raises:
-        TimelineError: For an empty text, times that are not finite, negative or not in order, or an unknown part.
+        TimelineError: For an empty or too long text, one with a lone surrogate, times that are not finite, negative,
+            too late or not in order, or an unknown part.
     """
 
     text: str
@@ -49,15 +61,21 @@ class Prompt:
         object.__setattr__(self, "text", " ".join(self.text.split()))
         if not self.text:
             raise TimelineError('the text is empty; say what to do, such as "walk forwards"')
+        if len(self.text) > LONGEST_TEXT:
+            raise TimelineError(f"the text {shown(self.text)} is longer than {LONGEST_TEXT:,} characters, the limit")
+        _refuse_surrogates("text", self.text)
         for name in ("start", "end"):
             object.__setattr__(self, name, _seconds(name, getattr(self, name)))
         if self.end <= self.start:
             raise TimelineError(f"end {self.end:g} must be later than start {self.start:g} (seconds)")
+        if self.end > LATEST:
+            raise TimelineError(f"end {self.end:g} is later than {LATEST} seconds, the limit")
         listed = (self.parts,) if isinstance(self.parts, str) else self.parts
         try:
             object.__setattr__(self, "parts", frozenset(BodyPart.parse(part) for part in listed))
-        except ValueError as error:
-            raise TimelineError(str(error)) from None
+        except ValueError:
+            unknown = next(part for part in listed if not _is_part(part))
+            raise TimelineError(f"unknown body part {shown(unknown)}; choose from {', '.join(BodyPart)}") from None
 
     @property
     def claims(self) -> frozenset[BodyPart]:
@@ -71,8 +89,15 @@ def _seconds(name: str, value: int | float) -> float:
     except OverflowError:  # an integer beyond the floats
         seconds = math.inf
     if not math.isfinite(seconds) or seconds < 0:
-        raise TimelineError(f"{name} {value} must be a finite number of seconds, 0 or later")
+        raise TimelineError(f"{name} {shown(value)} must be a finite number of seconds, 0 or later")
     return seconds
+
+
+def _refuse_surrogates(name: str, text: str) -> None:
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise TimelineError(f"the {name} {shown(text)} has a lone surrogate, {shown(text[error.start])}") from None
 
 
 @dataclass(frozen=True)
@@ -82,37 +107,44 @@ class Timeline:
     Times count from 0, whenever the first prompt starts: a moment without a prompt, also the first one, is a gap.
 
     Args:
-        prompts: One or more.
+        prompts: One or more, at most `MOST_PROMPTS`.
         name: What files made from this timeline are called; may be empty.
         rows: The track of each prompt, for drawing; by default each prompt goes to the first track that is free
             during its span. Not part of equality.
-        places: How messages name each prompt, such as "line 3"; by default "prompt 3".
+        places: How messages name each prompt, such as "line 3"; by default "prompt 3". Not part of equality.
 
     Raises:
-        TimelineError: For no prompt, or two prompts of one track at the same time.
+        TimelineError: For no prompt, too many prompts, two prompts of one track at the same time, or a name with a lone
+            surrogate.
 
     Warns:
-        TimelineWarning: For a body part that two prompts claim at once, saying who gets it in SINC's order.
+        TimelineWarning: One, for body parts that two prompts claim at once, saying who gets them in SINC's order.
     """
 
     prompts: Sequence[Prompt]
     name: str = ""
     rows: Sequence[int] = field(default=(), compare=False, repr=False)
-    places: InitVar[Sequence[str]] = ()
+    places: Sequence[str] = field(default=(), compare=False, repr=False)
 
-    def __post_init__(self, places: Sequence[str]) -> None:
+    def __post_init__(self) -> None:
         object.__setattr__(self, "prompts", tuple(self.prompts))
         if not self.prompts:
             raise TimelineError("the timeline is empty; it needs at least one prompt")
-        if self.rows and len(self.rows) != len(self.prompts):
-            raise TimelineError(f"{len(self.rows)} rows for {len(self.prompts)} prompts; give each prompt one, or none")
-        order = sorted(set(self.rows))
-        rows = tuple(order.index(row) for row in self.rows) or _first_fit(self.prompts)
-        object.__setattr__(self, "rows", rows)
-        places = places or [f"prompt {number}" for number in range(1, len(self.prompts) + 1)]
-        _refuse_crowded_tracks(self, places)
-        for message in _shared_claims(self.prompts, places):
-            warnings.warn(message, TimelineWarning, stacklevel=3)
+        count = len(self.prompts)
+        places = tuple(self.places) or tuple(f"prompt {number}" for number in range(1, count + 1))
+        if count > MOST_PROMPTS:
+            raise TimelineError(f"{places[MOST_PROMPTS]}: a timeline of {count} prompts; the limit is {MOST_PROMPTS}")
+        for name, given in (("rows", self.rows), ("places", places)):
+            if given and len(given) != count:
+                raise TimelineError(f"{len(given)} {name} for {count} prompts; give each prompt one, or none")
+        _refuse_surrogates("name", self.name)
+        spans = [(prompt.start, prompt.end) for prompt in self.prompts]
+        object.__setattr__(self, "places", places)
+        object.__setattr__(self, "rows", renumbered(self.rows) or first_fit(spans))
+        if together := crowded(spans, self.rows):
+            raise TimelineError(_crowded_track(self, *together))
+        if message := _shared_claims(self.prompts, places):
+            advise(message)
 
     @classmethod
     def parse(cls, text: str) -> Timeline:
@@ -131,7 +163,7 @@ class Timeline:
     @classmethod
     def read(cls, path: str | Path) -> Timeline:
         """The one timeline of a `.json` or `.txt` file. Errors as `read_all`, and for more than one timeline."""
-        return _only(cls.read_all(path), str(path))
+        return _only(cls.read_all(path), files.named(path))
 
     @classmethod
     def read_all(cls, path: str | Path) -> list[Timeline]:
@@ -142,7 +174,7 @@ class Timeline:
 
         Raises `TimelineError` naming the line (text) or the path within the document (JSON), the value and the choices.
         """
-        return [_from_draft(draft, f"{path}, ") for draft in files.read(Path(path))]
+        return [_from_draft(draft, f"{files.named(path)}, ") for draft in files.read(Path(path))]
 
     @staticmethod
     def write_all(timelines: Sequence[Timeline], path: str | Path) -> None:
@@ -165,14 +197,27 @@ class Timeline:
     @cached_property
     def tracks(self) -> tuple[tuple[Prompt, ...], ...]:
         """The prompts by track, each track in the file's order; `rows` holds each prompt's place in this tuple."""
-        numbered = list(zip(self.rows, self.prompts, strict=True))
-        return tuple(tuple(p for row, p in numbered if row == track) for track in range(max(self.rows) + 1))
+        tracks: list[list[Prompt]] = [[] for _ in range(max(self.rows) + 1)]
+        for row, prompt in zip(self.rows, self.prompts, strict=True):
+            tracks[row].append(prompt)
+        return tuple(map(tuple, tracks))
 
     def spans(self, fps: int | float) -> tuple[tuple[int, int], ...]:
-        """Each prompt's (start, end) in frames, half-open: `int(fps * seconds)`. A very short prompt may have none."""
-        if not (math.isfinite(fps) and fps > 0):
+        """Each prompt's (start, end) in frames, half-open: `int(fps * seconds)`. A very short prompt may have none.
+
+        Raises `TimelineError` for a timeline of more than `MOST_FRAMES`.
+        """
+        if not (fps > 0 and fps < math.inf):
             raise ValueError(f"fps {fps} must be a positive number of frames per second")
+        if fps > MOST_FRAMES / self.duration:
+            asked = f"{self.duration:g} s at {shown(fps)} fps are more than {MOST_FRAMES:,} frames, the limit"
+            raise TimelineError(f"{self.place}: {asked}")
         return tuple((int(fps * prompt.start), int(fps * prompt.end)) for prompt in self.prompts)
+
+    @property
+    def place(self) -> str:
+        """How messages name the timeline: its name where it has one, and where its first prompt stands."""
+        return f"timeline {shown(self.name)}, {self.places[0]}" if self.name else self.places[0]
 
     def frames(self, fps: int | float) -> int:
         """How many frames the timeline lasts, from second 0 on."""
@@ -192,76 +237,48 @@ class Timeline:
         return f"<pre>{html.escape(str(self))}</pre>"
 
 
-def elementary(
-    spans: Iterable[tuple[int | float, int | float]],
-) -> list[tuple[int | float, int | float, tuple[int, ...]]]:
-    """Cut time at every start and end: (start, end, indexes of the spans that hold throughout), gaps between included.
-
-    Seconds or frames alike; empty spans are ignored (Appendix B, Figure A.1 left).
-    """
-    numbered = [(index, start, end) for index, (start, end) in enumerate(spans) if start < end]
-    cuts = sorted({time for _, *times in numbered for time in times})
-    return [
-        (left, right, tuple(index for index, start, end in numbered if start <= left and right <= end))
-        for left, right in pairwise(cuts)
-    ]
+PAIRS_TOLD, PAIRS_COUNTED = 3, 50
+"""Of the pairs of prompts that claim a part at once: how many a warning names, and to how many it counts."""
 
 
-def sinc_order(prompts: Sequence[Prompt], active: Iterable[int]) -> list[int]:
-    """The active prompts' indexes in SINC's order: the base first, then each may override those before it.
-
-    The base is the prompt with most parts among those that claim the legs, or among all if none does; the others
-    follow in decreasing number of parts. Ties fall to the file's order (Appendix B; R2). So a part claimed twice goes
-    to the prompt with fewer parts, then to the later one; the base always yields.
-    """
-    ranked = sorted(sorted(active), key=lambda index: -len(prompts[index].claims))
-    base = next((index for index in ranked if BodyPart.LEGS in prompts[index].claims), ranked[0])
-    return [base, *(index for index in ranked if index != base)]
-
-
-def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> list[str]:
-    """One message per pair of prompts that claim a part at once; a prompt that lists none yields without a word."""
+def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
+    """Which prompts claim a part at once, and who gets it; a prompt that lists none yields without a word."""
     shared: dict[tuple[int, int], set[BodyPart]] = {}
-    for _, _, active in elementary((prompt.start, prompt.end) for prompt in prompts):
-        order = sinc_order(prompts, active) if active else []
+    precedence = Precedence([prompt.parts for prompt in prompts])
+    for _, _, ended, started in sweep((prompt.start, prompt.end) for prompt in prompts):
+        precedence.update(ended, started)
         for part in BodyPart:
-            claimants = [index for index in order if part in prompts[index].claims]
-            for loser in claimants[:-1]:
-                if bool(prompts[loser].parts) == bool(prompts[claimants[-1]].parts):
-                    shared.setdefault((loser, claimants[-1]), set()).add(part)
-    return [
-        f"{places[loser]} ({prompts[loser].text!r}) and {places[winner]} ({prompts[winner].text!r}) claim "
+            for rival in precedence.rivals(part):
+                shared.setdefault((rival, precedence.owner(part)), set()).add(part)
+        if len(shared) > PAIRS_COUNTED:
+            break
+    told = [
+        f"{places[loser]} ({shown(prompts[loser].text)}) and {places[winner]} ({shown(prompts[winner].text)}) claim "
         f"{_listed(parts)} at the same time; {places[winner]} gets it, as in SINC's order"
-        for (loser, winner), parts in shared.items()
+        for (loser, winner), parts in list(shared.items())[:PAIRS_TOLD]
     ]
+    if len(shared) > PAIRS_TOLD:
+        most = f"more than {PAIRS_COUNTED}" if len(shared) > PAIRS_COUNTED else str(len(shared))
+        told.append(f"these are {PAIRS_TOLD} of {most} such pairs")
+    return "\n".join(told)
 
 
-def _refuse_crowded_tracks(timeline: Timeline, places: Sequence[str]) -> None:
-    for later, prompt in enumerate(timeline.prompts):
-        for earlier, other in enumerate(timeline.prompts[:later]):
-            if timeline.rows[earlier] == timeline.rows[later] and _together(prompt, other):
-                raise TimelineError(
-                    f"{places[later]} ({prompt.text!r}, {prompt.start:g} to {prompt.end:g} s) is in the same track as "
-                    f"{places[earlier]} ({other.text!r}, {other.start:g} to {other.end:g} s) at the same time; "
-                    "the prompts of a track follow each other: move one in time or to another track"
-                )
+def _crowded_track(timeline: Timeline, later: int, earlier: int) -> str:
+    one, other = (
+        f"({shown(prompt.text)}, {prompt.start:g} to {prompt.end:g} s)"
+        for prompt in (timeline.prompts[later], timeline.prompts[earlier])
+    )
+    return (
+        f"{timeline.places[later]} {one} is in the same track as {timeline.places[earlier]} {other} at the same time; "
+        "the prompts of a track follow each other: move one in time or to another track"
+    )
 
 
-def _first_fit(prompts: Sequence[Prompt]) -> tuple[int, ...]:
-    tracks: list[list[Prompt]] = []
-    rows = []
-    for prompt in prompts:
-        free = (row for row, track in enumerate(tracks) if not any(_together(prompt, other) for other in track))
-        row = next(free, len(tracks))
-        if row == len(tracks):
-            tracks.append([])
-        tracks[row].append(prompt)
-        rows.append(row)
-    return tuple(rows)
-
-
-def _together(one: Prompt, other: Prompt) -> bool:
-    return one.start < other.end and other.start < one.end
+def _is_part(text: str) -> bool:
+    try:
+        return bool(BodyPart.parse(text))
+    except ValueError:
+        return False
 
 
 def _listed(parts: Collection[BodyPart]) -> str:

@@ -9,11 +9,11 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -21,13 +21,18 @@ from accelerate import Accelerator
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch import Tensor, nn
 
-from stmc.training.checkpoint import Checkpoints
+from stmc.training.checkpoint import CheckpointError, Checkpoints
 from stmc.training.ema import Ema
 from stmc.training.logs import Board, Table
 from stmc.training.loss import Batch, Objective
+from stmc.training.resuming import SettingsChanged, deciding, differences
 from stmc.training.speed import quick_attention, quicken_dropout
 
 logger = logging.getLogger(__name__)
+
+_END = "lr_decay_steps"
+_SAID_EVERY = 30.0
+"""Seconds between two lines about the loss where there is no terminal for the bar."""
 
 Batches = Callable[[int, int], Sequence[Batch]]
 """(step, process) → the pieces of that process's share of the step's batch."""
@@ -45,12 +50,17 @@ class Hook:
 @dataclass(frozen=True)
 class Settings:
     """How to train. `rate` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
-    `final_rate` of it at `steps`. `clip` bounds the gradient's norm. `*_every` count steps."""
+    `final_rate` of it at `lr_decay_steps` (None: at `steps`), where it stays. `clip` bounds the gradient's norm.
+    `*_every` count steps.
+
+    A run can be made longer: with the `steps` it had as `lr_decay_steps` it goes on at its final rate.
+    """
 
     steps: int
     rate: float = 3e-4
     warmup: int = 500
     final_rate: float = 0.02
+    lr_decay_steps: int | None = None
     weight_decay: float = 0.01
     clip: float = 1.0
     decay: float = 0.999
@@ -67,23 +77,33 @@ class Settings:
             raise ValueError(f"unknown precision {self.precision!r}; choose bf16 or fp32")
         if self.steps < 1 or self.log_every < 1:
             raise ValueError(f"steps ({self.steps}) and log_every ({self.log_every}) must be at least 1")
+        if self.decay_end < 1:
+            raise ValueError(f"lr_decay_steps ({self.lr_decay_steps}) must be at least 1")
         for name in ("checkpoint_every", "validate_every"):
             every = getattr(self, name)
             if every < 1 or every % self.log_every:
                 raise ValueError(f"{name} ({every}) must be a multiple of log_every ({self.log_every})")
 
+    @property
+    def decay_end(self) -> int:
+        """The step at which the learning rate has fallen."""
+        return self.steps if self.lr_decay_steps is None else self.lr_decay_steps
+
     def rate_at(self, step: int) -> float:
         """The learning rate of the update that `step` (from 0) makes."""
         if step < self.warmup:
             return self.rate * (step + 1) / self.warmup
-        progress = min(1.0, (step - self.warmup) / max(1, self.steps - self.warmup))
+        progress = min(1.0, (step - self.warmup) / max(1, self.decay_end - self.warmup))
         return self.rate * (self.final_rate + (1 - self.final_rate) * (1 + math.cos(math.pi * progress)) / 2)
 
 
 class Trainer:
     """Trains `network` in `folder` towards `objective`, from the newest checkpoint there if there is one.
 
-    `validation` pieces are met with the same noise every time.
+    `validation` pieces are met with the same noise every time. `described` is plain data, everything but the `settings`
+    that the outcome depends on: a run that was begun with something else is refused with `SettingsChanged`, or with
+    `allow_changed_settings` goes on, and `changes` says what was changed when. Two processes must not be in one folder:
+    see `stmc.files.locked`.
     """
 
     def __init__(
@@ -96,6 +116,8 @@ class Trainer:
         validation: Sequence[Batch] = (),
         hooks: Sequence[Hook] = (),
         accelerator: Accelerator | None = None,
+        described: Mapping[str, Any] | None = None,
+        allow_changed_settings: bool = False,
     ) -> None:
         self.objective, self.batches, self.settings = objective, batches, settings
         self.folder, self.validation, self.hooks = Path(folder), validation, hooks
@@ -111,8 +133,12 @@ class Trainer:
             network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay, fused=True
         )
         self._prepared, self.optimizer = self.accelerator.prepare(network, optimizer)
+        own = {"training": asdict(settings) | {"lr_decay_steps": settings.decay_end}}
+        own["processes"] = self.accelerator.num_processes  # each draws batches of its own
+        self.described, self.allow_changed = deciding({**(described or {}), **own}), allow_changed_settings
+        self.changes: list[str] = []
         self.checkpoints = Checkpoints(self.folder / "checkpoints", settings.keep)
-        self.step = self._resume()
+        self.step = self._begun()
 
     @property
     def network(self) -> nn.Module:
@@ -185,20 +211,23 @@ class Trainer:
         self.board.write("train", self.step, values)
         speed = f"{values['steps_per_second']:.2f} steps/s"
         self.progress.update(self.task, completed=self.step, loss=f"loss {values['loss']:.4f}", speed=speed)
+        if not self.progress.console.is_terminal and time.monotonic() - self._said >= _SAID_EVERY:
+            logger.info("step %d of %d: loss %.4f, %s", self.step, self.settings.steps, values["loss"], speed)
+            self._said = time.monotonic()
 
     def _now_and_then(self) -> None:
-        """Validation, the checkpoint, and then the hooks: what they do is lost for no resumed run."""
+        """Validation, the hooks, and then the checkpoint: a run that was killed repeats what it does not vouch for."""
         settings, last = self.settings, self.step == self.settings.steps
         if self.validation and (last or self.step % settings.validate_every == 0):
             values = self.validate()
             self.validation_table.write(self.step, values)
             self.board.write("validation", self.step, values)
             logger.info("step %d of %d: validation loss %.4f", self.step, settings.steps, values["loss"])
-        if last or self.step % settings.checkpoint_every == 0:
-            self.checkpoints.save(self.step, self._state())
         for hook in self.hooks:
             if last or self.step % hook.every == 0:
                 hook.call(self.step, self.ema.model)
+        if last or self.step % settings.checkpoint_every == 0:
+            self.checkpoints.save(self.step, self._state())
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -212,21 +241,39 @@ class Trainer:
             "model": self.network.state_dict(),
             "ema": self.ema.model.state_dict(),
             "optimizer": self.optimizer.state_dict(),
-            "seed": self.settings.seed,
+            "described": self.described,
+            "changes": self.changes,
         }
 
-    def _resume(self) -> int:
-        found = self.checkpoints.load(self.device)
-        if found is None:
-            return 0
-        step, state = found
-        if state["seed"] != self.settings.seed:
-            raise ValueError(f"{self.folder} was begun with seed {state['seed']}, not {self.settings.seed}")
+    def _begun(self) -> int:
+        """The step to go on after, with everything as it was then."""
+        step = self.checkpoints.restore(self._fill, self.device)
+        logger.info(
+            "%s %s on %s: %d of %d steps are done",
+            "resuming" if step else "beginning", self.folder, self.device.type, step, self.settings.steps,
+        )  # fmt: skip
+        return step
+
+    def _fill(self, step: int, state: dict[str, Any]) -> None:
+        """Everything as it was after `step`; see `Checkpoints.restore`."""
+        changed = differences(state["described"], self.described)
+        if changed and not self.allow_changed:
+            longer = f"; a longer run needs training.{_END}={state['described'][f'training.{_END}']}"
+            raise SettingsChanged(
+                f"{self.folder} was begun with other settings: {'; '.join(changed)}. Ask again with the old ones"
+                f"{longer if any(_END in change for change in changed) else ''}, choose another folder, or go on with "
+                "the new ones: allow_changed_settings=true"
+            )
+        for part, module in (("model", self.network), ("ema", self.ema.model)):
+            shapes = {name: value.shape for name, value in module.state_dict().items()}
+            if shapes != {name: value.shape for name, value in state[part].items()}:
+                raise CheckpointError("it is of another network")
         self.network.load_state_dict(state["model"])
         self.ema.model.load_state_dict(state["ema"])
         self.optimizer.load_state_dict(state["optimizer"])
-        logger.info("resuming %s after step %d", self.folder, step)
-        return step
+        self.changes = [*state["changes"], *(f"after step {step}: {change}" for change in changed)]
+        if changed:
+            logger.warning("%s goes on with other settings: %s", self.folder, "; ".join(changed))
 
     def _open_logs(self, stack: ExitStack) -> None:
         losses = self.objective.names
@@ -240,6 +287,7 @@ class Trainer:
         self.progress = stack.enter_context(Progress(BarColumn(), MofNCompleteColumn(), *columns, *times))
         self.task = self.progress.add_task("training", total=self.settings.steps, loss="", speed="")
         self.progress.update(self.task, completed=self.step)
+        self._said = -math.inf
 
 
 def _seed(*parts: int) -> int:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import ConvexHull
 
 from stmc.body import JOINTS
 
@@ -26,6 +27,7 @@ def framing(
     `fov`: the vertical field of view in radians; `aspect`: the picture's width over its height.
     """
     points = np.concatenate([joints.reshape(-1, 3), joints[:, _HEAD] + [0.0, 0.0, _ABOVE]])
+    points = points[ConvexHull(points, qhull_options="QJ").vertices]  # whatever sees these sees all
     front = math.atan2(facing[1], facing[0])
     best, least = None, math.inf
     for aside in np.radians(np.arange(-180, 180, 15)):

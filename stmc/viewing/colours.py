@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
-from stmc.assignment import assign
 from stmc.body import BodyPart
+from stmc.motion import Motion
+from stmc.planning import assign
 from stmc.timeline import Timeline
 
 NEUTRAL = "#b9bec7"
@@ -58,15 +61,22 @@ def owners(timeline: Timeline, fps: int | float, frames: int) -> dict[BodyPart, 
     return owned
 
 
+def transition(motion: Motion, overlap: int | float | None) -> int | float:
+    """Seconds of the transitions to show: `overlap`, or else those that the motion was sampled with."""
+    return (motion.overlap or 0.0) if overlap is None else overlap
+
+
 def hand_overs(spans: Spans, fps: int | float, overlap: int | float) -> list[tuple[float, float]]:
     """Where one owner hands over to the next: (start, end) in frames, `overlap` seconds long, within the spans."""
+    if overlap <= 0:
+        return []
     half = overlap * fps / 2
     last = spans[-1][2]
     return [(max(start - half, 0.0), min(start + half, last)) for _, start, _ in spans[1:]]
 
 
 def worn(
-    timeline: Timeline | None, fps: int | float, frames: int, overlap: int | float = 0.5
+    timeline: Timeline | None, fps: int | float, frames: int, overlap: int | float = 0.0
 ) -> Float[np.ndarray, "frames parts 3"]:
     """The colour (0 to 1) of each of the five body parts, in `BodyPart`'s order, in each frame.
 
@@ -85,6 +95,7 @@ def worn(
             result[start:end, index] = neutral if owner is None else colours[owner]
         for start, end in hand_overs(owned[part], fps, overlap):
             centre, half = (start + end) / 2, max((end - start) / 2, 1e-9)
-            share = np.clip(1.0 - np.abs(middle - centre) / half, 0.0, 1.0)[:, None]
-            result[:, index] = (1 - share) * result[:, index] + share * neutral
+            near = slice(int(start), math.ceil(end))
+            share = np.clip(1.0 - np.abs(middle[near] - centre) / half, 0.0, 1.0)[:, None]
+            result[near, index] = (1 - share) * result[near, index] + share * neutral
     return result

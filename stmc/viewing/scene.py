@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import rich
@@ -19,8 +20,10 @@ from stmc.viewing.camera import framing
 from stmc.viewing.skin import PARTS, Skin
 
 FOV = math.radians(38.0)
+ASPECTS = (0.35, 0.5, 0.7, 1.0, 1.4, 1.9, 2.6)
+"""Windows that a camera is ready for: their width over the height that the tracks leave."""
 ASPECT = 1.9
-"""What the camera reckons with: the window's width over the height that the tracks leave."""
+"""The one that the recording begins with, until the page has measured its window."""
 REST = 0.5
 """Seconds for which the last frame stands before the page starts again."""
 _LEGS = PARTS.index("legs")
@@ -112,9 +115,20 @@ def _ground(server: viser.ViserServer, motion: Motion, colours: Float[np.ndarray
     )
 
 
-def _aim(server: viser.ViserServer, motion: Motion) -> None:
+def cameras(motion: Motion) -> list[dict[str, Any]]:
+    """For windows of several shapes, from narrow to wide, where a camera sees all of the motion: "aspect", "position"
+    and "target" (metres, z up)."""
     joints, facing = motion.joints.double().cpu().numpy(), motion.facing[0].double().cpu().numpy()
+    found = [(aspect, *framing(joints, facing, FOV, aspect)) for aspect in ASPECTS]
+    return [
+        {"aspect": aspect, "position": position.round(3).tolist(), "target": target.round(3).tolist()}
+        for aspect, position, target in found
+    ]
+
+
+def _aim(server: viser.ViserServer, motion: Motion) -> None:
     camera = server.initial_camera
-    camera.position, camera.look_at = framing(joints, facing, FOV, ASPECT)
+    chosen = next(each for each in cameras(motion) if each["aspect"] == ASPECT)
+    camera.position, camera.look_at = chosen["position"], chosen["target"]
     camera.up = (0.0, 0.0, 1.0)
     camera.fov = FOV

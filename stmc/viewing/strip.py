@@ -14,7 +14,7 @@ from matplotlib.patches import Polygon
 from stmc.body_model import Body
 from stmc.motion import Motion
 from stmc.timeline import Timeline
-from stmc.viewing.colours import as_rgb, mix, worn
+from stmc.viewing.colours import as_rgb, mix, transition, worn
 from stmc.viewing.mannequin import dressed
 from stmc.viewing.skin import PARTS, Skin
 from stmc.viewing.tracks import FAINT, INK, draw_tracks
@@ -31,18 +31,20 @@ def pictures(
     motion: Motion,
     timeline: Timeline | None = None,
     frames: int = 8,
-    overlap: int | float = 0.5,
+    overlap: int | float | None = None,
     body: Body | None = None,
     title: str = "",
 ) -> Figure:
     """`frames` moments of the motion from one direction, its path from above, and the timeline below.
 
     All pictures have one scale and one camera direction, and follow the pelvis over a floor of half-metre tiles, on
-    which an arrow shows where the pelvis faces. Colours are those of `worn`. The figure is not known to pyplot.
+    which an arrow shows where the pelvis faces. Colours are those of `worn`; transitions last
+    `overlap` seconds, if not told otherwise those that the motion was sampled with. The figure is not known to pyplot.
     """
     if frames < 1:
         raise ValueError(f"frames must be 1 or more, not {frames}")
     shown = np.unique(np.linspace(0, motion.frames - 1, frames).round().astype(int))
+    overlap = transition(motion, overlap)
     colours = worn(timeline, motion.fps, motion.frames, overlap)
     camera = _camera(motion)
     plot = Figure(figsize=(1.72 * (len(shown) + 1), 3.0 + (0 if timeline is None else 2.4)), layout="constrained")

@@ -19,10 +19,10 @@ _TRACK, _PART = 1.0, 0.46
 _ROW_INCHES = 0.42
 
 
-def figure(timeline: Timeline, fps: int | float, overlap: int | float = 0.5, width: int | float = 10.0) -> Figure:
+def figure(timeline: Timeline, fps: int | float, overlap: int | float = 0.0, width: int | float = 10.0) -> Figure:
     """The timeline's tracks, prompts as bars that bear their texts, and below them the five body parts.
 
-    `fps` decides where frames cut the spans; `overlap` (seconds) is how long the transitions are, which are hatched;
+    `fps` decides where frames cut the spans; `overlap` (seconds) is how long transitions will be, which are hatched;
     `width` in inches. The figure is not known to pyplot: save it, or show it in a notebook.
     """
     rows = len(timeline.tracks) * _TRACK + 5 * _PART + 0.35

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import tempfile
 import webbrowser
 from importlib.resources import files
@@ -11,9 +12,9 @@ from pathlib import Path
 from stmc.body_model import Body
 from stmc.motion import Motion
 from stmc.timeline import Prompt, Timeline
-from stmc.viewing.colours import NEUTRAL, hand_overs, ink, owners, palette, worn
+from stmc.viewing.colours import NEUTRAL, hand_overs, ink, owners, palette, transition, worn
 from stmc.viewing.mannequin import dressed
-from stmc.viewing.scene import record
+from stmc.viewing.scene import cameras, record
 
 _ALONE = (
     '<meta http-equiv="Content-Security-Policy" content="default-src data: blob:; '
@@ -22,33 +23,40 @@ _ALONE = (
 """Has the browser refuse whatever does not come with the page itself."""
 
 
+_FOLLOW = '<button id="stmc-follow" type="button" aria-pressed="false">follow</button>'
+
+
 def page(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
-    overlap: int | float = 0.5,
+    overlap: int | float | None = None,
     body: Body | None = None,
 ) -> str:
-    """A self-contained HTML page (about 1.5 MB) that loads nothing from anywhere and opens from a file.
+    """A self-contained HTML page (some 1.5 MB, and as much again for every minute) that loads nothing from anywhere and
+    opens from a file.
 
     It plays the motion in a loop with every body part in the colour of the prompt it obeys (neutral in gaps and in the
-    middle of transitions, which last `overlap` seconds), on a floor with the pelvis' path. With a `timeline` (by whose
-    name the page is called unless `title` says otherwise) it shows the texts that hold, and the tracks with a cursor
-    that can be dragged. "#t=2.5" behind the page's address opens it paused at 2.5 seconds.
+    middle of transitions, which last `overlap` seconds; None: as long as those that the motion was sampled with), on a
+    floor with the pelvis' path. With a `timeline` (by whose name the page is called unless `title` says otherwise) it
+    shows the texts that hold, and the tracks with a cursor that can be dragged. "#t=2.5" behind the page's address
+    opens it paused at 2.5 seconds. The camera sees the whole motion in a window of any shape, or follows the body: a
+    button says which, and the page follows by itself where the body would be too small to see.
 
     The body is a mannequin with the motion's own bones, or the mesh of `body`.
     """
     title = title or (timeline.name if timeline is not None else "")
+    overlap = transition(motion, overlap)
     colours = worn(timeline, motion.fps, motion.frames, overlap)
     content = record(motion, dressed(motion, body), colours)
     assets = files("stmc") / "assets"
     style, script = ((assets / f"page.{kind}").read_text("utf-8") for kind in ("css", "js"))
     below = "" if timeline is None else _tracks(timeline, motion, overlap)
-    heading = f'<div id="stmc-heading"><h1>{html.escape(title)}</h1>{_chips(timeline)}</div>'
+    heading = f'<div id="stmc-heading"><h1>{html.escape(title)}</h1><p>{_chips(timeline)}</p>{_FOLLOW}</div>'
     for old, new in (
         ("<head>", f"<head>{_ALONE}"),
         ("<title>Viser</title>", f"<title>{html.escape(title or 'motion')}</title>"),
-        ("<body>", f'<body data-duration="{motion.duration:.4f}">'),
+        ("<body>", f'<body data-duration="{motion.duration:.4f}" data-view="{html.escape(_view(motion))}">'),
         ("</body>", f"<style>{style}</style>{heading}{below}<script>{script}</script></body>"),
     ):
         assert content.count(old) == 1, (old, content.count(old))  # else viser's page is not the one we know
@@ -60,7 +68,7 @@ def view(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
-    overlap: int | float = 0.5,
+    overlap: int | float | None = None,
     body: Body | None = None,
     height: int = 640,
 ) -> None:
@@ -88,6 +96,14 @@ def _in_notebook() -> bool:
     except ImportError:
         return False
     return hasattr(get_ipython(), "kernel")
+
+
+def _view(motion: Motion) -> str:
+    """What the page's camera has to know: where it sees everything, and the pelvis' path over the floor, ten times a
+    second (m)."""
+    step = max(1, int(motion.fps / 10))
+    path = motion.translation[::step, :2].double().cpu().numpy().round(3).tolist()
+    return json.dumps({"cameras": cameras(motion), "path": path, "rate": motion.fps / step}, separators=(",", ":"))
 
 
 def _chips(timeline: Timeline | None) -> str:

@@ -1,1 +1,1 @@
-"""Data sets as they are published: each module knows one layout or file format, and none of the others."""
+"""The data sets that scripts/prepare.py knows: one file a source, and the formats that several share."""

@@ -1,6 +1,6 @@
 """Text files of a data set, from the `.tar.xz` it is published as (never unpacked to disk) or a folder.
 
-Knows files and archives; knows no format.
+Knows files, archives and how large either may be; knows no format.
 """
 
 from __future__ import annotations
@@ -8,34 +8,95 @@ from __future__ import annotations
 import lzma
 import tarfile
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
+from stmc.untrusted import UnreadableError, cut, read_bytes
 
-def read_texts(source: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, str]]:
-    """The place and the text of every file whose suffix is one of `kinds`, one at a time.
+MOST_BYTES = 16 * 2**20
+"""Of one file; the largest of the data sets are of some 5 MB."""
+
+MOST_MEMBERS = 100_000
+"""Of an archive or a folder; the data sets have some 3,000."""
+
+MOST_ARCHIVE = 16 * 2**30
+"""Bytes of all that an archive unpacks to; the data sets' have some 1 to 4 GB."""
+
+_HEADERS = 2**20
+"""Bytes that may stand between two members; tarfile reads them at once."""
+
+Text = str | UnreadableError
+
+
+def read_texts(source: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, Text]]:
+    """The place and the text of every file whose suffix is one of `kinds`, one at a time; of what is no regular file,
+    or one of more than `MOST_BYTES`, the error in place of a text.
 
     Raises `FileNotFoundError` where there is neither folder nor file, and `ValueError` for an archive that is damaged
-    or breaks off.
+    or breaks off, and for more than `MOST_MEMBERS` or `MOST_ARCHIVE`.
     """
     if not source.exists():
         raise FileNotFoundError(f"{source} does not exist; it should be the dataset's .tar.xz or its unpacked folder")
-    if source.is_file():
-        yield from _archived(source, kinds)
-        return
-    for file in sorted(path for path in source.rglob("*") if path.suffix in kinds):
-        yield PurePosixPath(file.relative_to(source).as_posix()), file.read_text(encoding="ascii", errors="replace")
+    yield from _archive(source, kinds) if source.is_file() else _folder(source, kinds)
 
 
-def _archived(path: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, str]]:
-    name = "its beginning"
+def _archive(path: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, Text]]:
+    name, left = "its beginning", MOST_ARCHIVE
     try:
         with lzma.open(path) as file:  # unlike tarfile's own stream, it notices an end that comes too early
-            with tarfile.open(fileobj=file, mode="r|") as archive:
-                for member in archive:
+            unpacked = _Metered(file)
+            with tarfile.open(fileobj=unpacked, mode="r|") as archive:
+                for number, member in enumerate(archive):
+                    left -= member.size
+                    if number >= MOST_MEMBERS or left < 0:
+                        limits = f"{MOST_MEMBERS:,} members or {MOST_ARCHIVE / 2**30:g} GiB"
+                        raise ValueError(f"{path} unpacks to more than {limits} (read up to {name})")
+                    archive.members.clear()  # tarfile keeps all it has seen
+                    unpacked.left = member.size + _HEADERS
                     place = PurePosixPath(member.name)
-                    if member.isfile() and place.suffix in kinds:
-                        name = place.stem
-                        yield place, archive.extractfile(member).read().decode("ascii", errors="replace")
-            file.read()
+                    if place.suffix in kinds:
+                        name = cut(place.stem)
+                        yield place, _member(archive, member)
+            unpacked.left = MOST_BYTES
+            while unpacked.read(2**20):
+                pass
     except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
         raise ValueError(f"{path} is no .tar.xz, or a half or damaged one (read up to {name}): {error}") from error
+
+
+def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> Text:
+    if not member.isreg():
+        return UnreadableError("a member of the archive that is no regular file")
+    if member.size > MOST_BYTES:
+        return UnreadableError(f"{member.size:,} bytes, more than {MOST_BYTES / 2**20:g} MiB")
+    return archive.extractfile(member).read().decode("ascii", errors="replace")
+
+
+class _Metered:
+    """A file from which only so many bytes are `left` to be read, whatever its headers promise."""
+
+    def __init__(self, file: lzma.LZMAFile) -> None:
+        self._file = file
+        self.left = _HEADERS
+
+    def read(self, size: int) -> bytes:
+        content = self._file.read(size)
+        self.left -= len(content)
+        if self.left < 0:
+            raise tarfile.ReadError(f"headers of more than {_HEADERS / 2**20:g} MiB")
+        return content
+
+
+def _folder(path: Path, kinds: tuple[str, ...]) -> Iterator[tuple[PurePosixPath, Text]]:
+    found = (file for file in path.rglob("*") if file.suffix in kinds)
+    files = sorted(islice(found, MOST_MEMBERS + 1))
+    if len(files) > MOST_MEMBERS:
+        raise ValueError(f"{path} holds more than {MOST_MEMBERS:,} {', '.join(kinds)} files, the limit")
+    for file in files:
+        place = PurePosixPath(file.relative_to(path).as_posix())
+        try:
+            yield place, read_bytes(file, MOST_BYTES).decode("ascii", errors="replace")
+        except UnreadableError as error:
+            yield place, error
+        except OSError as error:  # a dangling link, no permission
+            yield place, UnreadableError(f"cannot be read ({error.strerror})")

@@ -12,9 +12,13 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.data.bvh import Bvh
+from stmc.data.sources.bvh import Bvh
+from stmc.untrusted import cut, shown
 
 _ROOT = "root"
+
+LONGEST_WORD = 64
+"""Letters of a bone's name or digits of a number."""
 
 
 class AcclaimError(ValueError):
@@ -54,7 +58,7 @@ def parse_asf(text: str) -> Acclaim:
             continue
         for child in children:
             if parent not in places or child not in described or child in places:
-                raise AcclaimError(f"hierarchy: {parent!r} cannot carry {child!r}: unknown, or duplicated")
+                raise AcclaimError(f"hierarchy: {shown(parent)} cannot carry {shown(child)}: unknown, or duplicated")
             frame, channels, ends[child] = described[child]
             places[child] = len(bones)
             bones.append(Bone(child, places[parent], ends[parent], frame, channels))
@@ -68,9 +72,12 @@ def parse_amc(text: str, skeleton: Acclaim, fps: float | int) -> Bvh:
     `AcclaimError` for frames that are not alike, bones that the skeleton lacks, and values that are not finite.
     """
     _, marked, body = text.partition(":DEGREES")
-    words = np.array(body.split())
-    if not marked or not len(words):
+    parts = body.split()
+    if not marked or not parts:
         raise AcclaimError("no frames after ':DEGREES': the file is truncated or not an AMC file")
+    if (longest := max(parts, key=len)) and len(longest) > LONGEST_WORD:  # an array has room for it in every place
+        raise AcclaimError(f"{shown(longest)} is neither a bone nor a number")
+    words = np.array(parts)
     table = words.reshape(-1, _words_of_a_frame(words))
     columns, names = _columns(table[0], skeleton)
     if not (table[:, names] == table[0, names]).all():
@@ -114,7 +121,7 @@ def _described(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[str,
                 channels = tuple(word.lower() for word in fields.get("dof", ()))
                 bones[name] = frame, channels, direction * float(fields["length"][0])
             except (KeyError, ValueError) as error:
-                raise AcclaimError(f"bonedata, bone {name}: {error}") from error
+                raise AcclaimError(f"bonedata, bone {cut(name)}: {cut(str(error), 100)}") from error
         else:
             fields[words[0]] = words[1:]
     return bones
@@ -123,7 +130,7 @@ def _described(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[str,
 def _vector(words: list[str]) -> np.ndarray:
     vector = np.array(words, dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ValueError(f"{' '.join(words)!r} is not three finite numbers")
+        raise ValueError(f"{shown(' '.join(words))} is not three finite numbers")
     return vector
 
 
@@ -144,7 +151,7 @@ def _columns(frame: np.ndarray, skeleton: Acclaim) -> tuple[dict[str, dict[str, 
     while place < len(frame):
         name = str(frame[place])
         if name not in known or name in columns:
-            raise AcclaimError(f"{name!r} is not a bone of the skeleton, or duplicated")
+            raise AcclaimError(f"{shown(name)} is not a bone of the skeleton, or duplicated")
         channels = known[name].channels
         columns[name] = {channel: place + 1 + index for index, channel in enumerate(channels)}
         names.append(place)

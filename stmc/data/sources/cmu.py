@@ -21,12 +21,13 @@ from torch.nn.functional import normalize
 
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
-from stmc.data.bvh import Bvh, parse_bvh
 from stmc.data.sources.archives import read_texts
 from stmc.data.sources.asf import parse_amc, parse_asf
+from stmc.data.sources.bvh import Bvh, parse_bvh
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, shortest_arc
 from stmc.inverse_kinematics import joints_to_rotations
 from stmc.motion import Motion
+from stmc.untrusted import cut
 
 _MIDLINE = ("pelvis", "spine1", "spine3", "neck", "head")
 _SIDED = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -104,15 +105,17 @@ class Source:
 def read_sources(source: Path) -> Iterator[Source | tuple[str, str]]:
     """Every recording below a folder or in an archive; for one that cannot be told, its name and the reason.
 
-    One is in memory at a time: the whole database is several gigabytes. Raises `FileNotFoundError` where there is no
-    such place, and `ValueError` for one without recordings or a damaged archive.
+    One is in memory at a time: the whole database is several gigabytes. Raises as `read_texts`, and `ValueError` for a
+    place without recordings.
     """
     source, seen = Path(source), set()
-    skeletons = {place.stem: text for place, text in read_texts(source, (".asf",))}
+    skeletons = {place.stem: text for place, text in read_texts(source, (".asf",)) if isinstance(text, str)}
     for place, text in read_texts(source, (".amc", ".bvh")):
         name = place.stem
         if name in seen:
-            yield f"{name} ({place})", "a second recording of this name"
+            yield f"{name} ({cut(str(place))})", "a second recording of this name"
+        elif not isinstance(text, str):
+            yield name, str(text)
         elif place.suffix == ".bvh":
             yield Source(name, text)
         elif found := _skeleton_of(name, skeletons):

@@ -16,9 +16,9 @@ from torch import Tensor
 from stmc.body_model import Skeleton
 from stmc.data.cache import Cache, Clip, assemble, fingerprint
 from stmc.data.preparation import Job, LayoutError, Watch, code, in_parallel
-from stmc.data.sentences import CONTENTS, describe, mirrored_content
 from stmc.data.sources import cmu
-from stmc.data.sources.segments import Segment, segments_of, splits
+from stmc.data.sources.bandai_sentences import CONTENTS, describe, mirrored_content
+from stmc.data.sources.segments import Segment, read_segments, splits
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
 
@@ -56,7 +56,7 @@ class CmuClips:
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`. Recordings without segments are left alone; others that cannot be used are named."""
-        wanted, left_out = segments_of("cmu"), list[tuple[str, str]]()
+        wanted, left_out = read_segments("cmu"), list[tuple[str, str]]()
 
         def jobs() -> Iterator[tuple[str, Job]]:
             for source in cmu.read_sources(self._source):
@@ -82,7 +82,7 @@ def convert(source: cmu.Source, fps: float | int) -> Rows:
     rows: Rows = []
     for mirrored, moved in ((False, motion), (True, motion.mirrored())):
         features = encoded(Motion.posed(moved.rotations, moved.translation, fps, skeleton))
-        for number, segment in enumerate(segments_of("cmu")[source.name]):
+        for number, segment in enumerate(read_segments("cmu")[source.name]):
             first, last = round(segment.start * fps), min(round(segment.end * fps), len(features))
             if last - first < 2:
                 raise cmu.CmuError(f"{len(features) / fps:g} s are too short for a segment from {segment.start:g} s on")

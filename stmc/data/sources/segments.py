@@ -32,7 +32,7 @@ def table() -> Mapping[str, Any]:
 
 
 @cache
-def segments_of(dataset: str) -> Mapping[str, tuple[Segment, ...]]:
+def read_segments(dataset: str) -> Mapping[str, tuple[Segment, ...]]:
     """All segments of "cmu" or "bandai", by their recordings, in the order of time."""
     found: dict[str, list[Segment]] = {}
     for recording, start, end, content in table()[dataset]:

@@ -1,0 +1,28 @@
+"""What the site shows beside these pages: the models' cards, which travel with the models, and two pages of the
+repository's root. A hook of mkdocs."""
+
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+CARDS = ("mdm_smpl_bandai", "tmr_bandai")
+PAGES = {f"cards/{name}.md": f"stmc/assets/{name}/README.md" for name in CARDS} | {
+    "contributing.md": "CONTRIBUTING.md",
+    "changelog.md": "CHANGELOG.md",
+}
+"""Where a page stands in the site, and where in the repository."""
+PICTURES = {"cards/example.png": "stmc/assets/mdm_smpl_bandai/example.png"}
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Adds the pages, their links as they are from there, and their pictures."""
+    for place, source in PAGES.items():
+        text = (ROOT / source).read_text("utf-8")
+        up = "../" * place.count("/")
+        text = text.replace("](../../../docs/", f"]({up}").replace("](docs/", f"]({up}")
+        files.append(File.generated(config, place, content=text))
+    for place, source in PICTURES.items():
+        files.append(File.generated(config, place, abs_src_path=str(ROOT / source)))
+    return files

@@ -1,0 +1,92 @@
+"""What `import stmc` gives, for editors and type checkers; at run time `__init__.py` imports it lazily."""
+
+from . import arrays as arrays
+from . import benchmarks as benchmarks
+from . import body as body
+from . import body_model as body_model
+from . import commands as commands
+from . import composing as composing
+from . import data as data
+from . import denoisers as denoisers
+from . import diffusion as diffusion
+from . import evaluators as evaluators
+from . import export as export
+from . import filenames as filenames
+from . import files as files
+from . import geometry as geometry
+from . import inverse_kinematics as inverse_kinematics
+from . import metrics as metrics
+from . import model as model
+from . import motion as motion
+from . import planning as planning
+from . import published as published
+from . import renamed as renamed
+from . import representation as representation
+from . import results as results
+from . import run as run
+from . import sampling as sampling
+from . import settings as settings
+from . import statistics as statistics
+from . import study as study
+from . import tensors as tensors
+from . import text as text
+from . import timeline as timeline
+from . import training as training
+from . import untrusted as untrusted
+from . import viewing as viewing
+from .body import BodyPart
+from .body_model import Skeleton
+from .composing import Method, collage, find_method, guided_crops, lerp, sinc, stitched
+from .denoisers import Denoiser
+from .diffusion import Noise, Schedule, ddim, ddpm, dpm_solver, guide
+from .export import read, write
+from .inverse_kinematics import motion_of_joints
+from .model import Model
+from .motion import Motion
+from .planning import Plan, assign, plan
+from .run import load, load_evaluator, save
+from .sampling import Sampling
+from .timeline import Prompt, Timeline, one_text, single_track
+from .viewing import figure, page, pictures, plot_plan, view
+
+__all__ = [
+    "BodyPart",
+    "Denoiser",
+    "Method",
+    "Model",
+    "Motion",
+    "Noise",
+    "Plan",
+    "Prompt",
+    "Sampling",
+    "Schedule",
+    "Skeleton",
+    "Timeline",
+    "assign",
+    "collage",
+    "ddim",
+    "ddpm",
+    "dpm_solver",
+    "figure",
+    "find_method",
+    "guide",
+    "guided_crops",
+    "lerp",
+    "load",
+    "load_evaluator",
+    "motion_of_joints",
+    "one_text",
+    "page",
+    "pictures",
+    "plan",
+    "plot_plan",
+    "read",
+    "save",
+    "sinc",
+    "single_track",
+    "stitched",
+    "view",
+    "write",
+]
+
+__version__: str

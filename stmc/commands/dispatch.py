@@ -1,0 +1,69 @@
+"""`stmc COMMAND …`: every script of the repository as a command of one program."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from types import ModuleType
+
+import stmc
+from stmc.commands.endings import guarded
+from stmc.commands.entry import Command
+from stmc.commands.places import place
+from stmc.settings import SettingError
+
+SHORT = {"import": "import_checkpoint"}
+"""Commands that are not called like their scripts."""
+
+
+def program(arguments: Sequence[str] | None = None) -> int:
+    """Runs `stmc` with what was typed behind it, and returns the exit code: the first argument names the command, the
+    others are the command's; without any, all commands are listed."""
+    name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    code = 0
+
+    def run() -> None:
+        nonlocal code
+        if name in ("--help", "-h", "help"):
+            sys.stdout.write(listed())
+        elif name == "--version":
+            sys.stdout.write(f"stmc {stmc.__version__}\n")
+        else:
+            code = found(name)(others)
+
+    return guarded(run) or code
+
+
+def found(name: str) -> Command:
+    """The command of that name. Raises `SettingError`."""
+    script = SHORT.get(name, name).replace("-", "_")
+    if script not in scripts():
+        raise SettingError(f"unknown command {name!r}: choose from {', '.join(scripts())}")
+    return _module(script).main
+
+
+def scripts() -> dict[str, str]:
+    """Every script with the first line of what it says of itself."""
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in sorted(place("scripts").glob("*.py"))}
+    return {name: (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0] for name, text in texts.items()}
+
+
+def listed() -> str:
+    """What `stmc --help` prints."""
+    names = {script: short for short, script in SHORT.items()}
+    rows = [f"  {names.get(script, script):<18}{told.partition(':')[0]}" for script, told in scripts().items()]
+    return "\n".join(["Usage: stmc COMMAND [SETTING=VALUE …]", "", *rows, "", "stmc COMMAND --help says more.", ""])
+
+
+def _module(script: str) -> ModuleType:
+    """A script as a module: installed, or of the checkout that this package lies in."""
+    name = f"stmc.scripts.{script}"
+    if find_spec("stmc.scripts") is not None:
+        return import_module(name)
+    spec = spec_from_file_location(name, place("scripts") / f"{script}.py")
+    module = sys.modules[name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,113 @@
+"""A command: a function, the record of its settings, and the configuration that Hydra composes for it."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, dataclass
+from functools import cached_property
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf, open_dict
+
+from stmc.commands.arguments import Asked, quoted, read
+from stmc.commands.endings import guarded
+from stmc.commands.help import explanation
+from stmc.commands.places import place
+from stmc.settings import SettingError, about, defaults, record_of
+
+Config = Any
+"""What Hydra composes: an OmegaConf `DictConfig`."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What `command` makes of a function. A call is the whole way: arguments, checks, the function, an exit code."""
+
+    name: str
+    settings: type
+    """The record whose fields are the settings."""
+    function: Callable[[Config], object]
+    positional: tuple[str, ...] = ()
+    """The settings that plain arguments are, in order."""
+
+    def __call__(self, arguments: Sequence[str] | None = None) -> int:
+        """Runs the command with what was typed behind it, and returns its exit code."""
+        return guarded(functools.partial(self.run, sys.argv[1:] if arguments is None else arguments))
+
+    def run(self, arguments: Sequence[str]) -> None:
+        """As calling, but what goes wrong is an exception."""
+        asked = read(arguments, self.settings, self.parts, self.positional)
+        if asked.help:
+            sys.stdout.write(self.help)
+            return
+        config = self.composed(asked)
+        if asked.show:
+            sys.stdout.write(OmegaConf.to_yaml(config))
+            return
+        self.check(config)
+        _log(self.function.__module__)
+        self.function(config)
+
+    def composed(self, asked: Asked) -> Config:
+        """The configuration as asked for; the user's own folder wins over ours."""
+        folder, ours = asked.folder or place("configs"), place("configs")
+        if not folder.is_dir():
+            raise SettingError(f"--config-dir {folder} is not a folder")
+        name = asked.name or self.name
+        if not any((place / f"{name}.yaml").is_file() for place in (folder, ours)):
+            raise SettingError(f"--config-name {name}: {folder / name}.yaml does not exist")
+        behind = [] if folder == ours else [f"hydra.searchpath=[{quoted(f'file://{ours}')}]"]
+        with initialize_config_dir(str(folder.resolve()), version_base="1.3"):
+            config = compose(name, [*asked.overrides, *behind])
+        with open_dict(config):  # a configuration of the user's own may leave settings out
+            for setting, value in defaults(self.settings).items():
+                config.setdefault(setting, "???" if value is MISSING else value)
+        return config
+
+    def check(self, config: Config) -> None:
+        """Raises `SettingError` for settings that are missing, unknown or do not fit, before anything is loaded."""
+        if missing := sorted(OmegaConf.missing_keys(config)):
+            told = about(self.settings)
+            meant = [f"{name}= ({told[name].help})" if name in told else f"{name}=" for name in missing]
+            raise SettingError(f"needed: {', '.join(meant)}")
+        values = OmegaConf.to_container(config, resolve=True)
+        record_of(self.settings, {name: value for name, value in values.items() if name not in self.parts})
+
+    @property
+    def help(self) -> str:
+        """What `--help` prints."""
+        described = self.function.__globals__.get("__doc__") or ""
+        return explanation(self.name, described, self.settings, self.positional, self.parts)
+
+    @cached_property
+    def parts(self) -> dict[str, tuple[str, list[str]]]:
+        """The groups that the configuration is composed of, each with the one chosen by default, and all of them."""
+        listed = OmegaConf.load(place("configs") / f"{self.name}.yaml").get("defaults", [])
+        chosen = dict(next(iter(each.items())) for each in listed if OmegaConf.is_dict(each))
+        names = {name: sorted(path.stem for path in place("configs").glob(f"{name}/*.yaml")) for name in chosen}
+        return {name: (one, names[name]) for name, one in chosen.items()}
+
+
+def command(
+    name: str, settings: type, positional: tuple[str, ...] = ()
+) -> Callable[[Callable[[Config], object]], Command]:
+    """Makes a command of a function of its composed configuration: `@command("sample", Sample, ("timeline",))`.
+
+    `name` is that of its configuration, too; plain arguments are the settings `positional`.
+    """
+    return lambda function: Command(name, settings, function, positional)
+
+
+def _log(script: str) -> None:
+    """What the library and the script tell as they go (checkpoints, validation) appears on stderr, a line each."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+    for name in {"stmc", script}:
+        logger = logging.getLogger(name)
+        if not logger.hasHandlers():
+            logger.addHandler(handler)
+            logger.setLevel(logging.INFO)

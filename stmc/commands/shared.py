@@ -1,0 +1,35 @@
+"""Settings that several commands have."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, dataclass
+
+from stmc.settings import setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnDevice:
+    """Of a command that samples or measures."""
+
+    device: str = setting("auto", "where to compute: auto (the GPU if there is one), cpu, cuda, cuda:1, …")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Threaded:
+    """Of a command that computes for long."""
+
+    threads: int | None = setting(None, "threads of the CPU; null: PyTorch's own choice", at_least=1, at_most=1024)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained(Threaded):
+    """Of a command that trains."""
+
+    run: str = setting(MISSING, "folder for checkpoints, logs and what is trained; asked again, it goes on")
+    trusted: tuple[str, ...] = setting((), "packages of your own that the parts may be classes of")
+    allow_changed_settings: bool = setting(
+        False, "go on although the run was begun with other settings; the card says which"
+    )
+    device: str = setting("auto", "where to compute; auto: cuda if there is one", choices=("auto", "cpu", "cuda"))
+    validation: int = setting(4, "batches that the validation loss is measured on", at_least=1)
+    text_cache: str = setting("cache/text", "folder of embedded texts, which other runs can use, too")

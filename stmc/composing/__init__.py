@@ -1,0 +1,39 @@
+"""From predictions of crops, or of sequences, to predictions of timelines, by plans."""
+
+from stmc.composing.batching import Guided
+from stmc.composing.double_take import inpaint, kept_shares
+from stmc.composing.guided import NULL, SequenceDenoiser, distinct_texts, guided_crops, guided_sequences
+from stmc.composing.interpolation import lerp, slerp
+from stmc.composing.methods import METHODS, Method, Rule, find_method, settled, stitched
+from stmc.composing.running import Progress, Run
+from stmc.composing.sequences import body_sequences, weave
+from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, sinc
+
+__all__ = [
+    "METHODS",
+    "NULL",
+    "Columns",
+    "Guided",
+    "Method",
+    "Progress",
+    "Rule",
+    "Run",
+    "SequenceDenoiser",
+    "body_sequences",
+    "canvas_lengths",
+    "collage",
+    "crop_lengths",
+    "crop_seeds",
+    "distinct_texts",
+    "find_method",
+    "guided_crops",
+    "guided_sequences",
+    "inpaint",
+    "kept_shares",
+    "lerp",
+    "settled",
+    "sinc",
+    "slerp",
+    "stitched",
+    "weave",
+]

@@ -1,0 +1,233 @@
+"""Methods as values: how timelines become features.
+
+A method is one function of a `Run`; `stitched` makes one of any rule `Plan → Plan`. `METHODS` names ours and the
+baselines. Knows plans, predictors and schedules; knows no networks and no `Model`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.composing.double_take import inpaint, kept_shares
+from stmc.composing.interpolation import lerp, slerp
+from stmc.composing.running import Run, settings_taken
+from stmc.composing.sequences import weave
+from stmc.diffusion import SAMPLERS
+from stmc.planning import Plan, cross_fade, handshake, multi_diffusion, second_take
+from stmc.sampling import INDEPENDENT, Sampling
+from stmc.settings import SettingError, shown
+from stmc.tensors import mask
+from stmc.timeline import Timeline, one_text, single_track
+
+Features = Float[Tensor, "batch frames features"]
+Rule = Callable[[Plan], Plan]
+Baseline = Callable[[Timeline, "float | int", int], Timeline]
+"""(timeline, frames per second, frames of the longest crop) → the timeline that is sampled instead."""
+
+SKIPPED = 0.1
+"""The share of the steps, the noisiest, that DoubleTake's second take goes without (Shafir et al. 2024)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """How timelines become features.
+
+    `sample` makes normalised features [batch, frames, features] of a `Run`, each from its first frame on. `label` is
+    the method's name in tables, with what it sees of a timeline: `tracks` and `crops`, "Single" or "Multi" each.
+    `baseline` replaces each timeline beforehand. `fixed` are the settings that the method decides, whatever the model
+    says; None: it has no such setting. `per_frame_text`: it needs a denoiser that knows a text for every frame.
+    """
+
+    sample: Callable[[Run], Features]
+    label: str
+    baseline: Baseline | None = None
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+    per_frame_text: bool = False
+    tracks: str = "Multi"
+    crops: str = "Multi"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fixed", MappingProxyType(dict(self.fixed)))
+
+    @property
+    def stitches(self) -> bool:
+        """Whether it composes at every step, from a moment on that can be chosen or is fixed."""
+        return self.fixed.get("stitch_from", 0.0) is not None
+
+
+def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: str = "", **more: Any) -> Method:
+    """The method that stitches crops at every step (STMC, section 3.3), by the plans that `rule` makes of the usual
+    ones (None: as they are), from the setting `stitch_from` on: before it crops are denoised alone (section 4.6's
+    outlook).
+
+        model.generate(timeline, method=stmc.stitched(my_rule), stitch_from=0.2)
+
+    `more`: as of `Method`; the label is the rule's own name unless said.
+    """
+
+    def sample(run: Run) -> Features:
+        return stitch(run, [plan if rule is None else rule(plan) for plan in run.plans()])
+
+    return Method(sample, label or getattr(rule, "__name__", "stitched"), baseline, **more)
+
+
+def stitch(run: Run, plans: Sequence[Plan]) -> Features:
+    """STMC by `plans`, from the run's `stitch_from` on."""
+    predict, draw = run.collage(plans), run.noise(plans)
+    apart = int((run.sampling.stitch_from or 0) * len(run.times))
+    if not apart:
+        return run.denoise(predict, draw(), draw)
+    left = len(run.times) - apart
+    noise = draw()
+    x = run.schedule.q_sample(torch.zeros_like(noise), run.times[left - 1], noise)  # what lies behind the ends
+    crops = run.begun_independently(apart)
+    inside = mask(torch.tensor([plan.frames for plan in plans]))[..., None].to(crops.device)
+    x[:, : crops.shape[1]] = torch.where(inside, crops, x[:, : crops.shape[1]])
+    return run.denoise(predict, x, draw, left)
+
+
+def alone(run: Run) -> Features:
+    """Every timeline's one prompt as a motion of its own. Raises `ValueError` for several prompts."""
+    if several := [timeline for timeline in run.timelines if len(timeline.prompts) != 1]:
+        raise ValueError(f"independent prompts: one prompt a timeline, not {len(several[0].prompts)}")
+    return stitch(run, run.plans())
+
+
+def smoothed(run: Run) -> Features:
+    """SINC, with a straight line over the overlap wherever a part changes from one crop to another."""
+    return lerp(run.independent(), run.plans(0), run.columns, run.overlap)
+
+
+def smoothed_on_the_sphere(run: Run) -> Features:
+    """The same with rotations on their shortest arc (TEACH)."""
+    raw = run.statistics.restore(run.independent())
+    return run.statistics.normalise(slerp(raw, run.plans(0), run.layout, run.overlap))
+
+
+def seamless(run: Run) -> Features:
+    """What each body part obeys as one sequence, without crops (FlowMDM, here with several tracks)."""
+    run = replace(run, fixed_length=None)  # sequences are seen whole
+    plans = run.plans(0)
+    draw = run.noise(plans)
+    return run.denoise(weave(run.guided_sequences(plans, run.sampling.guidance), plans, run.columns), draw(), draw)
+
+
+def two_takes(run: Run) -> Features:
+    """Crops that fade into each other, then half an overlap on either side of each transition made anew."""
+    plans, ramp = run.plans(), run.overlap // 2
+    content = stitch(run, [handshake(plan) for plan in plans])
+    if not ramp:
+        return content
+    takes = [second_take(plan, run.longest) for plan in plans]
+    kept = kept_shares(plans, run.columns, ramp).to(content)
+    kept = F.pad(kept, (0, 0, 0, content.shape[1] - kept.shape[1]), value=1.0)
+    steps = max(1, len(run.times) - int(SKIPPED * len(run.times)))
+    draw = run.noise(takes, [(seed, 0) for seed in run.seeds])
+    x = run.schedule.q_sample(content, run.times[steps - 1], draw())
+    return run.denoise(inpaint(run.collage(takes, 0.0), content, kept), x, draw, steps)
+
+
+_FROM_THE_FIRST: Mapping[str, Any] = {"stitch_from": 0.0}
+_NEVER: Mapping[str, Any] = {"stitch_from": None}
+_WITHOUT_OVERLAP: Mapping[str, Any] = {"stitch_from": None, "overlap": None}
+
+METHODS: Mapping[str, Method] = {
+    "one_text": stitched(
+        baseline=lambda timeline, fps, longest: one_text(timeline, longest / fps),
+        label="One text",
+        fixed=_WITHOUT_OVERLAP,
+        tracks="Single",
+        crops="Single",
+    ),
+    "single_track": stitched(
+        baseline=lambda timeline, fps, longest: single_track(timeline, fps),
+        label="DiffCollage",
+        fixed=_FROM_THE_FIRST,
+        tracks="Single",
+    ),
+    INDEPENDENT: Method(alone, "Independent prompts", fixed=_WITHOUT_OVERLAP),
+    "sinc": Method(Run.independent, "SINC w/o Lerp", fixed=_WITHOUT_OVERLAP),
+    "sinc_lerp": Method(smoothed, "SINC w/ Lerp", fixed=_NEVER),
+    "sinc_slerp": Method(smoothed_on_the_sphere, "SINC w/ Slerp", fixed=_NEVER),
+    "multi_diffusion": stitched(multi_diffusion, label="MultiDiffusion", fixed=_FROM_THE_FIRST),
+    "double_take": Method(two_takes, "DoubleTake", fixed=_FROM_THE_FIRST),
+    "stmc_paper": stitched(label="STMC (paper)", fixed=_FROM_THE_FIRST | {"noise_scale": "variance"}),
+    "stmc": stitched(cross_fade, label="STMC (cross-faded)"),
+    "flow_mdm": Method(seamless, "FlowMDM", fixed=_WITHOUT_OVERLAP, per_frame_text=True, crops="None"),
+}
+"""Table 1's rows in its order, and others beside those that they are nearest to. "stmc_paper" is the paper's algorithm
+to the letter: hard edges, composed from the first step on, its code's noise."""
+
+_RENAMED = {"stmc_soft": "stmc"}
+
+
+def find_method(method: str | Method | Rule, trusted: Iterable[str] = ()) -> Method:
+    """The method of a name in `METHODS`, or of a dotted name such as "mylab.rules.mine": a `Method` or a rule of a
+    package that `trusted` names, for importing it runs its code. A method is itself, and a rule is `stitched`.
+
+    Raises:
+        SettingError: For an unknown name, and a package that is not trusted or has no such thing.
+    """
+    if isinstance(method, str):
+        method = METHODS.get(method) or _imported(method, tuple(trusted))
+    if isinstance(method, Method):
+        return method
+    if not callable(method):
+        raise SettingError(f"method={shown(method)}: a name, a Method or a rule Plan → Plan needed")
+    return stitched(method)
+
+
+def _imported(name: str, trusted: Sequence[str]) -> Any:
+    if name in _RENAMED:
+        raise SettingError(f"method={name}: {name} is now {_RENAMED[name]}, and the paper's hard edges are stmc_paper")
+    home, _, attribute = name.rpartition(".")
+    if not home:
+        raise SettingError(f"method={shown(name)}: choose from {', '.join(METHODS)}, or a dotted name of your own")
+    package = name.partition(".")[0]
+    if package not in trusted:
+        raise SettingError(f"method={shown(name)}: {shown(package)} is not among the trusted packages")
+    try:
+        return getattr(import_module(home), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SettingError(f"method={shown(name)}: {str(error)[:120]}") from error
+
+
+def settled(asked: Sampling, method: Method, own: Sampling) -> Sampling:
+    """The settings of a run: what the method fixes, then what is `asked`, then the model's `own`, which are complete.
+    What does not apply is None: to the method, to the sampler, or to the model."""
+    found = replace(asked.over(own), **method.fixed)
+    taken = settings_taken(found.sampler)
+    absent = {name for name in _OF_SAMPLERS if name not in taken} | {
+        name for name in asked.given if getattr(own, name) is None and name not in _OF_SAMPLERS
+    }
+    return replace(found, **dict.fromkeys(absent))
+
+
+def refuse(asked: Sampling, method: Method, own: Sampling) -> None:
+    """Raises `SettingError` for what is `asked` in vain: a value that a run would not have."""
+    found = settled(asked, method, own)
+    for name, value in asked.given.items():
+        used = getattr(found, name)
+        if value != used and not (used is None and value == 0):
+            raise SettingError(f"{name}={shown(value)}: {_reason(name, used, method, found)}")
+
+
+def _reason(name: str, used: Any, method: Method, found: Sampling) -> str:
+    if name in method.fixed:
+        return f"{method.label} has no such setting" if used is None else f"{method.label} fixes it at {used}"
+    return f"{'the sampler' if name in _OF_SAMPLERS else 'the model'} has no such setting"
+
+
+_OF_SAMPLERS = frozenset.union(*(frozenset(settings_taken(name)) for name in SAMPLERS)) & set(
+    Sampling.__dataclass_fields__
+)
+"""The settings that samplers have arguments for."""

@@ -1,0 +1,139 @@
+"""One run of sampling: all that a method may touch, and the few moves that methods are made of.
+
+Knows timelines, seeds, settings, a predictor of crops and a schedule; knows no networks, no texts' embeddings and no
+`Model`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import islice
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.composing.batching import Guided
+from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, sinc
+from stmc.diffusion import SAMPLERS, Draw, Noise, Predict, Sampler, Schedule, Seed
+from stmc.planning import Plan, plan
+from stmc.representation import Layout
+from stmc.sampling import Sampling
+from stmc.statistics import Statistics
+from stmc.timeline import Timeline
+
+Progress = Callable[..., Iterable[Any]]
+"""(denoising steps, total=their number) → the same steps: how a caller shows progress, e.g. `tqdm`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A batch of timelines that is being sampled, whichever the method.
+
+    `sampling` is complete: what is None there does not apply. `overlap` is in frames. `guided` and `guided_sequences`
+    make predictors of plans' crops, and of the sequences of plans without overlap, with a guidance: see
+    `composing.guided_crops`. `fixed_length` is the denoiser's (see `Network`); `layout` and `statistics` are those of
+    the features, which are normalised.
+    """
+
+    timelines: Sequence[Timeline]
+    seeds: Sequence[int]
+    sampling: Sampling
+    schedule: Schedule
+    fps: float | int
+    longest: int
+    overlap: int
+    layout: Layout
+    statistics: Statistics
+    guided: Callable[[Sequence[Plan], float | int], Guided]
+    guided_sequences: Callable[[Sequence[Plan], float | int], Guided]
+    fixed_length: int | None
+    device: torch.device
+    progress: Progress
+
+    @property
+    def columns(self) -> Columns:
+        """The columns of the features that each body part owns."""
+        return self.layout.columns
+
+    @cached_property
+    def times(self) -> tuple[int, ...]:
+        """The steps of the schedule that are visited, in rising order."""
+        return self.schedule.spaced(self.sampling.steps)
+
+    def plans(self, overlap: int | None = None) -> list[Plan]:
+        """The layout of each timeline, its transitions as long as the run's, or `overlap` frames."""
+        overlap = self.overlap if overlap is None else overlap
+        return [plan(timeline, self.fps, overlap, self.longest) for timeline in self.timelines]
+
+    def collage(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
+        """A predictor of the timelines by their plans, with the run's guidance or another."""
+        guidance = self.sampling.guidance if guidance is None else guidance
+        return collage(self.guided(plans, guidance), plans, self.columns, self.fixed_length)
+
+    def noise(self, plans: Sequence[Plan], seeds: Sequence[Seed] | None = None) -> Noise:
+        """What timelines of these plans begin with, and what is added at every step."""
+        return self._noise(self.seeds if seeds is None else seeds, canvas_lengths(plans, self.fixed_length))
+
+    def denoise(
+        self, predict: Predict, x: Float[Tensor, "batch frames features"], draw: Draw, steps: int | None = None
+    ) -> Float[Tensor, "batch frames features"]:
+        """The clean sample after all steps, or after the `steps` least noisy ones, from `x`, as noisy as the first."""
+        times = self.times[:steps]
+        return _last(self.progress(self._states(predict, x, draw, times), total=len(times)))
+
+    def independent(self) -> Float[Tensor, "batch frames features"]:
+        """The crops of plans without overlap, each sampled by itself, and then combined (SINC)."""
+        plans = self.plans(0)
+        draw = self._crop_noise(plans)
+        return sinc(self.denoise(self.guided(plans, self.sampling.guidance), draw(), draw), plans, self.columns)
+
+    def begun_independently(self, steps: int) -> Float[Tensor, "batch frames features"]:
+        """The same after so many `steps`, the noisiest: as noisy as the step behind them."""
+        plans, states = self.plans(0), []
+        predict, draw = self.guided(plans, self.sampling.guidance), self._crop_noise(plans)
+
+        def watched(x: Tensor, t: int) -> Tensor:
+            states.append(x)
+            return predict(x, t) if len(states) <= steps else x
+
+        _last(self.progress(islice(self._states(watched, draw(), draw, self.times), steps + 1), total=steps))
+        return sinc(states[-1], plans, self.columns)
+
+    def _states(self, predict: Predict, x: Tensor, draw: Draw, times: tuple[int, ...]) -> Iterable[Tensor]:
+        schedule = self.schedule.respaced(times)
+        return sampler_of(self.sampling)(lambda x, i: predict(x, times[i]), schedule, x, draw)
+
+    def _crop_noise(self, plans: Sequence[Plan]) -> Noise:
+        return self._noise(crop_seeds(plans, self.seeds), crop_lengths(plans, self.fixed_length))
+
+    def _noise(self, seeds: Sequence[Seed], lengths: Sequence[int]) -> Noise:
+        return Noise(seeds, lengths, self.layout.width, device=self.device)
+
+
+def sampler_of(sampling: Sampling) -> Sampler:
+    """The sampler, with those of the settings that its own arguments name."""
+    sampler = _named(sampling.sampler)
+    taken = settings_taken(sampler)
+    return partial(sampler, **{name: value for name, value in sampling.given.items() if name in taken})
+
+
+def settings_taken(sampler: str | Sampler) -> set[str]:
+    """Which settings a sampler has arguments for that are not bound yet; the steps are those of its schedule."""
+    sampler = _named(sampler)
+    bound = set(sampler.keywords) if isinstance(sampler, partial) else set()
+    return set(inspect.signature(sampler).parameters) - bound - {"steps"}
+
+
+def _named(sampler: str | Sampler) -> Sampler:
+    return SAMPLERS[sampler] if isinstance(sampler, str) else sampler
+
+
+def _last(items: Iterable[Tensor]) -> Tensor:
+    for item in items:  # noqa: B007
+        pass
+    return item

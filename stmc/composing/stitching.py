@@ -1,0 +1,147 @@
+"""The collage: from a predictor of crops to a predictor of whole timelines (STMC, section 3.3), and SINC.
+
+Crops of several plans stand in one batch: plan 0's crops first, then plan 1's, each from its first frame, padded to the
+longest. Index tensors are built once for a batch of plans; a step is then a handful of tensor operations, whatever the
+number of prompts. Knows no networks, texts or samplers and no meaning of the features beyond each part's columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body import BodyPart
+from stmc.diffusion import Predict, Seed
+from stmc.planning import Plan, Tile
+from stmc.tensors import Moved, mask
+
+Columns = Mapping[BodyPart, Sequence[int]]
+"""Which columns of the features each body part owns; together they own every column once."""
+
+
+def crop_lengths(plans: Sequence[Plan], fixed_length: int | None = None) -> tuple[int, ...]:
+    """Frames that a denoiser sees of every crop of all plans, in the order of the batch: the crop's own, or a
+    `fixed_length`. Raises `ValueError` for a longer crop."""
+    lengths = tuple(crop.frames for plan in plans for crop in plan.crops)
+    if fixed_length is None:
+        return lengths
+    if max(lengths, default=0) > fixed_length:
+        raise ValueError(
+            f"a crop has {max(lengths)} frames, but the denoiser sees {fixed_length}: plan with longest={fixed_length}"
+        )
+    return (fixed_length,) * len(lengths)
+
+
+def canvas_lengths(plans: Sequence[Plan], fixed_length: int | None = None) -> tuple[int, ...]:
+    """Frames that are sampled for every plan: its own, and those that its last crops see behind it."""
+    return tuple(plan.frames + (fixed_length or 0) for plan in plans)
+
+
+def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
+    """A seed for every crop of all plans, from one seed for each plan: what `Noise` needs for independent crops."""
+    return tuple((seed, crop) for plan, seed in zip(plans, seeds, strict=True) for crop in range(len(plan.crops)))
+
+
+def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, fixed_length: int | None = None) -> Predict:
+    """A predictor of timelines [batch, frames, features] from a predictor of their crops (STMC, section 3.3).
+
+    Cuts the timelines into the plans' crops, predicts those, and adds them up with the weights of the tiles: body parts
+    side by side, and in time with the unconditional transitions subtracted (DiffCollage). The batch holds one timeline
+    for each plan, padded to the longest; beyond a timeline's end the result is zero. `columns` must own every feature
+    exactly once (`ValueError`). With a `fixed_length` each crop goes on for as many frames: the timelines have
+    `canvas_lengths(plans, fixed_length)` frames, and what the denoiser predicts behind a crop's end is dropped.
+    """
+    cut, stitch = _Cut(plans, fixed_length), _Stitch(plans, columns)
+    longest, behind = max(crop_lengths(plans)), fixed_length or 0
+    return lambda x, t: F.pad(stitch(predict(cut(x), t)[:, :longest]), (0, 0, 0, behind))
+
+
+def sinc(
+    crops: Float[Tensor, "crops _ features"], plans: Sequence[Plan], columns: Columns
+) -> Float[Tensor, "batch frames features"]:
+    """Finished crops, sampled independently, combined once into timelines (SINC, Athanasiou et al. 2023).
+
+    The `plans` are those without overlap, so that every body part of every frame comes from one crop. What the crops
+    have beyond the longest one's end is dropped.
+    """
+    return _Stitch(plans, columns)(crops[:, : max(crop_lengths(plans))])
+
+
+class _Cut:
+    """Timelines [batch, frames, features] → all crops, zeros beyond the end of each, or all of one length."""
+
+    def __init__(self, plans: Sequence[Plan], fixed_length: int | None) -> None:
+        self._shape = (len(plans), max(canvas_lengths(plans, fixed_length)))
+        first = [i * self._shape[1] + crop.start for i, plan in enumerate(plans) for crop in plan.crops]
+        valid = mask(torch.tensor(crop_lengths(plans, fixed_length)))
+        rows = (torch.tensor(first)[:, None] + torch.arange(valid.shape[1])).where(valid, 0)
+        self._indexes = Moved(lambda x: (rows.to(x.device), ~valid[..., None].to(x.device)))
+
+    def __call__(self, x: Tensor) -> Tensor:
+        assert x.shape[:2] == self._shape, f"timelines of shape {tuple(x.shape[:2])}, but the plans have {self._shape}"
+        rows, outside = self._indexes.at(x)
+        return rearrange(x, "batch frames features -> (batch frames) features")[rows].masked_fill(outside, 0)
+
+
+class _Stitch:
+    """All crops [crops, frames, features] → timelines, by the plans' tiles; zeros beyond the end of each."""
+
+    def __init__(self, plans: Sequence[Plan], columns: Columns) -> None:
+        owned = sorted(column for part in columns.values() for column in part)
+        if owned != list(range(len(owned))):
+            raise ValueError(f"the columns of the body parts must be 0 to {len(owned) - 1}, each once, not {owned}")
+        self._features = len(owned)
+        self._timelines = (len(plans), max(plan.frames for plan in plans))
+        self._crops = (len(crop_lengths(plans)), max(crop_lengths(plans)))
+        parts = [(list(columns[part]), *self._sources(plans, part)) for part in columns]
+        self._parts = Moved(
+            lambda x: [
+                (torch.tensor(own, device=x.device), source.to(x.device), weight.to(x)[..., None])
+                for own, source, weight in parts
+            ]
+        )
+
+    def _sources(self, plans: Sequence[Plan], part: BodyPart) -> tuple[Tensor, Tensor]:
+        """For every frame of every timeline: which rows of the crops make up `part`, and with which weights.
+
+        Both are [batch * frames, most]. A gather of a fixed number of sources adds in the same order on any device.
+        """
+        tiles = list(self._located(plans, part))
+        count = np.zeros(self._timelines[0] * self._timelines[1], dtype=np.int64)
+        for tile, _, target in tiles:
+            count[target : target + tile.end - tile.start] += 1
+        source = np.zeros((len(count), max(1, count.max())), dtype=np.int64)
+        weight = np.zeros(source.shape)
+        count[:] = 0
+        for tile, first, target in tiles:
+            frames = np.arange(tile.end - tile.start)
+            place = (target + frames, count[target + frames])
+            source[place], weight[place] = first + frames, tile.weight
+            count[target + frames] += 1
+        return torch.from_numpy(source), torch.from_numpy(weight)
+
+    def _located(self, plans: Sequence[Plan], part: BodyPart) -> list[tuple[Tile, int, int]]:
+        """The tiles of `part`, each with the row of the flat crops it starts from and the flat frame it starts at."""
+        located, crops = [], 0
+        for i, plan in enumerate(plans):
+            for tile in plan.tiles:
+                if tile.part == part:
+                    first = (crops + tile.crop) * self._crops[1] + tile.start - plan.crops[tile.crop].start
+                    located.append((tile, first, i * self._timelines[1] + tile.start))
+            crops += len(plan.crops)
+        return located
+
+    def __call__(self, crops: Tensor) -> Tensor:
+        expected = (*self._crops, self._features)
+        assert crops.shape == expected, f"crops of shape {tuple(crops.shape)}, but plans and columns need {expected}"
+        flat = rearrange(crops, "crops frames features -> (crops frames) features")
+        timelines = flat.new_empty(self._timelines[0] * self._timelines[1], self._features)
+        for owned, source, weight in self._parts.at(crops):
+            timelines[:, owned] = (flat[:, owned][source] * weight).sum(dim=1)
+        return rearrange(timelines, "(batch frames) features -> batch frames features", batch=self._timelines[0])

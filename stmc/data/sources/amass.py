@@ -1,0 +1,179 @@
+"""AMASS: its SMPL-H and SMPL-X recordings as motions, and where they lie in a folder.
+
+Knows AMASS's files and the names that its data sets had and have; knows no annotation and no features.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from einops import rearrange
+
+from stmc.arrays import ArraysError, npz_names, read_npz
+from stmc.body import ROTATED
+from stmc.body_model import Skeleton
+from stmc.data.preparation import LayoutError
+from stmc.geometry import axis_angle_to_matrix
+from stmc.motion import Motion
+
+COLUMNS: Mapping[str, int] = {"smplh": 156, "smplx": 165}
+"""Of `poses`, for each kind of body. Both begin with the root's and the 21 body joints' 66, in one order: SMPL-X has
+jaw, eyes and fingers after them, SMPL-H fingers only."""
+
+RATES = ("mocap_framerate", "mocap_frame_rate")
+"""The frame rate's name in SMPL-H files and in SMPL-X files."""
+
+SLOWEST, FASTEST = 1.0, 1000.0
+"""Frames per second of any recording that can be meant; AMASS's own are between 30 and 250."""
+
+RENAMED: Mapping[str, str] = {
+    "BioMotionLab_NTroje": "BMLrub", "DFaust_67": "DFaust", "MPI_HDM05": "HDM05", "MPI_Limits": "PosePrior",
+    "MPI_mosh": "MoSh", "SSM_synced": "SSM", "TCD_handMocap": "TCDHands", "Transitions_mocap": "Transitions",
+}  # fmt: skip
+"""Data sets of AMASS: their names when HumanML3D and BABEL were made → those of later downloads."""
+
+
+class RecordingError(ValueError):
+    """A file that is no recording of AMASS, or a damaged one; the message says what it is instead."""
+
+
+def read_recording(path: Path, skeleton: Skeleton) -> Motion:
+    """The recording's body joints at its own frame rate, on `skeleton` (float64; z up, metres).
+
+    The subject's shape is left aside, as published (`betas` zero). Raises `RecordingError` for everything else that
+    lies in AMASS's folders, for damaged files, and for recordings that are empty, not finite, or have no frame rate
+    that can be meant.
+    """
+    try:
+        names = npz_names(path)
+        _check_names(names, path)
+        arrays = read_npz(path, ["poses", "trans"], [*RATES, "surface_model_type"])
+    except ArraysError as error:
+        raise RecordingError(f"damaged: {error}") from error
+    _check_shapes(arrays, path)
+    poses = arrays["poses"][:, : 3 * ROTATED].astype(np.float64)
+    trans = arrays["trans"].astype(np.float64)
+    for name, values in (("poses", poses), ("trans", trans)):
+        broken = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if len(broken):
+            raise RecordingError(f"not finite: {name} from frame {broken[0]} on, {len(broken)} frames of {len(values)}")
+    angles = rearrange(torch.from_numpy(poses), "frames (joints axes) -> frames joints axes", axes=3)
+    pelvis = torch.from_numpy(trans) + skeleton.offsets[0].double()
+    return Motion.posed(axis_angle_to_matrix(angles), pelvis, _rate(arrays, names), skeleton)
+
+
+def _check_names(names: tuple[str, ...], path: Path) -> None:
+    if "poses" in names and "trans" in names:
+        return
+    held = f"it has {', '.join(names) or 'nothing'}"
+    if "betas" in names and (path.stem == "shape" or path.stem.endswith("_stagei") or "markers_latent" in names):
+        raise RecordingError(f"no motion: a subject's shape alone ({held})")
+    if any("marker" in name for name in names):
+        raise RecordingError(f"no motion: markers alone ({held})")
+    raise RecordingError(f"no motion: poses and trans are missing ({held})")
+
+
+def _check_shapes(arrays: Mapping[str, np.ndarray], path: Path) -> None:
+    poses, trans = arrays["poses"], arrays["trans"]
+    numbers = all(array.dtype.kind in "fiu" for array in (poses, trans))
+    if not numbers or poses.ndim != 2 or trans.shape != (len(poses), 3):
+        raise RecordingError(
+            f"wrong shape: poses {poses.shape} {poses.dtype} and trans {trans.shape} {trans.dtype}; they should be "
+            "numbers, (frames, columns) and (frames, 3)"
+        )
+    if not len(poses):
+        raise RecordingError("empty: zero frames")
+    columns = poses.shape[1]
+    known = ", ".join(f"{kind} {count}" for kind, count in COLUMNS.items())
+    if columns == 72:
+        raise RecordingError(f"wrong variant: poses has 72 columns, as SMPL's without hands; AMASS's have {known}")
+    if columns not in COLUMNS.values():
+        raise RecordingError(f"wrong variant: poses has {columns} columns; AMASS's have {known}")
+    kind = _text(arrays["surface_model_type"]) if "surface_model_type" in arrays else None
+    if kind is not None and COLUMNS.get(kind) != columns:
+        raise RecordingError(f"mislabelled: surface_model_type {kind!r}, but poses has {columns} columns ({known})")
+
+
+def _rate(arrays: Mapping[str, np.ndarray], names: tuple[str, ...]) -> float:
+    name = next((name for name in RATES if name in arrays), None)
+    if name is None:
+        raise RecordingError(f"no frame rate: neither {' nor '.join(RATES)} among {', '.join(names)}")
+    value = arrays[name]
+    if value.size != 1 or value.dtype.kind not in "fiu" or not SLOWEST <= float(value.reshape(())) <= FASTEST:
+        raise RecordingError(f"absurd frame rate: {name} is {value!r}; expected {SLOWEST:g} to {FASTEST:g} per second")
+    return float(value.reshape(()))
+
+
+def _text(value: np.ndarray) -> str:
+    content = value.reshape(-1)[0] if value.size == 1 else value
+    return content.decode("latin1") if isinstance(content, bytes) else str(content)
+
+
+def reposed(motion: Motion, skeleton: Skeleton, mirrored: bool = False) -> Motion:
+    """A resampled recording, or its mirror image, with `skeleton` posed again: what the published preparation makes of
+    both. Bones keep their lengths, and those of a mirror image are not mirrored.
+
+    The published code interpolates axis-angle vectors, `Motion.resampled` on the sphere: nearly the same, but for a
+    vector whose sign flips from one frame to the next.
+    """
+    moved = motion.mirrored() if mirrored else motion
+    return Motion.posed(moved.rotations, moved.translation, moved.fps, skeleton)
+
+
+def unmirrored(path: str) -> tuple[str, bool]:
+    """A path as annotations give it, without the `M/` that names a mirror image, and whether it stood there."""
+    name = path.replace("\\", "/").removeprefix("./")
+    return name.removeprefix("M/"), name.startswith("M/")
+
+
+class Recordings:
+    """The recordings in a folder of AMASS, by the paths that annotations give.
+
+    Data set, subject and recording are compared, whatever lies above them, under old and new names of the data sets and
+    with either release's endings (`_poses`, `_stageii`). Where both releases are there, SMPL-H's file is taken.
+    Raises `LayoutError` where the folder is not there or holds no recording.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder = Path(folder)
+        if not folder.is_dir():
+            raise LayoutError(
+                f"source={folder} is no folder; it should hold AMASS's data sets: ACCAD/, BMLmovi/, CMU/ …"
+            )
+        files = sorted(path for path in folder.rglob("*.npz") if path.is_file())
+        self._files: dict[tuple[str, ...], Path] = {}
+        for path in sorted(files, key=lambda path: (path.stem.endswith("_stageii"), path)):
+            self._files.setdefault(_key(path.relative_to(folder).with_suffix("").as_posix()), path)
+        if not files:
+            raise LayoutError(f"source={folder} holds no .npz file, but {_found(folder)}")
+
+    @property
+    def examples(self) -> list[str]:
+        """Some of the paths that are there."""
+        return ["/".join(path.parts[-3:]) for path in list(self._files.values())[:3]]
+
+    def find(self, path: str) -> Path | None:
+        """The file of AMASS's path (`KIT/3/kick_high_left02_poses`, see `unmirrored`), or None."""
+        return self._files.get(_key(path))
+
+
+def _key(path: str) -> tuple[str, ...]:
+    """What stays the same of a recording's path from one release to the next."""
+    parts = [part.replace(" ", "_") for part in path.split("/")][-3:]
+    parts[-1] = re.sub(r"_(poses|stageii)$", "", parts[-1])
+    return RENAMED.get(parts[0], parts[0]).replace("_", "").lower(), *parts[1:]
+
+
+def _found(folder: Path) -> str:
+    """What a folder without recordings holds instead, and what to do about it."""
+    ends = {"".join(path.suffixes[-2:]).lower() for path in folder.rglob("*") if path.is_file()}
+    if {".tar.bz2", ".tar.xz", ".zip"} & ends:
+        return "archives: unpack them there"
+    if ".npy" in ends:
+        return "HumanML3D's .npy files; AMASS's own .npz files are needed (or data=humanml3d_processed)"
+    names = sorted(path.name for path in folder.iterdir())[:8]
+    return f"only {', '.join(names)}" if names else "nothing at all"

@@ -1,0 +1,230 @@
+"""HumanML3D's processed folder, as its own notebooks leave it → a cache of the 263 features.
+
+Knows that folder: `new_joint_vecs/`, `new_joints/`, `texts/`, `Mean.npy`, `Std.npy` and the lists of names. Knows no
+formula of the features (see `representation.humanml3d`) and nothing of AMASS.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.arrays import ArraysError, read_npy
+from stmc.data.cache import Cache, fingerprint
+from stmc.data.preparation import LayoutError, Piece, Watch, code, converted
+from stmc.data.sources.annotations import SPLITS
+from stmc.data.spans import Album, Described
+from stmc.representation.layout import HUMANML3D_LAYOUT
+from stmc.statistics import Statistics
+
+FPS = 20
+
+SHORTEST, LONGEST = 40, 199
+"""Frames of the clips that are used, both included: as all published training on HumanML3D."""
+
+WHOLE = (0.0, 0.0)
+"""Start and end of a caption that describes its whole clip."""
+
+KIT_WIDTH = 251
+"""Features of KIT-ML's clips, which have 21 joints of another skeleton."""
+
+AT_ONCE = 256
+"""Clips that are converted together: each is too small for a piece of its own."""
+
+_FOLDERS, _FILES = ("new_joint_vecs", "texts"), ("Mean.npy", "Std.npy", "train.txt", "val.txt", "test.txt")
+
+
+@dataclass(frozen=True)
+class Caption:
+    """What somebody wrote about a clip, or about `start` to `end` seconds of it (`WHOLE`: all of it)."""
+
+    text: str
+    start: float
+    end: float
+
+
+def read_captions(path: Path) -> list[Caption | str]:
+    """Every line of a file of `texts/`: a caption, or what is wrong with it.
+
+    A line is `caption#caption/DET tagged/VERB#start#end`; a time of `nan` is 0, as published.
+    """
+    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+    return [_caption(line, number) for number, line in lines if line.strip()]
+
+
+def _caption(line: str, number: int) -> Caption | str:
+    text, *others = line.split("#")
+    times = [_seconds(value) for value in others[1:]]
+    if len(others) != 3 or None in times or not text.strip():
+        return f"malformed caption: line {number} is not caption#tagged words#start#end but {line[:80]!r}"
+    start, end = times
+    if (start, end) != WHOLE and not 0 <= start < end < math.inf:
+        return f"malformed caption: line {number} is from {start:g} to {end:g} s"
+    return Caption(" ".join(text.split()), start, end)
+
+
+def _seconds(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return 0.0 if math.isnan(value) else value
+
+
+@dataclass(frozen=True)
+class ProcessedHumanML3D:
+    """`source` is the folder `HumanML3D/`; a `Preparation`. Its own mean and std go with the cache."""
+
+    source: str | Path
+
+    @property
+    def _folder(self) -> Path:
+        return Path(self.source).expanduser()
+
+    @cached_property
+    def _splits(self) -> dict[str, str]:
+        """Name → split. A name in two lists belongs to the first of train, val, test."""
+        names: dict[str, str] = {}
+        for split in SPLITS:
+            for name in (self._folder / f"{split}.txt").read_text(encoding="utf-8").split():
+                names.setdefault(name, split)
+        return names
+
+    @cached_property
+    def _statistics(self) -> Statistics:
+        mean, std = (_numbers(self._folder / name) for name in ("Mean.npy", "Std.npy"))
+        if mean.shape == (KIT_WIDTH,):
+            raise ValueError(
+                f"these are KIT-ML's {KIT_WIDTH} features (21 joints of another skeleton, 12.5 fps), which no model "
+                "here has. Prepare KIT-ML from AMASS: data=kitml"
+            )
+        if mean.shape != (HUMANML3D_LAYOUT.width,) or std.shape != mean.shape:
+            shapes = f"{tuple(mean.shape)} and {tuple(std.shape)}"
+            raise ValueError(f"Mean.npy and Std.npy are {shapes}, not ({HUMANML3D_LAYOUT.width},)")
+        return Statistics(mean, std)
+
+    def check(self) -> None:
+        """Raises `LayoutError` where a part of the folder is missing, or is not HumanML3D's."""
+        folder = self._folder
+        missing = [f"{name}/" for name in _FOLDERS if not (folder / name).is_dir()]
+        missing += [name for name in _FILES if not (folder / name).is_file()]
+        if missing:
+            found = sorted(path.name for path in folder.iterdir())[:10] if folder.is_dir() else "no such folder"
+            hint = "; texts.zip must be unpacked" if "texts/" in missing and (folder / "texts.zip").exists() else ""
+            inner = [
+                name for name in ("HumanML3D", "HumanML3D/HumanML3D") if (folder / name / "new_joint_vecs").is_dir()
+            ]
+            hint += f"; is {folder / inner[0]} meant?" if inner else ""
+            raise LayoutError(f"source={folder}: {', '.join(missing)} missing, found {found}{hint}")
+        try:
+            known = self._statistics and [name for name in self._splits if self._vectors(name).is_file()]
+        except ValueError as error:
+            raise LayoutError(f"source={folder}: {error}") from error
+        if not known:
+            raise LayoutError(
+                f"source={folder}: new_joint_vecs/ has none of the {len(self._splits)} names in the lists"
+            )
+
+    def _vectors(self, name: str) -> Path:
+        return self._folder / "new_joint_vecs" / f"{name}.npy"
+
+    def _inputs(self, name: str) -> list[Path]:
+        places = [
+            self._vectors(name),
+            self._folder / "texts" / f"{name}.txt",
+            self._folder / "new_joints" / f"{name}.npy",
+        ]
+        return [path for path in places if path.is_file()]
+
+    @cached_property
+    def _code(self) -> str:
+        return code("arrays", "representation/layout", "data/sources/humanml3d", "data/cache", "data/spans")
+
+    def fingerprint(self) -> str:
+        """Of every clip in the lists, its captions, the statistics, the lists and the code."""
+        files = [path for name in self._splits for path in self._inputs(name)]
+        return fingerprint([*(self._folder / name for name in _FILES), *files], [self._code])
+
+    def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
+        """See `Preparation`."""
+        unsafe = [(name, "malformed name: it is a path") for name in self._splits if Path(name).name != name]
+        names = [name for name in self._splits if Path(name).name == name]
+        pieces = []
+        for start in range(0, len(names), AT_ONCE):
+            batch = {name: self._splits[name] for name in names[start : start + AT_ONCE]}
+            inputs = [path for name in batch for path in self._inputs(name)]
+            convert = partial(convert_clips, self._folder, batch)
+            pieces.append(Piece(f"{names[start]} ...", fingerprint(inputs, [self._code, batch]), convert))
+        return replace(converted(pieces, scratch, workers, watch, unsafe), statistics=self._statistics)
+
+
+def convert_clips(folder: Path, splits: Mapping[str, str]) -> Cache:
+    """The clips of these names, each in its split; those that cannot be used are left out, with the reason."""
+    album = Album(HUMANML3D_LAYOUT.width)
+    for name, split in splits.items():
+        try:
+            features, captions = _read(folder, name)
+        except (ValueError, OSError) as error:
+            album.skipped.append((name, str(error)))
+            continue
+        spans: dict[tuple[int, int], list[str]] = {}
+        for caption in captions:
+            if isinstance(caption, str):
+                album.skipped.append((name, caption))
+                continue
+            begin, end = 0, len(features)
+            if (caption.start, caption.end) != WHOLE:
+                begin, end = int(caption.start * FPS), min(int(caption.end * FPS), len(features))
+            if SHORTEST <= end - begin <= LONGEST:
+                spans.setdefault((begin, end), []).append(caption.text)
+            else:
+                kind = "too long" if end - begin > LONGEST else "too short"
+                album.skipped.append((name, f"{kind}: {end - begin} frames, not {SHORTEST} to {LONGEST}"))
+        album.add(features, Described(name, split, name[:1] == "M", spans))
+    return album.cache(FPS, "humanml3d")
+
+
+def _read(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], list[Caption | str]]:
+    """A clip's features and captions, or what is wrong with one; `ValueError` where the clip cannot be used."""
+    vectors, joints = folder / "new_joint_vecs" / f"{name}.npy", folder / "new_joints" / f"{name}.npy"
+    texts = folder / "texts" / f"{name}.txt"
+    if absent := [path for path in (vectors, texts) if not path.is_file()]:
+        raise ValueError(f"no file: {absent[0].relative_to(folder)}")
+    features = _numbers(vectors)
+    if features.ndim != 2 or features.shape[1] != HUMANML3D_LAYOUT.width:
+        raise ValueError(f"wrong shape: features are {tuple(features.shape)}, not (frames, {HUMANML3D_LAYOUT.width})")
+    if not SHORTEST <= len(features) <= LONGEST:
+        kind = "too long" if len(features) > LONGEST else "too short"
+        raise ValueError(f"{kind}: {len(features)} frames, not {SHORTEST} to {LONGEST}")
+    if joints.is_file() and (shape := tuple(_numbers(joints).shape)) != (len(features), 22, 3):
+        raise ValueError(f"mislabelled: new_joints is {shape}, but new_joint_vecs has {len(features)} frames")
+    try:
+        captions = read_captions(texts)
+    except UnicodeDecodeError as error:
+        raise ValueError(f"damaged: {texts.name} is no text: {error}") from error
+    if not captions:
+        raise ValueError("no caption: the file is empty")
+    return features, captions
+
+
+def _numbers(path: Path) -> Tensor:
+    """An array of finite numbers as float32."""
+    try:
+        array = read_npy(path)
+    except ArraysError as error:
+        raise ValueError(f"damaged: {error}") from error
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"damaged: {path.name} holds {array.dtype}, not numbers")
+    values = torch.from_numpy(array.astype(np.float32))
+    if not values.isfinite().all():
+        frames = (~values.isfinite()).flatten(1).any(dim=1).nonzero()[:, 0] if values.ndim > 1 else [0]
+        raise ValueError(f"not finite: {path.parent.name}/{path.name}, {len(frames)} rows from {int(frames[0])} on")
+    return values

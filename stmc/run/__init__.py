@@ -1,0 +1,43 @@
+"""Run directories: a model or an evaluator as files, and back. Nothing of a file is run; see `directories`."""
+
+from stmc.run.configs import RunError
+from stmc.run.directories import (
+    BUNDLED,
+    BUNDLED_EVALUATOR,
+    CARD,
+    CONFIG,
+    EVALUATOR_PARTS,
+    PARTS,
+    STATISTICS,
+    WEIGHTS,
+    build,
+    build_fitting,
+    bundled,
+    check,
+    fingerprint,
+    load,
+    load_evaluator,
+    save,
+    save_evaluator,
+)
+
+__all__ = [
+    "BUNDLED",
+    "BUNDLED_EVALUATOR",
+    "CARD",
+    "CONFIG",
+    "EVALUATOR_PARTS",
+    "PARTS",
+    "STATISTICS",
+    "WEIGHTS",
+    "RunError",
+    "build",
+    "build_fitting",
+    "bundled",
+    "check",
+    "fingerprint",
+    "load",
+    "load_evaluator",
+    "save",
+    "save_evaluator",
+]

@@ -1,0 +1,148 @@
+"""`config.yaml` as plain data: numbers, texts, lists and mappings, whatever a file would like to be more.
+
+Knows YAML and what hostile files do with it; knows no part of a model.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from stmc.settings import shown
+
+LARGEST, DEEPEST = 2**16, 16
+"""Bytes of a config, and collections within one another. Real ones have a thousand and four."""
+LONGEST_TEXT, LARGEST_NUMBER = 1000, 2**31
+TARGET = "_target_"
+
+
+class RunError(ValueError):
+    """A folder that is no run directory, or a damaged one; the message names the file and what is wrong with it."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Keys are texts, each of them once; `1e-5` is a number, as in YAML 1.2, and a date is a text."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
+        mapping: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, str):
+                raise RunError(f"line {key_node.start_mark.line + 1}: the key {shown(key)} is not a text")
+            if key in mapping:
+                raise RunError(f"line {key_node.start_mark.line + 1}: {shown(key)} is duplicated")
+            mapping[key] = self.construct_object(value_node, deep=True)
+        return mapping
+
+
+_OTHERS = ("tag:yaml.org,2002:float", "tag:yaml.org,2002:timestamp")
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _OTHERS]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_FLOAT = re.compile(
+    r"[-+]?(?:\d[\d_]*\.[\d_]*(?:[eE][-+]?\d+)?|\d[\d_]*[eE][-+]?\d+|\.\d[\d_]*(?:[eE][-+]?\d+)?|\.(?:inf|Inf|INF))$"
+    r"|\.(?:nan|NaN|NAN)$"
+)
+_Loader.add_implicit_resolver(_OTHERS[0], _FLOAT, list("-+0123456789."))
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes what `_Loader` reads: with quotes where that would take a text for a number, and never with an alias."""
+
+    yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """The plain data of a YAML file. Raises `RunError` for a file that is damaged, too large or too deep, or asks for
+    more: anchors and aliases, tags, interpolations, keys twice, keys with `_` but `_target_`, values left out."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+        if len(data) > LARGEST:
+            raise RunError(f"more than {LARGEST} bytes")
+        text = data.decode("utf-8-sig")
+        _check_syntax(text)
+        config = yaml.load(text, _Loader)
+        if not isinstance(config, dict):
+            raise RunError(f"settings by name needed, not {shown(config)}")
+        check_plain(config)
+    except RunError as error:
+        raise RunError(f"{path}: {error}") from error
+    except (yaml.YAMLError, OSError, ValueError) as error:
+        raise RunError(f"{path} cannot be read: {brief(error)}") from error
+    return config
+
+
+def config_text(config: Mapping[str, Any]) -> str:
+    """Plain data as YAML. Raises `RunError` for what `read_config` would refuse."""
+    check_plain(config)
+    text = yaml.dump(config, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    if len(text.encode()) > LARGEST:
+        raise RunError(f"the config has more than {LARGEST} bytes")
+    return text
+
+
+def check_plain(value: Any, place: str = "", depth: int = 0) -> None:
+    """Raises `RunError` unless a value is numbers, texts, booleans and null, in lists and mappings of few levels."""
+    if depth > DEEPEST:
+        raise RunError(f"{shown(place)}: more than {DEEPEST} collections within one another")
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _check_key(key, place)
+            check_plain(inner, f"{place}.{key}" if place else key, depth + 1)
+    elif isinstance(value, list):
+        for position, inner in enumerate(value):
+            check_plain(inner, f"{place}[{position}]", depth + 1)
+    elif isinstance(value, str):
+        _check_text(value, place)
+    elif isinstance(value, (int, float)):
+        if not abs(value) <= LARGEST_NUMBER:  # nor is it where it is NaN
+            raise RunError(f"{place}={shown(value)}: a finite number needed, at most {LARGEST_NUMBER}")
+    elif value is not None:
+        raise RunError(f"{place}: a number, a text or a list needed, not a {type(value).__name__}")
+
+
+def _check_key(key: Any, place: str) -> None:
+    where = f"{place}: " if place else ""
+    if not isinstance(key, str):
+        raise RunError(f"{where}the key {shown(key)} is not a text")
+    _check_text(key, place)
+    if key.startswith("_") and key != TARGET:
+        raise RunError(f"{where}the key {shown(key)} is invalid: only {TARGET} may begin with an underscore")
+
+
+def _check_text(text: str, place: str) -> None:
+    if "${" in text:
+        raise RunError(f"{place}={shown(text)}: interpolations are not resolved in a run directory; write the value")
+    if text == "???":
+        raise RunError(f"{place} has no value (???)")
+    if len(text) > LONGEST_TEXT or not text.isprintable():
+        raise RunError(f"{place}={shown(text)}: at most {LONGEST_TEXT} printable characters needed")
+
+
+def _check_syntax(text: str) -> None:
+    """Before anything is built: aliases multiply, tags name types, and deep nesting exhausts the stack."""
+    depth = 0
+    for event in yaml.parse(text, _Loader):
+        line = event.start_mark.line + 1
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
+            raise RunError(f"line {line}: anchors and aliases are not allowed")
+        if getattr(event, "tag", None) is not None:
+            raise RunError(f"line {line}: the tag {shown(event.tag)} is not allowed")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            raise RunError(f"line {line}: more than {DEEPEST} collections within one another")
+
+
+def brief(error: BaseException) -> str:
+    """An error's message in one line of at most 200 characters."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 200 else f"{text[:199]}…"

@@ -1,0 +1,178 @@
+"""Objects from plain descriptions: a class's name as `_target_`, and its arguments.
+
+A description may be anybody's. So a name is looked up among the classes that one package of this library exports, or
+imported from a package that the caller trusts; arguments are compared with the constructor's signature.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from types import UnionType
+from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+from stmc.run.configs import TARGET, RunError, brief
+from stmc.settings import SettingError, check_value, shown
+
+_TARGET = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+", re.ASCII)
+
+
+class Part(NamedTuple):
+    """What a part of a config may be: a class of the package `home`, or of one that is trusted; a `kind`."""
+
+    home: str
+    kind: type
+
+
+class _Constructor(NamedTuple):
+    target: str
+    call: Callable[..., Any]
+    trusted: bool
+
+
+def construct(description: Any, place: str, part: Part, trusted: Sequence[str] = ()) -> Any:
+    """The object that `_target_` and arguments describe. Raises `RunError`, which says where in the config `place` it
+    is, for any class but those of the part's home and of `trusted` packages, and for arguments that do not fit."""
+    if not isinstance(description, Mapping) or TARGET not in description:
+        raise RunError(f"{place} must say what to build as `{TARGET}`, not {shown(description)}")
+    constructor = _constructor(description[TARGET], place, part.home, trusted)
+    given = {name: value for name, value in description.items() if name != TARGET}
+    arguments = _arguments(constructor, given, place, part.home, trusted)
+    try:
+        made = constructor.call(**arguments)
+    except Exception as error:  # a constructor may raise whatever it likes
+        raise RunError(f"{place} cannot be built: {brief(error)}") from error
+    if not isinstance(made, part.kind):
+        raise RunError(f"{place}: {constructor.target} makes a {type(made).__name__}, not a {part.kind.__name__}")
+    return made
+
+
+def is_ours(description: Mapping[str, Any], part: Part) -> bool:
+    """Whether a description names a class of this library."""
+    return isinstance(description.get(TARGET), str) and description[TARGET] in _exported(part.home)
+
+
+def _constructor(target: Any, place: str, home: str, trusted: Sequence[str]) -> _Constructor:
+    known = _exported(home)
+    if isinstance(target, str) and target in known:
+        return _Constructor(target, known[target], False)
+    packages = _packages(trusted)
+    if isinstance(target, str) and _TARGET.fullmatch(target) and target.startswith(packages):
+        return _Constructor(target, _imported(target, place, packages), True)
+    hint = f"; a package of your own has to be named as trusted: {_TRUST}" if not packages else ""
+    raise RunError(f"{place}: {shown(target)} is not a class of {home}{hint}")
+
+
+_TRUST = 'trusted=("mylab",)'
+
+
+def _packages(trusted: Sequence[str]) -> tuple[str, ...]:
+    """The beginnings of the names that are trusted."""
+    names = (trusted,) if isinstance(trusted, str) else tuple(trusted)
+    for name in names:
+        if not isinstance(name, str) or not _TARGET.fullmatch(f"{name}.x"):
+            raise RunError(f"trusted: {shown(name)} is not the name of a package, as in {_TRUST}")
+    return tuple(f"{name}." for name in names)
+
+
+@functools.cache
+def _exported(home: str) -> Mapping[str, Callable[..., Any]]:
+    """The classes that a package exports and defines, and their constructors, by the names that configs have for them:
+    `stmc.diffusion.Schedule.cosine`, or `stmc.diffusion.schedule.Schedule.cosine`."""
+    package, found = import_module(home), {}
+    for name in package.__all__:
+        value = getattr(package, name)
+        if inspect.isclass(value) and _is_within(value, (f"{home}.",)):
+            for target in (f"{home}.{name}", f"{value.__module__}.{value.__qualname__}"):
+                found[target] = value
+                found |= {f"{target}.{method}": getattr(value, method) for method in _class_methods(value)}
+    return found
+
+
+def _imported(target: str, place: str, packages: tuple[str, ...]) -> Callable[..., Any]:
+    """A class that a trusted package defines, or a constructor of one."""
+    names = target.split(".")
+    for count in (1, 2):  # names behind the module's: the class, and perhaps a constructor of it
+        module = _module(".".join(names[:-count]), place)
+        value = getattr(module, names[-count], None)
+        if inspect.isclass(value) and _is_within(value, packages):
+            if count == 1:
+                return value
+            if names[-1] in _class_methods(value):
+                return getattr(value, names[-1])
+    raise RunError(f"{place}: {shown(target)} is not a class that {' or '.join(packages).replace('.', '')} defines")
+
+
+def _module(name: str, place: str) -> Any:
+    """The module, or None where there is none of this name."""
+    try:
+        return import_module(name) if name else None
+    except ModuleNotFoundError as error:
+        if error.name is not None and f"{name}.".startswith(f"{error.name}."):
+            return None
+        raise RunError(f"{place}: {name} cannot be imported: {brief(error)}") from error
+    except Exception as error:  # a module may raise whatever it likes
+        raise RunError(f"{place}: {name} cannot be imported: {brief(error)}") from error
+
+
+def _is_within(value: type, packages: tuple[str, ...]) -> bool:
+    return f"{value.__module__}.".startswith(packages)
+
+
+def _class_methods(value: type) -> list[str]:
+    return [name for name, method in vars(value).items() if isinstance(method, classmethod) and name[0] != "_"]
+
+
+def _arguments(
+    constructor: _Constructor, given: Mapping[str, Any], place: str, home: str, trusted: Sequence[str]
+) -> dict[str, Any]:
+    """What the constructor is called with: descriptions within built, everything of the annotated type."""
+    parameters = inspect.signature(constructor.call).parameters
+    kinds = {parameter.kind for parameter in parameters.values()}
+    if inspect.Parameter.VAR_KEYWORD not in kinds:
+        for name in given:
+            if name not in parameters:
+                choices = ", ".join(parameters) or "none"
+                raise RunError(f"{place}.{name}: {constructor.target} has no such argument; it has {choices}")
+        needed = [name for name, each in parameters.items() if each.default is each.empty and name not in given]
+        if needed and inspect.Parameter.VAR_POSITIONAL not in kinds:
+            raise RunError(f"{place}: {constructor.target} needs {', '.join(needed)}")
+    hints = _hints(constructor)
+    return {
+        name: _argument(value, hints.get(name, Any), f"{place}.{name}", home, constructor, trusted)
+        for name, value in given.items()
+    }
+
+
+def _argument(value: Any, hint: Any, place: str, home: str, constructor: _Constructor, trusted: Sequence[str]) -> Any:
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    if isinstance(value, Mapping) and TARGET in value:
+        inner = next((kind for kind in kinds if isinstance(kind, type) and kind.__module__ != "builtins"), object)
+        value = construct(value, place, Part(home, inner), trusted)
+    if Path in kinds and not constructor.trusted:
+        raise RunError(f"{place}: a config may not choose places in the file system")
+    if isinstance(value, list) and any(get_origin(kind) is tuple for kind in kinds):
+        value = tuple(value)
+    try:
+        if hint is not Any:
+            check_value(place, value, hint)
+    except SettingError as error:
+        raise RunError(str(error)) from error
+    except TypeError:  # an annotation that is more than a type
+        if not constructor.trusted:
+            raise
+    return value
+
+
+def _hints(constructor: _Constructor) -> dict[str, Any]:
+    call = constructor.call
+    try:
+        return get_type_hints(call.__init__ if inspect.isclass(call) else call)
+    except NameError:  # annotations that exist for type checkers alone
+        if not constructor.trusted:
+            raise
+        return {}

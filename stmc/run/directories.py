@@ -1,0 +1,360 @@
+"""Run directories: a model or an evaluator as files, and back.
+
+A run directory holds `config.yaml` (how to build the parts, and a digest of the numbers), `weights.safetensors`,
+`statistics.safetensors` and a card, `README.md`. All of it is data: nothing is unpickled, interpolated or imported on a
+file's behalf, and before memory is asked for the network is compared with the weights' header.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, get_args
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+
+from stmc.body import JOINTS
+from stmc.body_model import Skeleton
+from stmc.denoisers import Network
+from stmc.diffusion import Schedule
+from stmc.evaluators import Evaluator, Tmr
+from stmc.files import write_text, write_whole
+from stmc.model import Model, Precision
+from stmc.renamed import with_new_names
+from stmc.representation import Representation
+from stmc.run.configs import RunError, brief, check_plain, config_text, read_config
+from stmc.run.construction import Part, construct, is_ours
+from stmc.run.records import EvaluatorSettings, ModelSettings, settings_of
+from stmc.run.weights import Spec, misfit, read_specs, sketch, specs_of
+from stmc.sampling import Sampling
+from stmc.settings import shown
+from stmc.statistics import Statistics
+from stmc.tensors import found_device
+from stmc.text import TextEncoder
+
+BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_bandai", "tmr_bandai"
+CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
+PARTS = {
+    "denoiser": Part("stmc.denoisers", Network),
+    "schedule": Part("stmc.diffusion", Schedule),
+    "text_encoder": Part("stmc.text", TextEncoder),
+    "representation": Part("stmc.representation", Representation),
+}
+"""The parts of a model that a config describes; the first is the network with the weights."""
+EVALUATOR_PARTS = {
+    "network": Part("stmc.evaluators", Tmr),
+    "text_encoder": PARTS["text_encoder"],
+    "representation": PARTS["representation"],
+}
+"""The same of an evaluator."""
+LARGEST, SMALLEST_STD = 1e6, 1e-13
+"""Bounds of statistics: no feature is a kilometre wide, and what varies less than this does not vary."""
+
+
+def bundled(name: str = BUNDLED) -> Path:
+    """Where the model, or the evaluator, lies that comes with the library."""
+    return Path(str(files("stmc") / "assets" / name))
+
+
+def fingerprint(folder: str | Path | None = None) -> str:
+    """Tells what run directories hold apart, wherever they lie: a digest of the files ("" where some are missing);
+    without `folder`, of the bundled model."""
+    folder = bundled() if folder is None else Path(folder).expanduser()
+    files = [folder / name for name in (CONFIG, WEIGHTS, STATISTICS)]
+    if not all(path.is_file() for path in files):
+        return ""
+    digest = hashlib.sha256()
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def load(
+    folder: str | Path | None = None,
+    device: torch.device | str = "cpu",
+    precision: Precision = "fp32",
+    trusted: Sequence[str] = (),
+) -> Model:
+    """The model of a run directory, wherever it was moved to; without `folder`, the bundled one.
+
+    `device`: "auto" is the GPU if there is one. `precision` is the denoiser's at sampling (see `Model`). `trusted`
+    names packages of your own, such as "mylab", whose classes the config may name beside this library's: their modules
+    are then imported, which runs them, and their classes called with the config's numbers and texts. So name none for
+    a directory from somebody whose code you would not run.
+
+    Raises `RunError` for a missing or damaged file, for weights that do not fit, for parts that do not fit each other,
+    and for a config that asks for anything but this library's classes; `ValueError` for an unknown device or precision.
+    """
+    if precision not in get_args(Precision):
+        raise ValueError(f"unknown precision {shown(precision)}; choose from {', '.join(get_args(Precision))}")
+    place = found_device(device)
+    folder = bundled() if folder is None else Path(folder).expanduser()
+    config = _config(folder, PARTS)
+    settings = settings_of(ModelSettings, config, folder / CONFIG)
+    sampling = settings_of(Sampling, config, folder / CONFIG)
+    parts, statistics, offsets = _restored(folder, config, PARTS, trusted)
+    model = Model(
+        **parts,
+        **statistics,
+        **vars(settings),
+        skeleton=Skeleton(offsets),
+        config=config,
+        precision=precision,
+        sampling=sampling,
+    )
+    return model.to(place)
+
+
+def load_evaluator(
+    folder: str | Path | None = None, device: torch.device | str = "cpu", trusted: Sequence[str] = ()
+) -> Evaluator:
+    """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to; without `folder`, the
+    bundled one. `trusted` and errors are those of `load`."""
+    place = found_device(device)
+    folder = bundled(BUNDLED_EVALUATOR) if folder is None else Path(folder).expanduser()
+    config = _config(folder, EVALUATOR_PARTS)
+    settings = settings_of(EvaluatorSettings, config, folder / CONFIG)
+    parts, statistics, _ = _restored(folder, config, EVALUATOR_PARTS, trusted)
+    return Evaluator(**parts, **statistics, config=config, **vars(settings)).to(place)
+
+
+def build(config: Mapping[str, Any], parts: Mapping[str, Part] = PARTS, trusted: Sequence[str] = ()) -> dict[str, Any]:
+    """These parts from their descriptions (`_target_` and arguments), a network with fresh weights.
+
+    Raises `RunError` for arguments that do not fit, and for a class that is neither this library's nor of a `trusted`
+    package (see `load`).
+    """
+    absent = [name for name in parts if name not in config]
+    if absent:
+        raise RunError(f"the config does not say how to build {', '.join(absent)}")
+    check_plain({name: config[name] for name in parts})
+    return {name: construct(config[name], name, part, trusted) for name, part in parts.items()}
+
+
+def build_fitting(
+    config: Mapping[str, Any],
+    weights: Mapping[str, Spec],
+    place: str,
+    parts: Mapping[str, Part] = PARTS,
+    trusted: Sequence[str] = (),
+) -> dict[str, Any]:
+    """As `build`, but for a network that these `weights`, which are at `place`, do not fit raises `RunError` before it
+    asks for memory."""
+    (name, part), *others = parts.items()
+    _sketched(config, weights, place, name, part, trusted)
+    built = build(config, dict(others), trusted)
+    _check_widths(config[name], built)
+    with torch.random.fork_rng(devices=[]):
+        return build(config, {name: part}, trusted) | built
+
+
+def save(
+    model: Model,
+    folder: str | Path,
+    card: str,
+    dtype: torch.dtype = torch.float32,
+    trusted: Sequence[str] = (),
+) -> Path:
+    """Writes the model as a run directory, weights in `dtype` (half precision halves the file); returns the folder.
+
+    Every file is complete or absent: each is written under a temporary name first, the config last. Raises `RunError`,
+    and writes nothing, for what `load` would refuse (see `check`), and for weights that `dtype` cannot hold. `trusted`
+    names the packages of your own that `model.config` names classes of; whoever loads the model has to name them too.
+    """
+    return _written(Path(folder).expanduser(), model, check(model, trusted), card, dtype)
+
+
+def save_evaluator(
+    evaluator: Evaluator,
+    folder: str | Path,
+    card: str,
+    dtype: torch.dtype = torch.float32,
+    trusted: Sequence[str] = (),
+) -> Path:
+    """Writes the evaluator as a run directory; returns the folder. Otherwise as `save`."""
+    return _written(Path(folder).expanduser(), evaluator, check(evaluator, trusted), card, dtype)
+
+
+def check(record: Model | Evaluator, trusted: Sequence[str] = ()) -> dict[str, Any]:
+    """The config that `save` writes for a model or an evaluator.
+
+    Raises `RunError` where `load` would refuse it, or give something else: a part that `config` does not describe, a
+    class that is neither ours nor `trusted`, another network than `config` says, settings or statistics out of range.
+    """
+    parts, kind = (PARTS, ModelSettings) if isinstance(record, Model) else (EVALUATOR_PARTS, EvaluatorSettings)
+    name, network = next(iter(parts)), _network(record)
+    absent = [part for part in parts if part not in record.config]
+    if absent:
+        raise RunError(f"model.config does not say how to build {', '.join(absent)}")
+    config = {part: record.config[part] for part in parts}
+    sketched = _sketched(config, specs_of(network.state_dict()), "the network", name, parts[name], trusted)
+    if type(sketched) is not type(network):
+        raise RunError(f"the {name} is a {type(network).__name__}, but its config says {type(sketched).__name__}")
+    built = build(config, {part: each for part, each in parts.items() if part != name}, trusted)
+    _check_widths(config[name], built)
+    for statistic, shape in _shapes(built, parts).items():
+        _check_numbers(_numbers(record)[statistic], shape, f"the model: {statistic}")
+    named = {setting: getattr(record, setting) for setting in kind.__dataclass_fields__}
+    sampling = record.sampling.given if isinstance(record, Model) else {}
+    return config | vars(settings_of(kind, named, "the model")) | dict(sampling)
+
+
+def _sketched(
+    config: Mapping[str, Any], weights: Mapping[str, Spec], place: str, name: str, part: Part, trusted: Sequence[str]
+) -> torch.nn.Module:
+    """The network without memory. One of somebody's own may look at numbers as it is made, and gets them."""
+    check_plain(config[name], name)
+    meta = isinstance(config[name], Mapping) and is_ours(config[name], part)
+    network = sketch(lambda: construct(config[name], name, part, trusted), len(weights), meta)
+    wrong = misfit(specs_of(network.state_dict()), weights)
+    if wrong:
+        raise RunError(f"{place} does not fit the {name} of the config, {type(network).__name__}. {wrong}")
+    return network
+
+
+def _check_widths(described: Mapping[str, Any], parts: Mapping[str, Any]) -> None:
+    for argument, part in (("features", "representation"), ("text_width", "text_encoder")):
+        if argument in described and described[argument] != parts[part].width:
+            raise RunError(f"the network has {argument} {described[argument]}, the {part} {parts[part].width}")
+
+
+def _network(record: Model | Evaluator) -> torch.nn.Module:
+    return record.denoiser if isinstance(record, Model) else record.network
+
+
+def _numbers(record: Model | Evaluator) -> dict[str, torch.Tensor]:
+    """What `statistics.safetensors` holds."""
+    numbers = {
+        f"{side}_{moment}": getattr(getattr(record, f"{side}_statistics"), moment)
+        for side in ("motion", "text")
+        for moment in ("mean", "std")
+    }
+    return numbers | ({"skeleton": record.skeleton.offsets} if isinstance(record, Model) else {})
+
+
+def _shapes(built: Mapping[str, Any], parts: Mapping[str, Part]) -> dict[str, tuple[int, ...]]:
+    """Of the statistics that fit the parts."""
+    widths = {"motion": built["representation"].width, "text": built["text_encoder"].width}
+    shapes: dict[str, tuple[int, ...]] = {
+        f"{side}_{moment}": (width,) for side, width in widths.items() for moment in ("mean", "std")
+    }
+    return shapes | ({"skeleton": (len(JOINTS), 3)} if parts is PARTS else {})
+
+
+def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype) -> Path:
+    weights = {
+        name: value.detach().cpu().to(dtype if value.is_floating_point() else value.dtype).contiguous()
+        for name, value in _network(record).state_dict().items()
+    }
+    overflown = [name for name, value in weights.items() if not value.isfinite().all()]
+    if overflown:
+        raise RunError(f"weights that {dtype} cannot hold, or that are not finite: {', '.join(overflown)}")
+    numbers = {name: value.detach().cpu().contiguous() for name, value in _numbers(record).items()}
+    without_digest = config_text(config)
+
+    def write_weights(path: Path) -> None:
+        save_file(weights, path)
+        if (folder / CONFIG).exists():  # killed between old and new files, the folder must still load
+            write_text(folder / CONFIG, without_digest)
+
+    write_whole(folder / WEIGHTS, write_weights)
+    write_whole(folder / STATISTICS, lambda path: save_file(numbers, path))
+    write_whole(folder / CARD, lambda path: path.write_text(card, encoding="utf-8"))
+    write_text(folder / CONFIG, config_text({**config, "digest": _digest(folder)}))
+    return folder
+
+
+_DIGESTED = {"weights": WEIGHTS, "statistics": STATISTICS}
+
+
+def _digest(folder: Path) -> dict[str, str]:
+    """SHA-256 of the files with numbers."""
+    digests = {}
+    for name, file_name in _DIGESTED.items():
+        with (folder / file_name).open("rb") as file:
+            digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return digests
+
+
+def _check_digest(folder: Path, config: Mapping[str, Any]) -> None:
+    """Files older than the digest have none."""
+    told = config.get("digest")
+    if told is None:
+        return
+    if not isinstance(told, Mapping) or set(told) != set(_DIGESTED):
+        raise RunError(f"{folder / CONFIG}: digest={shown(told)}: must give {' and '.join(_DIGESTED)}")
+    for name, digest in _digest(folder).items():
+        if told[name] != digest:
+            raise RunError(f"{folder / _DIGESTED[name]} is damaged: its SHA-256 is not the digest in {CONFIG}")
+
+
+def _config(folder: Path, parts: Mapping[str, Part]) -> dict[str, Any]:
+    missing = [name for name in (CONFIG, WEIGHTS, STATISTICS) if not (folder / name).is_file()]
+    if missing:
+        raise RunError(f"{folder} is not a run directory: {', '.join(missing)} missing")
+    config = with_new_names(read_config(folder / CONFIG))
+    absent = [name for name in parts if name not in config]
+    if absent:
+        raise RunError(f"{folder / CONFIG}: {', '.join(absent)} missing")
+    return config
+
+
+def _restored(
+    folder: Path, config: Mapping[str, Any], parts: Mapping[str, Part], trusted: Sequence[str]
+) -> tuple[dict[str, Any], dict[str, Statistics], torch.Tensor | None]:
+    """The parts with their weights, the statistics, and the offsets of a model's skeleton."""
+    try:
+        built = build_fitting(config, read_specs(folder / WEIGHTS), str(folder / WEIGHTS), parts, trusted)
+    except RunError as error:
+        raise RunError(str(error) if str(folder) in str(error) else f"{folder / CONFIG}: {error}") from error
+    numbers = _read_numbers(folder / STATISTICS, _shapes(built, parts))
+    _check_digest(folder, config)
+    _fill(built[next(iter(parts))], folder / WEIGHTS)
+    statistics = {
+        f"{side}_statistics": Statistics(numbers[f"{side}_mean"], numbers[f"{side}_std"]) for side in ("motion", "text")
+    }
+    return built, statistics, numbers.get("skeleton")
+
+
+def _read_numbers(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
+    """Statistics and whatever else is needed, with the shapes that the other parts need."""
+    specs = read_specs(path)
+    for name, shape in shapes.items():
+        if name not in specs:
+            raise RunError(f"{path}: {name} missing")
+        if specs[name].shape != shape or specs[name].dtype not in (torch.float32, torch.float64):
+            found = f"{specs[name].dtype} {specs[name].shape}"
+            raise RunError(f"{path}: {name} must be {shape} finite numbers, not {found}")
+    try:
+        with safe_open(path, "pt") as file:
+            numbers = {name: file.get_tensor(name).clone() for name in shapes}  # not mapped: the file may be replaced
+    except (SafetensorError, OSError) as error:
+        raise RunError(f"{path} cannot be read: {brief(error)}") from error
+    for name, shape in shapes.items():
+        _check_numbers(numbers[name], shape, f"{path}: {name}")
+    return numbers
+
+
+def _check_numbers(values: torch.Tensor, shape: tuple[int, ...], place: str) -> None:
+    if tuple(values.shape) != shape or not (values.abs() <= LARGEST).all():
+        raise RunError(f"{place} must be {shape} finite numbers of at most {LARGEST:g}, not {tuple(values.shape)}")
+    if place.endswith("std") and not (values >= SMALLEST_STD).all():
+        raise RunError(f"{place} must be above 0 everywhere")
+
+
+def _fill(network: torch.nn.Module, path: Path) -> None:
+    try:
+        weights = {
+            name: value.float() if value.is_floating_point() else value for name, value in load_file(path).items()
+        }
+    except (SafetensorError, OSError) as error:
+        raise RunError(f"{path} cannot be read: {brief(error)}") from error
+    broken = [name for name, value in weights.items() if not value.isfinite().all()]
+    if broken:
+        raise RunError(f"{path} holds weights that are not finite: {', '.join(broken[:3])}")
+    network.load_state_dict(weights)
+    network.eval().requires_grad_(False)

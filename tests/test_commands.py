@@ -1,0 +1,380 @@
+"""Commands: how settings are typed and checked, what help says, and how every script ends when something goes wrong."""
+
+import dataclasses
+import os
+import random
+import signal
+import subprocess
+import sys
+from concurrent.futures.process import BrokenProcessPool
+from shutil import copytree
+
+import pytest
+import torch
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
+from scripting import ROOT, configured, loaded
+
+import stmc
+from stmc.commands import Command, program
+from stmc.commands.arguments import quoted, read
+from stmc.commands.dispatch import scripts
+from stmc.commands.endings import MOST, explained, guarded
+from stmc.settings import about, defaults
+
+SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py"))
+NEEDED = {
+    "actions": ["cache=[nowhere]"],
+    "analyse_study": ["answers=nowhere"],
+    "benchmark": ["timelines=nowhere.txt"],
+    "embed": ["texts=nowhere"],
+    "import_checkpoint": ["source=nowhere", "output=nowhere"],
+    "study": ["first=a", "second=b", "timelines=nowhere.txt"],
+    "train": ["run=nowhere", "data.folder=nowhere"],
+    "train_tmr": ["run=nowhere", "data.folder=nowhere"],
+}
+"""What must be given for a command's checks to pass."""
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Command]:
+    """Every script's command."""
+    return {name: loaded(name).main for name in SCRIPTS}
+
+
+@pytest.fixture
+def sample(found) -> Command:
+    """Sampling that stops once its settings are checked."""
+    return idle(found["sample"])
+
+
+def idle(command: Command) -> Command:
+    return dataclasses.replace(command, function=lambda config: None)
+
+
+def ended(command: Command, arguments: list[str], capsys) -> tuple[int, str]:
+    """The exit code, and what was told on stderr."""
+    capsys.readouterr()
+    code = command(arguments)
+    return code, capsys.readouterr().err
+
+
+# How settings are typed ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["my file (1).txt", "it's.txt", 'say "hi".txt', "a,b.txt", "[x].txt", "2024", "1e3", "true", "a=b.txt", "ü #"],
+)
+def test_a_file_name_is_taken_as_it_is_typed(sample, name):
+    for arguments in ([f"timeline={name}"], ["--timeline", name], [f"--timeline={name}"]):
+        asked = read(arguments, sample.settings, sample.parts, sample.positional)
+        assert sample.composed(asked).timeline == name
+
+
+def test_plain_arguments_are_the_timeline_and_the_folder(sample):
+    asked = read(["walk # 0 # 4", "out/", "--json"], sample.settings, sample.parts, sample.positional)
+    config = sample.composed(asked)
+    assert (config.timeline, config.output, config.json) == ("walk # 0 # 4", "out/", True)
+
+
+def test_a_list_needs_no_brackets(sample):
+    for typed in ("formats=npz,bvh", "formats=[npz,bvh]", "--formats=npz,bvh"):
+        asked = read([typed], sample.settings, sample.parts, sample.positional)
+        assert list(sample.composed(asked).formats) == ["npz", "bvh"]
+
+
+def test_what_is_quoted_reads_back_as_it_was():
+    draw = random.Random(0)
+    for _ in range(300):
+        text = "".join(draw.choices("ab'\"\\ (),=[]{}:#$", k=draw.randint(1, 9)))
+        if text[0] != text[-1] or text[0] not in "'\"":
+            assert OverridesParser.create().parse_override(f"key={quoted(text)}").value() == text
+
+
+def test_a_folder_of_one_s_own_wins_over_ours(sample, tmp_path):
+    (tmp_path / "sample.yaml").write_text("steps: 7\n")
+    (tmp_path / "quick.yaml").write_text("defaults: [sample, _self_]\nseed: 3\n")
+    asked = read(["--config-dir", str(tmp_path)], sample.settings, sample.parts, sample.positional)
+    assert (sample.composed(asked).steps, sample.composed(asked).samples) == (7, 1)
+    asked = read([f"--config-dir={tmp_path}", "-cn", "quick"], sample.settings, sample.parts, sample.positional)
+    assert (sample.composed(asked).steps, sample.composed(asked).seed) == (7, 3)
+
+
+# What is refused -----------------------------------------------------------------------------------------------------
+
+REFUSED = {
+    "steps=1000000000 seed=-1": "seed=-1: must be at least 0",
+    "steps=ten": "steps='ten': a whole number or null needed, at least 1",
+    "steps=1.5": "steps=1.5: a whole number or null needed",
+    "steps=0": "steps=0: must be at least 1",
+    "guidance=nan": "guidance=nan: a number or null needed",
+    "guidance=inf": "guidance=inf: a number or null needed",
+    "guidance=x": "guidance='x': a number or null needed",
+    "guidance=[]": "a number or null needed",
+    "overlap=inf": "overlap=inf: a number or null needed, at least 0 s",
+    "overlap=x": "overlap='x': a number or null needed, at least 0 s",
+    "overlap=-0.01": "overlap=-0.01: must be at least 0 s",
+    "stitch_from=x": "stitch_from='x'",
+    "stitch_from=1": "stitch_from=1: must be at least 0 and below 1",
+    "batch=x": "batch='x': a whole number or null needed",
+    "batch=1.5": "batch=1.5: a whole number or null needed",
+    "samples=1e6": "samples=1000000.0: a whole number needed",
+    "samples=x": "samples='x': a whole number needed",
+    "seed=x": "seed='x': a whole number needed",
+    "seed=1.5": "seed=1.5: a whole number needed",
+    "seed=null": "seed=null: a whole number needed",
+    "formats=null": "formats=null: a list needed, one of npz, bvh, html",
+    "formats=[fbx]": "formats='fbx': choose from npz, bvh, html",
+    "method=magic": "method='magic': choose from one_text, single_track",
+    "output=": "output='': a text needed",
+    "stteps=3": "unknown setting 'stteps': did you mean steps?",
+    "+x=1": "unknown setting 'x'",
+    "--stteps 3": "unknown setting '--stteps'",
+    "--steps": "--steps needs a value",
+    "timeline=${nobody}": "'nobody' not found",
+    "~nobody": "'nobody' does not exist",
+    "a b c": "'c' is no setting",
+    "--config-name nobody": "nobody.yaml does not exist",
+    "--config-dir nobody": "nobody is not a folder",
+}
+
+
+@pytest.mark.parametrize("arguments", REFUSED)
+def test_a_setting_that_does_not_fit_is_one_sentence(sample, arguments, capsys):
+    code, told = ended(sample, arguments.split(), capsys)
+    assert code == 2
+    assert REFUSED[arguments] in told
+    assert told.count("\n") == 1
+    assert len(told) < 400
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["device=cuda:99"], "device 'cuda:99' is unknown or not available here"),
+        (["device=bogus"], "device 'bogus' is unknown or not available here"),
+        (["output=/proc/x"], "/proc/x"),
+        (["timeline=nowhere.txt"], "nowhere.txt: no such file"),
+        (["walk # 3 # 1"], "line 1: end 1 must be later than start 3"),
+        (["model=nowhere"], "nowhere is not a run directory"),
+        (["stitch_from=0.5", "method=sinc"], "0.5"),
+        (["formats=[]"], "choose from npz, bvh, html"),
+    ],
+)
+def test_what_sampling_cannot_do_is_one_sentence_and_nothing_is_sampled(found, arguments, message, tmp_path, capsys):
+    output = [] if any(each.startswith("output=") for each in arguments) else [f"output={tmp_path / 'out'}"]
+    code, told = ended(found["sample"], [*arguments, *output], capsys)
+    assert code == 2
+    assert message in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+WILD = (
+    *("x", "", "-1", "0", "1.5", "1e400", "nan", "-inf", "null", "true", "[]", "[[1", "{a:1}", "{", "'", '"', "\\"),
+    *(
+        "${x}",
+        "${oc.env:NOBODY}",
+        "a,b",
+        "%s",
+        "# 0 # 1",
+        "9" * 400,
+        "é\udcff",
+        "~",
+        "!!python/name:os.system",
+        "a" * 1000,
+    ),
+)
+
+
+def check_wild_settings(commands: dict[str, Command], draws: int, seed: int, capsys) -> None:
+    """Settings, groups and keys with wild values: either they pass the checks, or one short line says why not."""
+    draw = random.Random(seed)
+    for _ in range(draws):
+        command = idle(commands[draw.choice([*SCRIPTS, *["sample"] * 4 * len(SCRIPTS)])])
+        keys = [*about(command.settings), *command.parts, "nobody", "a.b", "+c", "~steps", "--device", "-x"]
+        arguments = [f"{draw.choice(keys)}={draw.choice(WILD)}" for _ in range(draw.randint(1, 3))]
+        code, told = ended(command, arguments, capsys)
+        assert code in (0, 2), arguments
+        assert (code == 0) == (told == ""), (arguments, told)
+        assert told.count("\n") <= 1, (arguments, told)
+        assert len(told) < 400, (arguments, told)
+
+
+def test_wild_settings_end_in_one_line(found, capsys):
+    check_wild_settings(found, 40, 0, capsys)
+
+
+@pytest.mark.slow
+def test_a_thousand_wild_settings_end_in_one_line(found, capsys):
+    check_wild_settings(found, 1000, 1, capsys)
+
+
+# The records and the configurations ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_configuration_has_the_defaults_of_the_record(found, name):
+    config = OmegaConf.to_container(OmegaConf.load(ROOT / "configs" / f"{name}.yaml"))
+    stated = {key: value for key, value in config.items() if key != "defaults" and key not in found[name].parts}
+    first = {
+        key: "???" if value is dataclasses.MISSING else value for key, value in defaults(found[name].settings).items()
+    }
+    assert stated == {key: plain(value) for key, value in first.items()}
+
+
+def plain(value: object) -> object:
+    return [plain(each) for each in value] if isinstance(value, tuple) else value
+
+
+def test_every_configuration_of_a_script_passes_its_checks(found):
+    for path in sorted((ROOT / "configs").glob("*.yaml")):
+        name = next(name for name in sorted(SCRIPTS, key=len, reverse=True) if kin(path.stem, name))
+        config = configured(path.stem, *NEEDED.get(name, []))
+        found[name].check(config)
+
+
+def kin(config: str, script: str) -> bool:
+    return config == script or (script.startswith("train") and config.startswith(f"{script}_"))
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_help_says_what_every_setting_is(found, name, capsys):
+    assert found[name](["--help"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    for setting, each in about(found[name].settings).items():
+        assert f" {setting} {each.help}" in told
+        assert all(choice in told for choice in each.choices)
+    for part, (chosen, names) in found[name].parts.items():
+        assert f" {part} {', '.join(names)} [{chosen}]" in told
+
+
+# How a command ends --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_script_ends_in_one_line_when_it_is_stopped(found, name, capsys):
+    command = dataclasses.replace(found[name], function=raising(KeyboardInterrupt()))
+    assert ended(command, NEEDED.get(name, []), capsys) == (130, "stopped; ask again to go on\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(28, "No space left on device", "/out/a.npz"), "/out/a.npz: no space left on device"),
+        (ModuleNotFoundError("No module named 'accelerate'", name="accelerate"), "pip install 'stmc[train]'"),
+        (BrokenProcessPool(), "a worker was killed, perhaps for memory"),
+    ],
+)
+def test_what_a_user_can_mend_is_one_line(error, message, capsys):
+    assert guarded(lambda: raising(error)(None)) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
+
+
+def test_a_bug_keeps_its_traceback():
+    with pytest.raises(TypeError, match="a bug"):
+        guarded(lambda: raising(TypeError("a bug"))(None))
+
+
+def raising(error: BaseException):
+    def function(config):
+        raise error
+
+    return function
+
+
+@pytest.mark.parametrize("name", sorted(NEEDED))
+def test_what_must_be_given_is_asked_for_before_anything_is_loaded(found, name, capsys):
+    code, told = ended(found[name], [], capsys)
+    assert code == 2
+    assert told.startswith("needed: ")
+    assert NEEDED[name][0].partition("=")[0] in told
+
+
+def test_a_value_error_of_ours_is_a_sentence_and_one_of_torch_a_bug():
+    assert explained(caught(lambda: stmc.Timeline.parse("walk # 3 # 1"))) is not None
+    assert explained(caught(lambda: torch.distributions.Normal(0.0, -1.0))) is None
+
+
+def caught(run) -> Exception:
+    try:
+        run()
+    except ValueError as error:
+        return error
+    raise AssertionError("no error")
+
+
+def test_a_message_is_one_line_however_long_and_odd_it_is(capsys):
+    odd = {"a\nb\x00\x1b[2J" + "x" * 10_000: 1}
+    assert guarded(lambda: stmc.settings.record_of(stmc.Sampling, odd)) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert len(told) <= MOST + 2
+    assert "\x1b" not in told
+
+
+def test_a_warning_of_the_library_is_one_line_without_code(capsys):
+    clash = "walk # 0 # 2 # legs\nrun # 0 # 2 # legs"
+    assert guarded(lambda: stmc.assign(stmc.Timeline.parse(clash), fps=20)) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert told
+    assert all(line.startswith("warning: ") and ".py" not in line for line in told)
+
+
+# One program ---------------------------------------------------------------------------------------------------------
+
+
+def test_one_program_lists_and_runs_all_scripts(capsys):
+    assert program([]) == 0
+    told = capsys.readouterr().out
+    assert set(scripts()) == set(SCRIPTS)
+    assert all(f"  {'import' if name == 'import_checkpoint' else name} " in told for name in SCRIPTS)
+    assert program(["sample", "steps=0"]) == 2
+    assert "steps=0" in capsys.readouterr().err
+    assert program(["nobody"]) == 2
+    assert "choose from" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_sampling_is_one_line_and_leaves_no_temporary(tmp_path):
+    command = [sys.executable, str(ROOT / "scripts/sample.py"), "walk # 0 # 4", str(tmp_path), "samples=50", "batch=1"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    running.stdout.readline()  # the first motion is on the disk
+    running.send_signal(signal.SIGINT)
+    _, told = running.communicate(timeout=120)
+    assert running.returncode == 130
+    assert told == "stopped; ask again to go on\n"
+    assert list(tmp_path.glob("*.npz"))
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.slow
+def test_a_wheel_has_the_command_the_configurations_and_no_result_pages(tmp_path):
+    pytest.importorskip("setuptools", minversion="77")
+    source = tmp_path / "source"
+    for folder in ("stmc", "scripts", "configs"):
+        copytree(ROOT / folder, source / folder)
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
+        (source / name).write_bytes((ROOT / name).read_bytes())
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
+    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), str(source)]
+    subprocess.run(build, check=True)
+    [wheel] = tmp_path.glob("*.whl")
+    place = tmp_path / "installed"
+    subprocess.run([*pip, "install", "--no-deps", "--target", str(place), str(wheel)], check=True)
+    assert not list(place.rglob("assets/results"))
+    assert (place / "stmc/py.typed").exists()
+    environment = os.environ | {"PYTHONPATH": str(place)}
+
+    def run(*arguments: str) -> str:
+        command = [str(place / "bin/stmc"), *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, text=True, capture_output=True, check=True)
+        return done.stdout
+
+    assert "import " in run("--help")
+    assert "how crops become a motion" in run("sample", "--help")
+    assert '"seconds": 2.0' in run("sample", "walk # 0 # 2", "out", "steps=2", "--json")
+    assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".npz", ".bvh", ".html", ".json"}

@@ -1,0 +1,42 @@
+"""File names that every file system takes."""
+
+import pytest
+
+from stmc.filenames import MOST, distinct, safe
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("walk and wave", "walk_and_wave"),
+        ("b/../c", "b_.._c"),
+        ("../../etc", "etc"),
+        ("-rf", "rf"),
+        (".hidden", "hidden"),
+        ("…", ""),
+        ("CON", "CON_"),
+        ("aux.x", "aux_.x"),
+        ("console", "console"),
+        ("走る", "走る"),
+        ("cafe\u0301", "caf\u00e9"),
+        ("a\ud800b\x00c", "a_b_c"),
+        ("dots...", "dots"),
+    ],
+)
+def test_a_name_becomes_one_that_all_systems_take(name, expected):
+    assert safe(name) == expected
+
+
+@pytest.mark.parametrize("letter", ["n", "走", "\U0001f9cd"])
+def test_a_long_name_is_cut_and_stays_its_own(letter):
+    first, second = safe(letter * 240 + "a"), safe(letter * 240 + "b")
+    assert len(first.encode()) <= MOST
+    assert first != second or letter == "\U0001f9cd"  # which is no letter, so nothing of it is left
+    assert safe(first) == first
+
+
+def test_no_two_names_differ_in_case_alone():
+    names = ["a", "A", "", "a", "a_0001", "ß", "SS", "CON"]
+    found = list(distinct(names, "file"))
+    assert found == ["a", "A_0001", "file_0002", "a_0003", "a_0001_0004", "ß", "SS_0006", "CON_"]
+    assert len({name.casefold() for name in found}) == len(names)

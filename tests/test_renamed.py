@@ -1,0 +1,14 @@
+"""Configs of earlier versions with today's names."""
+
+from stmc.renamed import with_new_names
+
+
+def test_old_keys_have_todays_names_wherever_they_stand_and_todays_win():
+    old = {"spread": "std", "late": 0.2, "denoiser": {"window": 196, "layers": 2}, "parts": [{"late": 1}]}
+    assert with_new_names(old) == {
+        "noise_scale": "std",
+        "stitch_from": 0.2,
+        "denoiser": {"fixed_length": 196, "layers": 2},
+        "parts": [{"stitch_from": 1}],
+    }
+    assert with_new_names({"late": 0.2, "stitch_from": 0.5}) == {"stitch_from": 0.5}
