@@ -161,7 +161,7 @@ def _columns(frame: np.ndarray, skeleton: Acclaim) -> tuple[dict[str, dict[str, 
     while place < len(frame):
         name = str(frame[place])
         if name not in known or name in columns:
-            raise AcclaimError(f"{name!r} is not a bone of the skeleton, or duplicated")
+            raise AcclaimError(f"{shown(name)} is not a bone of the skeleton, or duplicated")
         channels = known[name].channels
         columns[name] = {channel: place + 1 + index for index, channel in enumerate(channels)}
         names.append(place)

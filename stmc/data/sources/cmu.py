@@ -118,7 +118,7 @@ def read_sources(source: Path) -> Iterator[Source | tuple[str, str]]:
         if isinstance(text, UnreadableError):
             yield name, str(text)
         elif name in seen:
-            yield f"{name} ({place})", "a second recording of this name"
+            yield f"{name} ({cut(str(place))})", "a second recording of this name"
         elif place.suffix == ".bvh":
             yield Source(name, text)
         elif found := _skeleton_of(name, skeletons):
