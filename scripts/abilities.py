@@ -23,7 +23,7 @@ from stmc.files import write_text, write_whole
 from stmc.metrics import kinematics
 from stmc.model import Precision
 from stmc.settings import setting
-from stmc.viewing import pictures
+from stmc.viewing import film_strip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ def main(config: DictConfig) -> None:
                     noise_scale=scale,
                 )
                 results.setdefault(ability.name, {})[scale] = measured(ability, motions)
-                figure = partial(pictures(motions[0], ability.timeline).savefig, format="png", dpi=80)
+                figure = partial(film_strip(motions[0], ability.timeline).savefig, format="png", dpi=80)
                 write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)
                 progress.advance(task)
     if config.cache:

@@ -153,7 +153,7 @@ def draw(config: DictConfig, model: Model, step: int) -> None:
     timelines = [stmc.Timeline.parse(text) for text in config.draw]
     motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim)
     for number, (timeline, motion) in enumerate(zip(timelines, motions, strict=True)):
-        picture = partial(stmc.pictures(motion, timeline).savefig, format="png", dpi=80)
+        picture = partial(stmc.film_strip(motion, timeline).savefig, format="png", dpi=80)
         write_whole(folder / f"{number}_{step:07d}.png", picture)
 
 
