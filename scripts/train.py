@@ -27,7 +27,7 @@ from stmc.run import PARTS, build, check
 from stmc.sampling import Sampling
 from stmc.settings import record_of, setting
 from stmc.text import Cached
-from stmc.training import Denoising, Hook, Trainer, find_accelerator
+from stmc.training import Callback, Denoising, Trainer, find_accelerator
 
 logger = logging.getLogger(__name__)
 
@@ -97,12 +97,12 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         Path(config.run).expanduser(),
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
-        hooks=[
-            Hook(
+        callbacks=[
+            Callback(
                 settings.checkpoint_every,
                 lambda step, network: export(config, replace(model, denoiser=network), step, trainer.changes),
             ),
-            Hook(config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)),
+            Callback(config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)),
         ],
         accelerator=accelerator,
         described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},

@@ -26,7 +26,7 @@ from stmc.metrics.retrieval import Retrieval, both_ways, cosines, in_batches
 from stmc.run import EVALUATOR_PARTS, build, check, save_evaluator
 from stmc.settings import setting
 from stmc.text import Cached
-from stmc.training import Hook, Trainer, find_accelerator
+from stmc.training import Callback, Trainer, find_accelerator
 from stmc.training.logs import Table
 
 logger = logging.getLogger(__name__)
@@ -82,9 +82,11 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         folder,
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
-        hooks=[
-            Hook(settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))),
-            Hook(settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))),
+        callbacks=[
+            Callback(settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))),
+            Callback(
+                settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))
+            ),
         ],
         accelerator=accelerator,
         described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},

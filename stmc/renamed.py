@@ -1,4 +1,5 @@
-"""What keys of configurations were called before: run directories of earlier versions load all the same.
+"""What keys of configurations were called before: run directories, checkpoints and tables of earlier versions can be
+read all the same.
 
 Knows names; knows no file.
 """
@@ -11,6 +12,18 @@ from typing import Any
 RENAMED: Mapping[str, str] = {"spread": "noise_scale", "late": "stitch_from", "window": "fixed_length"}
 """Every key that has another name now, wherever it stands in a run directory's config."""
 
+RENAMED_SETTINGS: Mapping[str, str] = {
+    "training.rate": "training.lr",
+    "training.final_rate": "training.final_lr_ratio",
+    "training.decay": "training.ema_decay",
+    "training.clip": "training.grad_clip",
+}
+"""The settings of trainings that have another name now, by their whole path (these old names are too common to be
+renamed wherever they stand); settings below them move with them."""
+
+RENAMED_COLUMNS: Mapping[str, str] = {"rate": "lr"}
+"""Those of the tables that trainings write."""
+
 
 def with_new_names(config: Any) -> Any:
     """A config of plain mappings and lists with today's keys; one that has both keeps today's."""
@@ -19,3 +32,15 @@ def with_new_names(config: Any) -> Any:
         old = {RENAMED[key]: value for key, value in inner.items() if key in RENAMED}
         return old | {key: value for key, value in inner.items() if key not in RENAMED}
     return [with_new_names(each) for each in config] if isinstance(config, list) else config
+
+
+def with_new_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by their whole paths, `training.lr`, with today's."""
+    return {_new_path(path): value for path, value in settings.items()}
+
+
+def _new_path(path: str) -> str:
+    for old, new in RENAMED_SETTINGS.items():
+        if path == old or path.startswith(f"{old}."):
+            return new + path.removeprefix(old)
+    return path
