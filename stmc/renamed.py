@@ -17,11 +17,28 @@ RENAMED_SETTINGS: Mapping[str, str] = {
     "training.final_rate": "training.final_lr_ratio",
     "training.decay": "training.ema_decay",
     "training.clip": "training.grad_clip",
+    "data.corpus.least": "data.dataset.min_clips",
+    "data.corpus": "data.dataset",
+    "data.sampling.silent": "data.sampling.text_dropout",
+    "data.sampling.crops": "data.sampling.uncond_crop_prob",
+    "data.sampling.composed": "data.sampling.compose_prob",
+    "data.sampling.hosts": "data.sampling.receivers",
+    "data.derive": "data.auxiliary_loss",
+    "objective.weights.feet": "objective.weights.foot_velocity",
+    "start": "init_from",
+    "sentences": "false_negative_encoder",
+    "similar": "false_negative_threshold",
 }
 """The settings of trainings that have another name now, by their whole path (these old names are too common to be
 renamed wherever they stand); settings below them move with them."""
 
-RENAMED_COLUMNS: Mapping[str, str] = {"rate": "lr"}
+RENAMED_CLASSES: Mapping[str, str] = {
+    "stmc.data.dataset.Corpus": "stmc.data.dataset.Dataset",
+    "stmc.data.feet.FootSteps": "stmc.data.feet.FootVelocity",
+}
+"""Of `_target_` in the settings of trainings."""
+
+RENAMED_COLUMNS: Mapping[str, str] = {"rate": "lr", "loss_feet": "loss_foot_velocity"}
 """Those of the tables that trainings write."""
 
 
@@ -36,7 +53,10 @@ def with_new_names(config: Any) -> Any:
 
 def with_new_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings by their whole paths, `training.lr`, with today's."""
-    return {_new_path(path): value for path, value in settings.items()}
+    return {
+        _new_path(path): RENAMED_CLASSES.get(value, value) if isinstance(value, str) else value
+        for path, value in settings.items()
+    }
 
 
 def _new_path(path: str) -> str:

@@ -15,7 +15,7 @@ from torch import nn
 from toys import LAYOUT, LetterCounts, cache
 
 from stmc.data.batches import ClipBatches, Sampling
-from stmc.data.dataset import Corpus
+from stmc.data.dataset import Dataset
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion.schedule import Schedule
 from stmc.training import (
@@ -60,15 +60,15 @@ def trainer(
     described=None, allow_changed_settings=False, **settings,
 ) -> Trainer:  # fmt: skip
     torch.manual_seed(0)
-    corpus = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
+    dataset = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
     sampling = Sampling(rows=8, pool=2, pieces=pieces)
     return Trainer(
         denoiser or MdmSmpl(LAYOUT.width, 8, width=16, feedforward=32, layers=1, heads=2, dropout=dropout),
         objective or Denoising(Schedule.cosine(20), fields=LAYOUT.slices),
-        ClipBatches(corpus, "train", sampling),
+        ClipBatches(dataset, "train", sampling),
         folder,
         Settings(**({"steps": 16} | QUICK | settings)),
-        validation=ClipBatches(corpus, "val", sampling)(0),
+        validation=ClipBatches(dataset, "val", sampling)(0),
         callbacks=callbacks,
         described=described,
         allow_changed_settings=allow_changed_settings,
@@ -125,19 +125,19 @@ def test_errors_of_derived_numbers_follow_where_both_frames_exist():
     mask = torch.tensor([[True, True, True], [True, True, False]])
     errors = squared_errors(
         lambda x, *_: torch.zeros_like(x), Schedule.cosine(10), batch_of(motion, mask),
-        torch.tensor([3, 4]), torch.zeros_like(motion), derive=lambda x: x[:, 1:].sum(-1, keepdim=True),
+        torch.tensor([3, 4]), torch.zeros_like(motion), auxiliary_loss=lambda x: x[:, 1:].sum(-1, keepdim=True),
     )  # fmt: skip
     assert errors.tolist() == [0 + 4 + 16 + 36 + 64, 1 + 9 + 25 + 49 + 81, 5**2 + 9**2 + 17**2]
 
 
 def test_only_a_prediction_of_the_clean_motion_has_derived_numbers():
     with pytest.raises(ValueError, match="x0, not of eps"):
-        Denoising(Schedule.cosine(10), derive=lambda x: x[:, 1:], prediction="eps")
+        Denoising(Schedule.cosine(10), auxiliary_loss=lambda x: x[:, 1:], prediction="eps")
 
 
 def test_derived_numbers_are_logged_and_weighed_by_their_name(tmp_path):
     fields = LAYOUT.slices | {"steps": slice(LAYOUT.width, None)}
-    derived = {"derive": lambda x: x.diff(dim=1), "fields": fields}
+    derived = {"auxiliary_loss": lambda x: x.diff(dim=1), "fields": fields}
     heavy = Denoising(Schedule.cosine(20), weights={"steps": 100.0}, **derived)
     run = trainer(tmp_path / "heavy", steps=2, objective=heavy)
     run.run()
@@ -187,7 +187,7 @@ def test_pieces_of_a_batch_add_up_to_the_batch(tmp_path):
     frames = {}
     for pieces in (1, 4):
         run = trainer(tmp_path / str(pieces), Constant(LAYOUT.width), pieces=pieces, steps=2)
-        whole = ClipBatches(run.batches.corpus, "train", Sampling(rows=8, pool=1, pieces=pieces))
+        whole = ClipBatches(run.batches.dataset, "train", Sampling(rows=8, pool=1, pieces=pieces))
         run.batches = lambda step, process, draw=whole: draw(0, process)
         run.run()
         frames[pieces] = run.network.frame.detach()
