@@ -90,7 +90,7 @@ def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
 
 
 def report(results: dict, noise_scales: list[str]) -> None:
-    columns = ("shown", "m/s", "°", "slide cm", "div cm")
+    columns = ("success", "m/s", "°", "slide cm", "div cm")
     table = Table("", "expected", *(f"{column}, {scale}" for scale in noise_scales for column in columns))
     for name, rows in results.items():
         if name == "real":

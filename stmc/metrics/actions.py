@@ -1,4 +1,4 @@
-"""Whether a motion shows an action, by geometry: no learned judge, no text encoder.
+"""Whether a motion shows an action, by geometry: no learned evaluator, no text encoder.
 
 A question for every content of open motion capture that joints can tell, whatever else the body does: seated is low, a
 jump leaves the floor and comes back. How often real motion passes (the ceiling) and how often motions of other contents

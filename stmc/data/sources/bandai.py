@@ -113,7 +113,7 @@ class ClipName:
 
 def read_sources(source: Path) -> Iterator[tuple[str, str | BvhError]]:
     """Every clip's name and BVH text, from the published `.tar.xz` (never unpacked to disk) or an unpacked folder; of
-    what is no regular file, or one of more than `MOST_BYTES`, the error in place of a text.
+    what is not a regular file, or one of more than `MOST_BYTES`, the error in place of a text.
 
     Raises `FileNotFoundError` where there is neither, and `ValueError` for a folder or an archive without BVH files,
     for an archive that breaks off, and for more than `MOST_MEMBERS` or `MOST_ARCHIVE`.
@@ -153,7 +153,7 @@ def _archive(path: Path) -> Iterator[tuple[str, str | BvhError]]:
 
 def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> str | BvhError:
     if not member.isreg():
-        return BvhError("a member of the archive that is no regular file")
+        return BvhError("a member of the archive that is not a regular file")
     if member.size > MOST_BYTES:
         return BvhError(f"{member.size:,} bytes, more than {MOST_BYTES / 2**20:g} MiB")
     return archive.extractfile(member).read().decode("ascii", errors="replace")
