@@ -21,7 +21,7 @@ from stmc.planning import Plan
 from stmc.representation import Layout
 
 
-def lerp(
+def smooth_seams(
     features: Float[Tensor, "batch frames features"], plans: Sequence[Plan], columns: Columns, overlap: int
 ) -> Float[Tensor, "batch frames features"]:
     """SINC's result with its seams smoothed: a straight line wherever a body part changes from one crop to another.
@@ -54,13 +54,13 @@ def seams(plan: Plan, part: BodyPart, overlap: int) -> list[slice]:
 def slerp(
     raw: Float[Tensor, "batch frames features"], plans: Sequence[Plan], layout: Layout, overlap: int
 ) -> Float[Tensor, "batch frames features"]:
-    """`lerp` for features that are not normalised, with rotations on the shortest arc of the sphere: what TEACH does to
-    its transitions (Athanasiou et al. 2022).
+    """`smooth_seams` for features that are not normalised, with rotations on the shortest arc of the sphere: what TEACH
+    does to its transitions (Athanasiou et al. 2022).
 
     The layout's field "rotations" holds two rows, or two columns, of a matrix for each joint. The `plans` are those
     without overlap; `overlap` frames around each change are replaced.
     """
-    smooth = lerp(raw, plans, layout.columns, overlap)
+    smooth = smooth_seams(raw, plans, layout.columns, overlap)
     for i, plan in enumerate(plans):
         for part in BodyPart:
             turned = _rotations(layout, part)

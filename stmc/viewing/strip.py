@@ -27,7 +27,7 @@ _FLOOR, _LINE, _SHADOW = "#f4f5f7", "#dcdfe4", "#c9cdd4"
 _LEGS = PARTS.index("legs")
 
 
-def pictures(
+def film_strip(
     motion: Motion,
     timeline: Timeline | None = None,
     frames: int = 8,

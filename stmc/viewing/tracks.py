@@ -19,7 +19,9 @@ _TRACK, _PART = 1.0, 0.46
 _ROW_INCHES = 0.42
 
 
-def figure(timeline: Timeline, fps: int | float, overlap: int | float = 0.0, width: int | float = 10.0) -> Figure:
+def plot_timeline(
+    timeline: Timeline, fps: int | float, overlap: int | float = 0.0, width: int | float = 10.0
+) -> Figure:
     """The timeline's tracks, prompts as bars that bear their texts, and below them the five body parts.
 
     `fps` decides where frames cut the spans; `overlap` (seconds) is how long transitions will be, which are hatched;
