@@ -120,7 +120,7 @@ class ClipBatches:
         return [plan[rows[index]] for index in random.permutation(len(rows))]
 
     def _compose(self, plan: BatchPlan, random: np.random.Generator) -> BatchPlan:
-        """Makes some rows donor on the bodies of others that last at min_clips as long."""
+        """Puts some rows as donors on the bodies of others that last at least as long."""
         drawn, sentence = plan.body, plan.sentence
         claims = self.dataset.claims[drawn.clip]
         composed = np.where(claims[:, self.dataset.legs], self.sampling.compose_legs_prob, self.sampling.compose_prob)
