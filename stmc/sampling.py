@@ -20,6 +20,10 @@ class Sampling:
 
     Raises:
         SettingError: For a value of another type or out of range.
+
+    Examples:
+        >>> dict(stmc.Sampling(steps=50, guidance=2.5).given)
+        {'steps': 50, 'guidance': 2.5}
     """
 
     steps: int | None = setting(None, "steps of denoising; null: as many as in training", at_least=1)
@@ -44,7 +48,12 @@ class Sampling:
         check(self)
 
     def over(self, other: Sampling) -> Sampling:
-        """These settings and, where they leave one open, the `other`'s."""
+        """These settings and, where they leave one open, the `other`'s.
+
+        Examples:
+            >>> dict(stmc.Sampling(steps=50).over(stmc.Sampling(steps=100, overlap=0.5)).given)
+            {'steps': 50, 'overlap': 0.5}
+        """
         return replace(other, **self.given)
 
     @property

@@ -343,7 +343,7 @@ def test_members_of_an_archive_that_are_no_files_or_too_large_are_skipped(tmp_pa
     archive(tmp_path / "a.tar.xz", *members, ("bomb.bvh", tarfile.REGTYPE, 2**24), ("good.bvh", tarfile.REGTYPE, 3))
     found = dict(bandai.read_sources(tmp_path / "a.tar.xz"))
     assert {name: str(text) for name, text in found.items()} == dict.fromkeys(
-        kinds, "a member of the archive that is no regular file"
+        kinds, "a member of the archive that is not a regular file"
     ) | {"bomb": "16,777,216 bytes, more than 1 MiB", "good": "\0\0\0"}
 
 

@@ -1,6 +1,6 @@
 """What a model trained on the Bandai contents can be asked to do, and whether a motion does it.
 
-Each ability is a timeline and a yes-or-no question about one motion's geometry: no learned judge, no text encoder.
+Each ability is a timeline and a yes-or-no question about one motion's geometry: no learned evaluator, no text encoder.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.composing.double_take import inpaint, kept_shares
-from stmc.composing.interpolation import lerp, slerp
+from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.running import Run, settings_taken
 from stmc.composing.sequences import weave
 from stmc.diffusion import SAMPLERS
@@ -45,6 +45,11 @@ class Method:
     the method's name in tables, with what it sees of a timeline: `tracks` and `crops`, "Single" or "Multi" each.
     `baseline` replaces each timeline beforehand. `fixed` are the settings that the method decides, whatever the model
     says; None: it has no such setting. `per_frame_text`: it needs a denoiser that knows a text for every frame.
+
+    Examples:
+        >>> still = stmc.Method(lambda run: torch.zeros(1, 20, 205), "Still")
+        >>> stmc.load().generate("walk # 0 # 1", method=still)
+        [Motion(20 frames at 20 fps, 1.00 s)]
     """
 
     sample: Callable[[Run], Features]
@@ -72,6 +77,11 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
         model.generate(timeline, method=stmc.stitched(my_rule), stitch_from=0.2)
 
     `more`: as of `Method`; the label is the rule's own name unless said.
+
+    Examples:
+        >>> method = stmc.stitched(stmc.planning.cross_fade, label="Cross-faded")
+        >>> stmc.load().generate("walk # 0 # 1\\njump # 1 # 2", method=method, stitch_from=0.5, steps=2)
+        [Motion(40 frames at 20 fps, 2.00 s)]
     """
 
     def sample(run: Run) -> Features:
@@ -104,7 +114,7 @@ def alone(run: Run) -> Features:
 
 def smoothed(run: Run) -> Features:
     """SINC, with a straight line over the overlap wherever a part changes from one crop to another."""
-    return lerp(run.independent(), run.plans(0), run.columns, run.overlap)
+    return smooth_seams(run.independent(), run.plans(0), run.columns, run.overlap)
 
 
 def smoothed_on_the_sphere(run: Run) -> Features:
@@ -176,6 +186,10 @@ def find_method(method: str | Method | Rule, trusted: Iterable[str] = ()) -> Met
 
     Raises:
         SettingError: For an unknown name, and a package that is not trusted or has no such thing.
+
+    Examples:
+        >>> stmc.find_method("one_text").tracks
+        'Single'
     """
     if isinstance(method, str):
         method = METHODS.get(method) or _imported(method, tuple(trusted))

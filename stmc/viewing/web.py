@@ -26,7 +26,7 @@ _ALONE = (
 _FOLLOW = '<button id="stmc-follow" type="button" aria-pressed="false">follow</button>'
 
 
-def page(
+def render_html(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
@@ -44,6 +44,12 @@ def page(
     button says which, and the page follows by itself where the body would be too small to see.
 
     The body is a mannequin with the motion's own bones, or the mesh of `body`.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> html = stmc.render_html(motion, title="A walk")
+        >>> "<title>A walk</title>" in html
+        True
     """
     title = title or (timeline.name if timeline is not None else "")
     overlap = transition(motion, overlap)
@@ -72,19 +78,24 @@ def view(
     body: Body | None = None,
     height: int = 640,
 ) -> None:
-    """Show the motion's `page`: below the notebook's cell (`height` pixels tall), or elsewhere in the web browser."""
-    content = page(motion, timeline, title, overlap, body)
+    """Show the page of `render_html`: below the notebook's cell (`height` pixels tall), or in the web browser.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.view(motion, title="A walk")
+    """
+    content = render_html(motion, timeline, title, overlap, body)
     if _in_notebook():
         from IPython.display import HTML, display
 
-        display(HTML(frame(content, height)))
+        display(HTML(html_frame(content, height)))
         return
     with tempfile.NamedTemporaryFile("w", suffix=".html", delete=False, encoding="utf-8") as file:
         file.write(content)
     webbrowser.open(Path(file.name).as_uri())
 
 
-def frame(content: str, height: int = 640) -> str:
+def html_frame(content: str, height: int = 640) -> str:
     """A page inside another: an HTML element that holds all of `content`."""
     style = f"width:100%;height:{height}px;border:1px solid #e6e8ec;border-radius:6px"
     return f'<div><iframe srcdoc="{html.escape(content)}" style="{style}"></iframe></div>'
