@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import islice
 from typing import Any
 
@@ -86,11 +86,11 @@ class Run:
         be bridged: a hand goes all its way in three frames.
         """
         guidance = self.sampling.guidance if guidance is None else guidance
-        guided, apart = self.guided(plans, guidance), self.steps_before(self.sampling.guidance_from)
+        apart, predict = self.steps_before(self.sampling.guidance_from), cache(partial(self.guided, plans))
         if not apart or guidance <= 1:
-            return guided
-        trained, first = self.guided(plans, 1.0), self.times[-apart]
-        return lambda x, t: trained(x, t) if t >= first else guided(x, t)
+            return predict(guidance)
+        first = self.times[-apart]
+        return lambda x, t: predict(1.0 if t >= first else guidance)(x, t)
 
     def noise(self, plans: Sequence[Plan], seeds: Sequence[Seed] | None = None) -> Noise:
         """What timelines of these plans begin with, and what is added at every step."""
