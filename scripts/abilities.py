@@ -14,16 +14,17 @@ from rich.progress import Progress
 from rich.table import Table
 
 import stmc
-from stmc.benchmarks.ability import abilities, mean_speed
+from stmc.benchmarks.ability import abilities
 from stmc.commands import command
 from stmc.commands.shared import OnDevice
 from stmc.data.cache import Cache
 from stmc.diffusion import NoiseScale
 from stmc.files import write_text, write_whole
 from stmc.metrics import kinematics
+from stmc.metrics.actions import mean_speed
 from stmc.model import Precision
 from stmc.settings import setting
-from stmc.viewing import pictures
+from stmc.viewing import film_strip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +59,7 @@ def main(config: DictConfig) -> None:
                     noise_scale=scale,
                 )
                 results.setdefault(ability.name, {})[scale] = measured(ability, motions)
-                figure = partial(pictures(motions[0], ability.timeline).savefig, format="png", dpi=80)
+                figure = partial(film_strip(motions[0], ability.timeline).savefig, format="png", dpi=80)
                 write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)
                 progress.advance(task)
     if config.cache:
@@ -90,7 +91,7 @@ def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
 
 
 def report(results: dict, noise_scales: list[str]) -> None:
-    columns = ("shown", "m/s", "°", "slide cm", "div cm")
+    columns = ("success", "m/s", "°", "slide cm", "div cm")
     table = Table("", "expected", *(f"{column}, {scale}" for scale in noise_scales for column in columns))
     for name, rows in results.items():
         if name == "real":

@@ -24,7 +24,7 @@ from stmc.settings import setting
 class Settings(OnDevice):
     timelines: str = setting(MISSING, "file of many timelines, such as MTT.txt")
     model: str | None = setting(None, "run directory; null: the bundled model")
-    rivals: tuple[Mapping, ...] = setting(
+    baselines: tuple[Mapping, ...] = setting(
         ({"method": "sinc", "model": "${model}"},), "what STMC's time is compared with: methods and their models"
     )
     batch: int = setting(32, "timelines at a time", at_least=1)
@@ -34,8 +34,8 @@ class Settings(OnDevice):
 
 @command("benchmark", Settings, ("timelines",))
 def main(config: DictConfig) -> None:
-    rivals = [(rival.method, rival.model) for rival in config.rivals]
-    places = {config.model, *(place for _, place in rivals)}
+    baselines = [(baseline.method, baseline.model) for baseline in config.baselines]
+    places = {config.model, *(place for _, place in baselines)}
     models = {place: stmc.load(place, device=config.device) for place in places}
     model = models[config.model]
     timelines = stmc.Timeline.read_all(Path(config.timelines).expanduser())
@@ -48,13 +48,13 @@ def main(config: DictConfig) -> None:
         batch, together = clock(lambda: model.generate(chosen, seed=0, steps=config.steps))
         spent = [
             clock(partial(models[place].generate, chosen, seed=0, steps=config.steps, method=name))[0]
-            for name, place in rivals
+            for name, place in baselines
         ]
         rows.append((alone / batch, *(batch / seconds for seconds in spent)))
     difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
     plans = model.plans(timelines)
     table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {model.device}")
-    names = [f"time of STMC / {method_row(name).label}, {place or 'the bundled model'}" for name, place in rivals]
+    names = [f"time of STMC / {method_row(name).label}, {place or 'the bundled model'}" for name, place in baselines]
     for name, ratios in zip(["time per timeline, alone / in the batch", *names], zip(*rows, strict=True), strict=True):
         table.add_row(name, f"{median(ratios):.2f}")
     table.add_row("largest difference of a joint, batch against alone", f"{difference:.1e} m")

@@ -66,7 +66,7 @@ def main(config: DictConfig) -> None:
         for name, place in config.models.items()
     }
     settings = list(dict.fromkeys(chosen(config.experiment, models, tuple(config.trusted))))
-    benchmark = instantiate(config.benchmark)(judge=evaluator)
+    benchmark = instantiate(config.benchmark)(evaluator=evaluator)
     remove_leftovers(folder)
     results = begun(folder, about(config))
     with Progress(

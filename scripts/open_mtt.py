@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 import stmc
-from stmc.benchmarks.atomic_prompts import AtomicPrompt, construct, write_atoms
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, sample_timelines, write_atomic_prompts
 from stmc.body import BodyPart
 from stmc.commands import command
 from stmc.data.cache import Cache, Clip
@@ -37,7 +37,7 @@ class Settings:
     cache: str = setting("cache/bandai", "prepared data")
     evaluator: str | None = setting(None, "run directory; null: the bundled one")
     output: str = setting("stmc/assets/open_mtt", "folder of the prompts and timelines")
-    least: float | int = setting(
+    min_accuracy: float | int = setting(
         0.6, "share of a style's compositions in which the evaluator must tell it from others", at_least=0, at_most=1
     )
     count: int = setting(500, "timelines", at_least=1)
@@ -50,12 +50,12 @@ def main(config: DictConfig) -> None:
     cache = Cache.read(Path(config.cache).expanduser())
     evaluator = stmc.load_evaluator(config.evaluator)
     heard = found(cache, evaluator, possible(cache))
-    chosen = [atom for atom, share in heard.items() if atom[1] == PLAIN or share >= config.least]
+    chosen = [atom for atom, share in heard.items() if atom[1] == PLAIN or share >= config.min_accuracy]
     atoms = [prompt(cache, atom) for atom in chosen]
-    timelines = construct(atoms, config.count, config.seed)
+    timelines = sample_timelines(atoms, config.count, config.seed)
     random = np.random.default_rng(0)
     places = [standing(cache, evaluator, "test", atom, chosen, random) for atom in chosen]
-    write_atoms(atoms, folder / "prompts.json")
+    write_atomic_prompts(atoms, folder / "prompts.json")
     stmc.Timeline.write_all(timelines, folder / "timelines.json")
     for (content, style), share in heard.items():
         console.print(f"{share:4.0%} {text((content, style))}{'' if (content, style) in chosen else ' (left out)'}")

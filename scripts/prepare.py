@@ -1,7 +1,7 @@
 """Prepares a data set for training: `python scripts/prepare.py data=bandai source=ARCHIVE_OR_FOLDER`.
 
 `data=humanml3d source=AMASS annotations=FOLDER body=SMPLH`, and others: see configs/data. Asked again after it was
-killed, it goes on where it was.
+killed, it resumes.
 """
 
 import os

@@ -216,7 +216,7 @@ def save(motion: stmc.Motion, job: Job, config: DictConfig, made_by: str) -> lis
     paths = [folder / f"{job.name}.{kind}" for kind in config.formats]
     for path in paths:
         if path.suffix == ".html":
-            write_text(path, stmc.page(motion, job.timeline, title=job.name))
+            write_text(path, stmc.render_html(motion, job.timeline, title=job.name))
         else:
             stmc.write(motion, path)
     done = json.dumps(record(job, config, made_by), indent=1, ensure_ascii=False) + "\n"

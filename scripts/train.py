@@ -19,7 +19,7 @@ from stmc.commands import command
 from stmc.commands.shared import Trained
 from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
-from stmc.data.dataset import Corpus
+from stmc.data.dataset import Dataset
 from stmc.diffusion import NoiseScale
 from stmc.files import locked, write_whole
 from stmc.model import Model
@@ -27,7 +27,7 @@ from stmc.run import PARTS, build, check
 from stmc.sampling import Sampling
 from stmc.settings import record_of, setting
 from stmc.text import Cached
-from stmc.training import Denoising, Hook, Trainer, find_accelerator
+from stmc.training import Callback, Denoising, Trainer, find_accelerator
 
 logger = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ class Settings(Trained):
     noise_scale: str = setting(
         "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
     )
-    start: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
+    init_from: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
     draw_every: int = setting(2000, "steps between pictures", at_least=1)
     draw: tuple[str, ...] = setting(DRAWN, "timelines of which pictures are drawn")
 
@@ -68,41 +68,42 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     representation = parts["representation"]
     logger.info("reading %s", config.data.folder)
     cache = read_caches(config.data.folder)
-    started = stmc.load(config.start, trusted=config.trusted) if config.start else None
-    corpus = instantiate(config.data.corpus, _partial_=True)(
+    started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
+    dataset = instantiate(config.data.dataset, _partial_=True)(
         cache=cache,
         encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=representation.layout,
         text=started.text_statistics if started else None,
         device=accelerator.device,
     )
-    held_out = ClipBatches(corpus, "val", sampling, settings.seed)
+    held_out = ClipBatches(dataset, "val", sampling, settings.seed)
     torch.manual_seed(settings.seed)
     with open_dict(config):
-        config.denoiser.update(features=corpus.features_width, text_width=corpus.text_width)
-    derive = instantiate(config.data.derive, _partial_=True)(corpus) if config.data.derive else None
+        config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
+    auxiliary = config.data.auxiliary_loss
+    auxiliary_loss = instantiate(auxiliary, _partial_=True)(dataset) if auxiliary else None
     fields = dict(representation.layout.slices)
-    if derive:
-        fields[derive.name] = slice(corpus.features_width, None)
-    model = record(config, corpus)
+    if auxiliary_loss:
+        fields[auxiliary_loss.name] = slice(dataset.features_width, None)
+    model = record(config, dataset)
     denoiser = model.denoiser
     if started:
         denoiser.load_state_dict(started.denoiser.state_dict())
-        denoiser.restate(started.motion_statistics, corpus.motion.to("cpu"))
+        denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
     check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         denoiser,
-        Denoising(model.schedule, fields=fields, derive=derive, **config.objective),
-        ClipBatches(corpus, "train", sampling, settings.seed),
+        Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, **config.objective),
+        ClipBatches(dataset, "train", sampling, settings.seed),
         Path(config.run).expanduser(),
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
-        hooks=[
-            Hook(
+        callbacks=[
+            Callback(
                 settings.checkpoint_every,
                 lambda step, network: export(config, replace(model, denoiser=network), step, trainer.changes),
             ),
-            Hook(config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)),
+            Callback(config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)),
         ],
         accelerator=accelerator,
         described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
@@ -116,7 +117,7 @@ def own_sampling(config: DictConfig) -> Sampling:
     return record_of(Sampling, {"noise_scale": config.noise_scale})
 
 
-def record(config: DictConfig, corpus: Corpus) -> Model:
+def record(config: DictConfig, dataset: Dataset) -> Model:
     """The model as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, trusted=config.trusted)
@@ -126,11 +127,11 @@ def record(config: DictConfig, corpus: Corpus) -> Model:
         schedule=parts["schedule"],
         text_encoder=Cached(parts["text_encoder"], config.text_cache),
         representation=representation,
-        motion_statistics=corpus.motion.to("cpu"),
-        text_statistics=corpus.text.to("cpu"),
-        skeleton=corpus.skeleton or representation.skeleton,
-        fps=corpus.fps,
-        longest=int(instantiate(config.data.sampling).longest * corpus.fps),
+        motion_statistics=dataset.motion.to("cpu"),
+        text_statistics=dataset.text.to("cpu"),
+        skeleton=dataset.skeleton or representation.skeleton,
+        fps=dataset.fps,
+        longest=int(instantiate(config.data.sampling).longest * dataset.fps),
         prediction=config.objective.prediction,
         sampling=own_sampling(config),
         config={part: described[part] for part in PARTS},
@@ -153,7 +154,7 @@ def draw(config: DictConfig, model: Model, step: int) -> None:
     timelines = [stmc.Timeline.parse(text) for text in config.draw]
     motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim)
     for number, (timeline, motion) in enumerate(zip(timelines, motions, strict=True)):
-        picture = partial(stmc.pictures(motion, timeline).savefig, format="png", dpi=80)
+        picture = partial(stmc.film_strip(motion, timeline).savefig, format="png", dpi=80)
         write_whole(folder / f"{number}_{step:07d}.png", picture)
 
 

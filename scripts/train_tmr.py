@@ -18,7 +18,7 @@ from stmc.commands import command
 from stmc.commands.shared import Trained
 from stmc.data.batches import ClipBatches
 from stmc.data.cache import read_caches
-from stmc.data.dataset import Corpus
+from stmc.data.dataset import Dataset
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
 from stmc.files import locked, write_text
@@ -26,7 +26,7 @@ from stmc.metrics.retrieval import Retrieval, both_ways, cosines, in_batches
 from stmc.run import EVALUATOR_PARTS, build, check, save_evaluator
 from stmc.settings import setting
 from stmc.text import Cached
-from stmc.training import Hook, Trainer, find_accelerator
+from stmc.training import Callback, Trainer, find_accelerator
 from stmc.training.logs import Table
 
 logger = logging.getLogger(__name__)
@@ -35,10 +35,13 @@ logger = logging.getLogger(__name__)
 @dataclass(frozen=True, kw_only=True)
 class Settings(Trained):
     objective: Mapping = setting({"_target_": "stmc.evaluators.TmrObjective"}, "what is minimised")
-    sentences: Mapping | None = setting(
-        None, "encoder of whole sentences (+text_encoder@sentences=minilm) for data whose texts are not shared"
+    false_negative_encoder: Mapping | None = setting(
+        None,
+        "encoder of whole sentences (+text_encoder@false_negative_encoder=minilm) for data whose texts are not shared",
     )
-    similar: float | int = setting(0.8, "texts that it scores above this are no wrong answers to each other", at_most=1)
+    false_negative_threshold: float | int = setting(
+        0.8, "texts that it scores above this are no wrong answers to each other", at_most=1
+    )
 
 
 @command("train_tmr", Settings, ("run",))
@@ -58,22 +61,24 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     parts = build(described, kinds, config.trusted)
     logger.info("reading %s", config.data.folder)
     cache = read_caches(config.data.folder)
-    corpus = instantiate(config.data.corpus, _partial_=True)(
+    dataset = instantiate(config.data.dataset, _partial_=True)(
         cache=cache,
         encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=parts["representation"].layout,
         device=accelerator.device,
     )
-    sentences = Cached(instantiate(config.sentences), config.text_cache) if config.sentences else None
+    sentences = (
+        Cached(instantiate(config.false_negative_encoder), config.text_cache) if config.false_negative_encoder else None
+    )
     training, held_out = (
-        PairBatches(ClipBatches(corpus, split, sampling, settings.seed), sentences, config.similar)
+        PairBatches(ClipBatches(dataset, split, sampling, settings.seed), sentences, config.false_negative_threshold)
         for split in ("train", "val")
     )
     torch.manual_seed(settings.seed)
     with open_dict(config):
-        config.network.update(features=corpus.features_width, text_width=corpus.text_width)
+        config.network.update(features=dataset.features_width, text_width=dataset.text_width)
     folder = Path(config.run).expanduser()
-    evaluator = record(config, corpus)
+    evaluator = record(config, dataset)
     check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         evaluator.network,
@@ -82,9 +87,11 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         folder,
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
-        hooks=[
-            Hook(settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))),
-            Hook(settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))),
+        callbacks=[
+            Callback(settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))),
+            Callback(
+                settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))
+            ),
         ],
         accelerator=accelerator,
         described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
@@ -113,7 +120,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     trainer.run()
 
 
-def record(config: DictConfig, corpus: Corpus) -> Evaluator:
+def record(config: DictConfig, dataset: Dataset) -> Evaluator:
     """The evaluator as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, EVALUATOR_PARTS, config.trusted)
@@ -121,9 +128,9 @@ def record(config: DictConfig, corpus: Corpus) -> Evaluator:
         network=parts["network"],
         text_encoder=Cached(parts["text_encoder"], config.text_cache),
         representation=parts["representation"],
-        motion_statistics=corpus.motion.to("cpu"),
-        text_statistics=corpus.text.to("cpu"),
-        fps=corpus.fps,
+        motion_statistics=dataset.motion.to("cpu"),
+        text_statistics=dataset.text.to("cpu"),
+        fps=dataset.fps,
         config={part: described[part] for part in EVALUATOR_PARTS},
     )
 
@@ -132,12 +139,12 @@ def measured(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:
     """Retrieval among the clips of a split, each with one of its sentences, by three protocols: "all" (its own pair
     alone is right), "true" (every pair whose text is true of the motion), "guo" (as "all" in batches of 32); and the
     contents that are taken for others most often."""
-    corpus = pairs.batches.corpus
+    dataset = pairs.batches.dataset
     clips, sentences = pairs.drawn(split)
-    chosen = [corpus.clips[clip] for clip in clips]
-    longest = int(pairs.batches.sampling.longest * corpus.fps)
-    motions = evaluator.motions([corpus.features[clip.start : clip.end][:longest].cpu() for clip in chosen])
-    texts = evaluator.texts([corpus.sentences[sentence] for sentence in sentences])
+    chosen = [dataset.clips[clip] for clip in clips]
+    longest = int(pairs.batches.sampling.longest * dataset.fps)
+    motions = evaluator.motions([dataset.features[clip.start : clip.end][:longest].cpu() for clip in chosen])
+    texts = evaluator.texts([dataset.sentences[sentence] for sentence in sentences])
     table, right = cosines(texts, motions), pairs.true_of(sentences, clips)
     ways = {"all": both_ways(table), "true": both_ways(table, right)}
     if len(chosen) >= 32:

@@ -14,13 +14,14 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "assign": "planning", "plan": "planning", "Plan": "planning", "collage": "composing", "guided_crops": "composing",
-    "sinc": "composing", "lerp": "composing", "ddpm": "diffusion", "ddim": "diffusion", "dpm_solver": "diffusion",
-    "guide": "diffusion", "Noise": "diffusion", "Schedule": "diffusion", "BodyPart": "body", "Prompt": "timeline",
-    "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline", "Motion": "motion",
-    "motion_of_joints": "inverse_kinematics", "Skeleton": "body_model", "Model": "model", "load": "run", "save": "run",
-    "load_evaluator": "run", "read": "export", "write": "export", "view": "viewing", "page": "viewing",
-    "figure": "viewing", "pictures": "viewing", "plot_plan": "viewing", "Sampling": "sampling",
-    "Method": "composing", "stitched": "composing", "find_method": "composing", "Denoiser": "denoisers",
+    "sinc": "composing", "smooth_seams": "composing", "ddpm": "diffusion", "ddim": "diffusion",
+    "dpm_solver": "diffusion", "guide": "diffusion", "Noise": "diffusion", "Schedule": "diffusion", "BodyPart": "body",
+    "Prompt": "timeline", "Timeline": "timeline", "one_text": "timeline", "single_track": "timeline",
+    "Motion": "motion", "motion_of_joints": "inverse_kinematics", "Skeleton": "body_model", "Model": "model",
+    "load": "run", "save": "run", "load_evaluator": "run", "read": "export", "write": "export", "view": "viewing",
+    "render_html": "viewing", "plot_timeline": "viewing", "film_strip": "viewing", "plot_plan": "viewing",
+    "Sampling": "sampling", "Method": "composing", "stitched": "composing", "find_method": "composing",
+    "Denoiser": "denoisers",
 }  # fmt: skip
 
 __all__ = sorted(_HOMES)

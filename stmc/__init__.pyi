@@ -36,7 +36,7 @@ from . import untrusted as untrusted
 from . import viewing as viewing
 from .body import BodyPart
 from .body_model import Skeleton
-from .composing import Method, collage, find_method, guided_crops, lerp, sinc, stitched
+from .composing import Method, collage, find_method, guided_crops, sinc, smooth_seams, stitched
 from .denoisers import Denoiser
 from .diffusion import Noise, Schedule, ddim, ddpm, dpm_solver, guide
 from .export import read, write
@@ -47,7 +47,7 @@ from .planning import Plan, assign, plan
 from .run import load, load_evaluator, save
 from .sampling import Sampling
 from .timeline import Prompt, Timeline, one_text, single_track
-from .viewing import figure, page, pictures, plot_plan, view
+from .viewing import film_strip, plot_plan, plot_timeline, render_html, view
 
 __all__ = [
     "BodyPart",
@@ -67,23 +67,23 @@ __all__ = [
     "ddim",
     "ddpm",
     "dpm_solver",
-    "figure",
+    "film_strip",
     "find_method",
     "guide",
     "guided_crops",
-    "lerp",
     "load",
     "load_evaluator",
     "motion_of_joints",
     "one_text",
-    "page",
-    "pictures",
     "plan",
     "plot_plan",
+    "plot_timeline",
     "read",
+    "render_html",
     "save",
     "sinc",
     "single_track",
+    "smooth_seams",
     "stitched",
     "view",
     "write",

@@ -78,7 +78,7 @@ def write_text(path: Path, text: str) -> None:
 def probe(folder: Path) -> None:
     """Makes a folder and writes to it, to find out before long work whether that can be done. Raises `OSError`."""
     if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, "is no folder", str(folder))
+        raise NotADirectoryError(errno.ENOTDIR, "is not a directory", str(folder))
     write_whole(folder / "probe", lambda temporary: temporary.write_bytes(b"probe"))
     (folder / "probe").unlink(missing_ok=True)
 

@@ -1,4 +1,5 @@
-"""What keys of configurations were called before: run directories of earlier versions load all the same.
+"""What keys of configurations were called before: run directories, checkpoints and tables of earlier versions can be
+read all the same.
 
 Knows names; knows no file.
 """
@@ -11,6 +12,35 @@ from typing import Any
 RENAMED: Mapping[str, str] = {"spread": "noise_scale", "late": "stitch_from", "window": "fixed_length"}
 """Every key that has another name now, wherever it stands in a run directory's config."""
 
+RENAMED_SETTINGS: Mapping[str, str] = {
+    "training.rate": "training.lr",
+    "training.final_rate": "training.final_lr_ratio",
+    "training.decay": "training.ema_decay",
+    "training.clip": "training.grad_clip",
+    "data.corpus.least": "data.dataset.min_clips",
+    "data.corpus": "data.dataset",
+    "data.sampling.silent": "data.sampling.text_dropout",
+    "data.sampling.crops": "data.sampling.uncond_crop_prob",
+    "data.sampling.composed": "data.sampling.compose_prob",
+    "data.sampling.hosts": "data.sampling.receivers",
+    "data.derive": "data.auxiliary_loss",
+    "objective.weights.feet": "objective.weights.foot_velocity",
+    "start": "init_from",
+    "sentences": "false_negative_encoder",
+    "similar": "false_negative_threshold",
+}
+"""The settings of trainings that have another name now, by their whole path (these old names are too common to be
+renamed wherever they stand); settings below them move with them."""
+
+RENAMED_CLASSES: Mapping[str, str] = {
+    "stmc.data.dataset.Corpus": "stmc.data.dataset.Dataset",
+    "stmc.data.feet.FootSteps": "stmc.data.feet.FootVelocity",
+}
+"""Of `_target_` in the settings of trainings."""
+
+RENAMED_COLUMNS: Mapping[str, str] = {"rate": "lr", "loss_feet": "loss_foot_velocity"}
+"""Those of the tables that trainings write."""
+
 
 def with_new_names(config: Any) -> Any:
     """A config of plain mappings and lists with today's keys; one that has both keeps today's."""
@@ -19,3 +49,18 @@ def with_new_names(config: Any) -> Any:
         old = {RENAMED[key]: value for key, value in inner.items() if key in RENAMED}
         return old | {key: value for key, value in inner.items() if key not in RENAMED}
     return [with_new_names(each) for each in config] if isinstance(config, list) else config
+
+
+def with_new_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by their whole paths, `training.lr`, with today's."""
+    return {
+        _new_path(path): RENAMED_CLASSES.get(value, value) if isinstance(value, str) else value
+        for path, value in settings.items()
+    }
+
+
+def _new_path(path: str) -> str:
+    for old, new in RENAMED_SETTINGS.items():
+        if path == old or path.startswith(f"{old}."):
+            return new + path.removeprefix(old)
+    return path

@@ -145,7 +145,7 @@ def test_a_folder_that_is_not_amass_s_is_named_with_what_it_is(files, message, t
         (tmp_path / name).write_text("")
     with pytest.raises(LayoutError, match=message):
         Recordings(tmp_path)
-    with pytest.raises(LayoutError, match=r"source=.*nowhere is no folder; it should hold AMASS's data sets"):
+    with pytest.raises(LayoutError, match=r"source=.*nowhere is not a directory; it should hold AMASS's data sets"):
         Recordings(tmp_path / "nowhere")
 
 

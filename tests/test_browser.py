@@ -10,7 +10,7 @@ import pytest
 from walker import walking
 
 from stmc.timeline import Timeline
-from stmc.viewing import page
+from stmc.viewing import render_html
 
 pytestmark = [
     pytest.mark.browser,
@@ -24,7 +24,8 @@ def tab(tmp_path_factory) -> Iterator[chromium.Tab]:
     timeline = Timeline.parse("step in place # 0 # 3 # legs\nraise the right arm # 1 # 2 # right arm")
     folder = tmp_path_factory.mktemp("page")
     path = folder / "motion.html"
-    path.write_text(page(walking(seconds=3.0, speed=0.0, turn=0.0), timeline, title="steps", overlap=0.2), "utf-8")
+    content = render_html(walking(seconds=3.0, speed=0.0, turn=0.0), timeline, title="steps", overlap=0.2)
+    path.write_text(content, "utf-8")
     with chromium.tab(folder / "profile", 700, 760) as opened:
         opened.open(f"{path.as_uri()}#t=0.4")
         opened.wait("document.body.dataset.time == '0.400'")
@@ -133,7 +134,7 @@ def phone(tmp_path_factory) -> Iterator[chromium.Tab]:
     """The page of someone who walks 6 m, in a window as wide as a phone, opened at 0.5 s."""
     folder = tmp_path_factory.mktemp("phone")
     path = folder / "motion.html"
-    path.write_text(page(walking(seconds=5.0, speed=1.2, turn=0.0), Timeline.parse("walk # 0 # 5")), "utf-8")
+    path.write_text(render_html(walking(seconds=5.0, speed=1.2, turn=0.0), Timeline.parse("walk # 0 # 5")), "utf-8")
     with chromium.tab(folder / "profile", 500, 844) as opened:
         opened.call("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=False)
         opened.open(f"{path.as_uri()}#t=0.5")

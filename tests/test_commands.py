@@ -133,7 +133,7 @@ REFUSED = {
     "--steps": "--steps needs a value",
     "timeline=${nobody}": "'nobody' not found",
     "~nobody": "'nobody' does not exist",
-    "a b c": "'c' is no setting",
+    "a b c": "'c' is not a setting",
     "--config-name nobody": "nobody.yaml does not exist",
     "--config-dir nobody": "nobody is not a folder",
 }

@@ -32,8 +32,8 @@ from stmc.composing import (
     crop_seeds,
     distinct_texts,
     guided_crops,
-    lerp,
     sinc,
+    smooth_seams,
 )
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
 from stmc.planning import Crop, Plan, Tile
@@ -353,16 +353,16 @@ def test_sinc_selects_each_part_from_the_crop_that_owns_it():
 def test_lerp_draws_a_line_across_each_seam_of_the_part_that_changes():
     plans = plans_of(timeline(("a", 0, 20, "legs"), ("b", 20, 40, "legs")), overlap=0)
     features = torch.cat([torch.zeros(1, 20, 10), torch.ones(1, 20, 10)], dim=1)
-    smooth = lerp(features, plans, COLUMNS, overlap=6)
+    smooth = smooth_seams(features, plans, COLUMNS, overlap=6)
     torch.testing.assert_close(smooth[0, 17:23], torch.linspace(0, 1, 6)[:, None].expand(6, 10))
     assert smooth[0, :17].eq(0).all() and smooth[0, 23:].eq(1).all()
-    assert torch.equal(lerp(features, plans, COLUMNS, overlap=0), features)
+    assert torch.equal(smooth_seams(features, plans, COLUMNS, overlap=0), features)
 
 
 def test_lerp_leaves_parts_alone_that_do_not_change():
     plans = plans_of(WALK_WAVE, timeline(("stand", 0, 74)), overlap=0)
     features = torch.randn(2, 74, 10)
-    smooth = lerp(features, plans, COLUMNS, overlap=10)
+    smooth = smooth_seams(features, plans, COLUMNS, overlap=10)
     assert torch.equal(smooth[1], features[1])
     arm, legs = list(COLUMNS[BodyPart.RIGHT_ARM]), list(COLUMNS[BodyPart.LEGS])
     assert torch.equal(smooth[0, 9:19, legs], features[0, 9:19, legs])
@@ -372,7 +372,7 @@ def test_lerp_leaves_parts_alone_that_do_not_change():
 def test_lerp_refuses_plans_with_an_overlap():
     plans = plans_of(WALK_WAVE)
     with pytest.raises(ValueError, match="overlap=0"):
-        lerp(torch.zeros(1, 74, 10), plans, COLUMNS, overlap=10)
+        smooth_seams(torch.zeros(1, 74, 10), plans, COLUMNS, overlap=10)
 
 
 def test_stopping_early_costs_no_further_steps():

@@ -12,7 +12,7 @@ from mosaic import FPS, last, padding_of, plans_of, timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.composing import METHODS, NULL, Run, collage, crop_lengths, guided_crops, lerp, sinc
+from stmc.composing import METHODS, NULL, Run, collage, crop_lengths, guided_crops, sinc, smooth_seams
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule, ddpm
 from stmc.planning import Plan
@@ -47,7 +47,7 @@ def test_stitching_is_that_of_the_published_code(folder, layout):
         crops = torch.from_numpy(data[f"crops_{name}"]).float()
         composite = sinc(crops, plans, columns)
         assert torch.equal(composite, torch.from_numpy(data[f"composite_{name}"]).float())
-        smooth = lerp(composite, plans_of(*timelines, overlap=0), columns, overlap)
+        smooth = smooth_seams(composite, plans_of(*timelines, overlap=0), columns, overlap)
         if (expected := data.get(f"lerp_{'noext' if name == 'noext' else 'on_ext'}")) is not None:
             torch.testing.assert_close(smooth, torch.from_numpy(expected), atol=1e-4, rtol=0)
 
@@ -188,7 +188,7 @@ def sinc_with_and_without_lerp_is_that_of_the_published_code(folder):
     crops = run.crops(plans, run.data["noise_shape_sinc"], "noise_seed")
     x0 = sinc(crops, plans, run.columns)
     assert_golden(x0, run.data["x0_sinc"])
-    assert_golden(lerp(x0, plans, run.columns, int(run.data["overlap"])), run.data["x0_sinc_lerp"])
+    assert_golden(smooth_seams(x0, plans, run.columns, int(run.data["overlap"])), run.data["x0_sinc_lerp"])
 
 
 def text_to_motion_is_that_of_the_published_code(folder):

@@ -29,7 +29,7 @@ from stmc.sampling import Sampling
 FPS, WINDOW = 30.0, 60
 REPRESENTATION = SmplRepresentation()
 POSES = {"left": ("left_shoulder", 1.2), "right": ("right_shoulder", -1.2), "both": ("spine1", 0.4)}
-SHORTER = {"count": 2, "segments": 20, "least": 1}
+SHORTER = {"count": 2, "segments": 20, "min_clips": 1}
 
 
 def still(content: str, frames: int = 90, heading: float = 0.0) -> Motion:
@@ -190,7 +190,7 @@ def test_contents_are_drawn_alike_however_many_clips_they_have():
 
 def test_repeats_hold_an_action_for_as_many_segments_and_only_cyclic_ones():
     cache = data({"left": 2, "right": 2, "both": 2}, cyclic=("left", "right"))
-    settings = {"count": 8, "segments": 8, "least": 1}
+    settings = {"count": 8, "segments": 8, "min_clips": 1}
     whole = Compositions(cache, REPRESENTATION, ORACLE, repeats=8, **settings)
     for timeline in whole.timelines("stmc"):
         assert len({prompt.text for prompt in timeline.prompts}) == 1
@@ -220,7 +220,7 @@ def test_a_test_split_that_holds_too_little_says_what_it_has():
         return Compositions(cache, REPRESENTATION, ORACLE, **(SHORTER | settings))
 
     with pytest.raises(CacheError, match=r"two contents of at least 5 clips .* it has left \(3\), right \(8\)"):
-        make(data({"left": 3, "right": 8}), least=5)
+        make(data({"left": 3, "right": 8}), min_clips=5)
     with pytest.raises(CacheError, match=r"it has none"):
         make(data({"left": 3, "right": 8}, split="train"))
     with pytest.raises(CacheError, match=r"two cyclic contents .* it has left \(3\)"):

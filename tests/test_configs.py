@@ -13,7 +13,7 @@ from test_motion import walk
 from toys import LetterCounts
 
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import Corpus
+from stmc.data.dataset import Dataset
 from stmc.representation import SmplRepresentation
 
 CONFIGS = ROOT / "configs"
@@ -26,7 +26,7 @@ CACHE = Cache(
     tuple(dataclasses.replace(CLIP, name=f"walk-{number}") for number in range(5)),
     {"walk": (("walk", 1.0),)},
 )
-CORPUS = Corpus(CACHE, LetterCounts(), SmplRepresentation.layout, least=1)
+DATASET = Dataset(CACHE, LetterCounts(), SmplRepresentation.layout, min_clips=1)
 FROM_THE_DATA = {
     "features": 11,
     "text_width": 8,
@@ -35,7 +35,7 @@ FROM_THE_DATA = {
     "source": ".",
     "annotations": ".",
     "layout": SmplRepresentation.layout,
-    "corpus": CORPUS,
+    "dataset": DATASET,
 }
 """Arguments that a script supplies, not a YAML."""
 

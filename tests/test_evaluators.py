@@ -16,7 +16,7 @@ from walker import walking
 
 from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import Corpus
+from stmc.data.dataset import Dataset
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator, GuoEvaluator, Posterior, Tmr, TmrObjective
 from stmc.evaluators.objective import contrast, divergence, kl_terms
@@ -180,18 +180,18 @@ def test_the_guo_evaluator_gives_embeddings_in_the_order_of_its_inputs_and_refus
 
 
 def pair_batches(composed: float = 0.0, **settings) -> PairBatches:
-    corpus = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
-    sampling = Sampling(rows=24, pool=2, pieces=1, crops=0.0, silent=0.0, composed=composed)
-    return PairBatches(ClipBatches(corpus, "train", sampling), **settings)
+    dataset = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
+    sampling = Sampling(rows=24, pool=2, pieces=1, uncond_crop_prob=0.0, text_dropout=0.0, compose_prob=composed)
+    return PairBatches(ClipBatches(dataset, "train", sampling), **settings)
 
 
 def test_every_row_has_a_text_and_texts_of_one_clip_are_no_wrong_answers_to_each_other():
     batches = pair_batches()
-    corpus = batches.batches.corpus
-    [pairs], [draws] = batches(3), batches.batches.draws(3)
-    assert (draws.sentence != 0).all() and pairs.alike.shape == (len(draws.sentence),) * 2
-    says = [corpus.sentences[sentence] for sentence in draws.sentence]
-    shows = [corpus.clips[clip].content for clip in draws.body.clip]
+    dataset = batches.batches.dataset
+    [pairs], [plan] = batches(3), batches.batches.plans(3)
+    assert (plan.sentence != 0).all() and pairs.alike.shape == (len(plan.sentence),) * 2
+    says = [dataset.sentences[sentence] for sentence in plan.sentence]
+    shows = [dataset.clips[clip].content for clip in plan.body.clip]
     truth = {"walk": "walk", "a walk": "walk", "raise the arm": "raise"}
     assert pairs.alike.tolist() == [[truth[text] == content for content in shows] for text in says]
     assert len(set(says)) > 1 and set(shows) == {"walk", "raise"}
@@ -211,29 +211,31 @@ def composing() -> PairBatches:
     raising = [
         Clip(**(vars(clip) | {"parts": ("left arm",)})) if clip.content == "raise" else clip for clip in table.clips
     ]
-    corpus = Corpus(
-        Cache(table.fps, "toy", table.features, tuple(raising), table.texts), LetterCounts(), LAYOUT, least=3
+    dataset = Dataset(
+        Cache(table.fps, "toy", table.features, tuple(raising), table.texts), LetterCounts(), LAYOUT, min_clips=3
     )
-    sampling = Sampling(rows=32, pool=2, pieces=1, crops=0.0, silent=0.0, composed=1.0, shortest=4.0)
-    return PairBatches(ClipBatches(corpus, "train", sampling))
+    sampling = Sampling(
+        rows=32, pool=2, pieces=1, uncond_crop_prob=0.0, text_dropout=0.0, compose_prob=1.0, shortest=4.0
+    )
+    return PairBatches(ClipBatches(dataset, "train", sampling))
 
 
 def test_a_composition_shows_what_both_of_its_clips_show():
     batches = composing()
-    [draws] = batches.batches.draws(0)
-    composed = draws.guest.frames > 0
+    [plan] = batches.batches.plans(0)
+    composed = plan.donor.frames > 0
     assert composed.any() and not composed.all()
-    alike = batches.alike(draws)
+    alike = batches.alike(plan)
     assert alike[:, torch.from_numpy(composed)].all()  # walks and raises: true of both texts
     assert not alike[:, torch.from_numpy(~composed)].all()
 
 
 def test_what_a_cut_has_lost_is_no_answer():
     batches = composing()
-    [draws] = batches.batches.draws(0)
-    cut = dataclasses.replace(draws, other=draws.sentence)
-    composed = torch.from_numpy(draws.guest.frames > 0)
-    says = [batches.batches.corpus.sentences[sentence] for sentence in draws.sentence]
+    [plan] = batches.batches.plans(0)
+    cut = dataclasses.replace(plan, other=plan.sentence)
+    composed = torch.from_numpy(plan.donor.frames > 0)
+    says = [batches.batches.dataset.sentences[sentence] for sentence in plan.sentence]
     walks = torch.tensor(["walk" in text for text in says])
     assert walks.any() and not batches.alike(cut)[walks][:, composed].any()
     assert batches.alike(cut)[~walks][:, composed].all()
@@ -241,11 +243,11 @@ def test_what_a_cut_has_lost_is_no_answer():
 
 def test_half_of_the_compositions_have_the_text_of_the_other_clip(monkeypatch):
     batches, told = composing(), []
-    batch = batches.batches.corpus.batch
-    monkeypatch.setattr(batches.batches.corpus, "batch", lambda draws: told.append(draws) or batch(draws))
+    batch = batches.batches.dataset.batch
+    monkeypatch.setattr(batches.batches.dataset, "batch", lambda plan: told.append(plan) or batch(plan))
     for step in range(12):
         batches(step)
-    asked = [draws for step in range(12) for draws in batches.batches.draws(step)]
+    asked = [plan for step in range(12) for plan in batches.batches.plans(step)]
     rows = [
         (own, was, other)
         for new, old in zip(told, asked, strict=True)
@@ -258,9 +260,9 @@ def test_half_of_the_compositions_have_the_text_of_the_other_clip(monkeypatch):
 
 
 def test_rows_without_texts_make_no_pairs():
-    corpus = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
-    with pytest.raises(ValueError, match=r"crops \(0.12\) and silent \(0.1\) must be 0"):
-        PairBatches(ClipBatches(corpus, "train", Sampling()))
+    dataset = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
+    with pytest.raises(ValueError, match=r"uncond_crop_prob \(0.12\) and text_dropout \(0.1\) must be 0"):
+        PairBatches(ClipBatches(dataset, "train", Sampling()))
 
 
 @pytest.fixture(scope="module")
@@ -280,7 +282,13 @@ def trained(tmp_path_factory):
     Cache(20, "smpl", torch.cat(rows), tuple(clips), texts).write(folder / "cache")
     settings = [f"run={folder / 'run'}", f"data.folder={folder / 'cache'}", f"text_cache={folder / 'texts'}"]
     settings += [f"network.{name}={size}" for name, size in SIZES.items()]
-    settings += ["device=cpu", "threads=1", "validation=1", "data.sampling.rows=8", "+text_encoder@sentences=minilm"]
+    settings += [
+        "device=cpu",
+        "threads=1",
+        "validation=1",
+        "data.sampling.rows=8",
+        "+text_encoder@false_negative_encoder=minilm",
+    ]
     settings += [
         "training.log_every=2",
         "training.warmup=1",

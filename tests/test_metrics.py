@@ -98,7 +98,7 @@ def test_any_of_several_right_answers_counts_and_none_of_them_is_in_the_way():
     [
         (torch.zeros(2, 3), None, "say which are right"),
         (torch.zeros(2, 2), torch.tensor([[True, False], [False, False]]), "query 1 has no right answer"),
-        (torch.full((2, 2), torch.nan), None, "4 of 4 scores are no numbers"),
+        (torch.full((2, 2), torch.nan), None, "4 of 4 scores are not numbers"),
     ],
 )
 def test_retrieval_of_what_cannot_be_ranked_is_an_error(table, right, message):

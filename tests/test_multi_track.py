@@ -18,8 +18,8 @@ from torch import Tensor
 
 import stmc
 from stmc.benchmarks import Benchmark, MultiTrack
-from stmc.benchmarks.atomic_prompts import AtomicPrompt, construct, read_atoms
-from stmc.benchmarks.ground_truth import cache_footage
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atomic_prompts, sample_timelines
+from stmc.benchmarks.ground_truth import cache_reference_motions
 from stmc.benchmarks.multi_track import open_mtt
 from stmc.body import BodyPart
 from stmc.data.cache import Cache, CacheError, Clip
@@ -147,14 +147,14 @@ def test_a_text_that_no_atom_has_is_named():
 
 
 def test_the_bundled_timelines_are_those_that_the_bundled_prompts_make():
-    atoms, timelines = read_atoms(BUNDLED / "prompts.json"), Timeline.read_all(BUNDLED / "timelines.json")
+    atoms, timelines = read_atomic_prompts(BUNDLED / "prompts.json"), Timeline.read_all(BUNDLED / "timelines.json")
     assert len(timelines) == 500
-    assert construct(atoms, 500, seed=0) == timelines
+    assert sample_timelines(atoms, 500, seed=0) == timelines
     assert {prompt.text for timeline in timelines for prompt in timeline.prompts} == {atom.text for atom in atoms}
 
 
 def test_the_bundled_evaluator_finds_what_the_bundled_model_was_asked_for():
-    atoms, ear, model = read_atoms(BUNDLED / "prompts.json"), stmc.load_evaluator(), stmc.load()
+    atoms, ear, model = read_atomic_prompts(BUNDLED / "prompts.json"), stmc.load_evaluator(), stmc.load()
     asked = [atom for atom in atoms if atom.text in ("walk", "turn left", "raise the right arm", "raise both arms")]
     timelines = [Timeline((Prompt(atom.text, 0, 4, atom.parts),)) for atom in asked]
     motions = model.generate(timelines, seed=0, steps=10, sampler=stmc.ddim)
@@ -164,7 +164,7 @@ def test_the_bundled_evaluator_finds_what_the_bundled_model_was_asked_for():
 
 def prepared(texts: Sequence[str]) -> Cache:
     """A data set whose test split shows each text twice, in clips that the bundled atoms name."""
-    named = {atom.text: atom.clip for atom in read_atoms(BUNDLED / "prompts.json")}
+    named = {atom.text: atom.clip for atom in read_atomic_prompts(BUNDLED / "prompts.json")}
     features, clips = [], []
     for text in texts:
         for copy in range(2):
@@ -185,7 +185,7 @@ class AnyText(Oracle):
 
 def test_the_open_benchmark_takes_its_real_motion_from_the_test_split(tmp_path, monkeypatch):
     monkeypatch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
-    texts = [atom.text for atom in read_atoms(BUNDLED / "prompts.json")]
+    texts = [atom.text for atom in read_atomic_prompts(BUNDLED / "prompts.json")]
     prepared(texts).write(tmp_path / "cache")
     opened = open_mtt(AnyText(), tmp_path / "cache", first=3)
     assert len(opened.asked) == 3
@@ -200,7 +200,7 @@ def test_a_text_that_the_test_split_does_not_show_is_named(tmp_path, work, quick
 
 
 def test_footage_says_what_it_does_not_have():
-    shown = cache_footage(prepared(["bow"]), REPRESENTATION)
+    shown = cache_reference_motions(prepared(["bow"]), REPRESENTATION)
     assert len(shown("dataset-1_bow_normal_001", 1.0, 2.0)) == 20
     with pytest.raises(CacheError, match="no clip 'jump' among 2"):
         shown("jump", 0.0, 1.0)

@@ -15,8 +15,8 @@ from tiny import Hashes, tiny
 from torch.testing import assert_close
 
 import stmc
-from stmc.benchmarks.atomic_prompts import read_atoms
-from stmc.benchmarks.ground_truth import Footage, amass_footage
+from stmc.benchmarks.atomic_prompts import read_atomic_prompts
+from stmc.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.data.sources.amass import read_recording, unmirrored
@@ -117,8 +117,8 @@ def evaluator_of_humanml3d() -> Evaluator:
 
 
 @pytest.fixture(scope="module")
-def footage(work) -> Footage:
-    return amass_footage(work / "AMASS", 20)
+def reference_motions(work) -> ReferenceMotions:
+    return amass_reference_motions(work / "AMASS", 20)
 
 
 # The slow way ---------------------------------------------------------------------------------------------------------
@@ -251,7 +251,7 @@ def test_the_published_table_is_the_one_that_the_published_formulas_give(work, m
     slow, model = Slow(stmc.load_evaluator(work / "tmr")), stmc.load(work / "model")
     expected = {"ground_truth": slow.real()}
     for method in ("one_text", "stmc"):
-        settings = {"seed": [2, 3], "steps": 2, "late": 0.0, "method": method, "joints_from": "features"}
+        settings = {"seed": [2, 3], "steps": 2, "stitch_from": 0.0, "method": method, "joints_from": "features"}
         motions = model.generate(stmc.Timeline.read_all(work / "MTT.txt"), **settings)
         joints = [motion.joints.double().numpy() for motion in motions]
         expected[method] = slow.generated(joints, one_text=method == "one_text")
@@ -261,16 +261,16 @@ def test_the_published_table_is_the_one_that_the_published_formulas_give(work, m
     assert len({number for numbers in expected.values() for number in numbers.values()}) > 10
 
 
-def test_the_ground_truth_is_cut_and_mirrored_as_published(work, footage):
-    for atom in read_atoms(work / "texts.txt", work / "motions.txt"):
+def test_the_ground_truth_is_cut_and_mirrored_as_published(work, reference_motions):
+    for atom in read_atomic_prompts(work / "texts.txt", work / "motions.txt"):
         expected = oracle_joints(atom.clip, atom.start, atom.end)
-        shown = from_origin(footage(atom.clip, atom.start, atom.end).joints[:, :22].numpy())
+        shown = from_origin(reference_motions(atom.clip, atom.start, atom.end).joints[:, :22].numpy())
         assert_close(shown, expected, atol=2e-5, rtol=0)
 
 
 @pytest.mark.parametrize("name", RECORDED)
-def test_a_name_with_m_is_the_mirror_image(work, footage, name):
-    plain, image = footage(name, 0.1, 1.5), footage(f"M/{name}", 0.1, 1.5)
+def test_a_name_with_m_is_the_mirror_image(work, reference_motions, name):
+    plain, image = reference_motions(name, 0.1, 1.5), reference_motions(f"M/{name}", 0.1, 1.5)
     recorded = read_recording(work / "AMASS" / f"{name}.npz", Skeleton.default()).mirrored().resampled(20)
     posed = stmc.Motion.posed(recorded.rotations, recorded.translation, 20, Skeleton.default()).trimmed(2, 30)
     assert_close(image.rotations, posed.rotations, atol=1e-9, rtol=0)
@@ -285,11 +285,11 @@ def test_the_mirror_images_of_the_published_atoms_are_known_by_their_names():
     assert [f"M/{path}" if image else path for path, image in known] == paths
 
 
-def test_recordings_that_are_not_there_and_an_evaluator_of_other_features_are_named(work, footage):
+def test_recordings_that_are_not_there_and_an_evaluator_of_other_features_are_named(work, reference_motions):
     with pytest.raises(ValueError, match="no recording 'KIT/3/jump_poses'"):
-        footage("M/KIT/3/jump_poses", 0.0, 1.0)
+        reference_motions("M/KIT/3/jump_poses", 0.0, 1.0)
     with pytest.raises(ValueError, match="knows 205 features; the published formulas need one of HumanML3D's 263"):
-        PUBLISHED.real_transition([footage("KIT/3/bow01_poses", 0.0, 1.0)], evaluator())
+        PUBLISHED.real_transition([reference_motions("KIT/3/bow01_poses", 0.0, 1.0)], evaluator())
 
 
 @pytest.mark.parametrize("representation", [None, HumanML3DRepresentation()], ids=["205", "263"])

@@ -1,6 +1,6 @@
 """Configs of earlier versions with today's names."""
 
-from stmc.renamed import with_new_names
+from stmc.renamed import with_new_names, with_new_paths
 
 
 def test_old_keys_have_todays_names_wherever_they_stand_and_todays_win():
@@ -12,3 +12,15 @@ def test_old_keys_have_todays_names_wherever_they_stand_and_todays_win():
         "parts": [{"stitch_from": 1}],
     }
     assert with_new_names({"late": 0.2, "stitch_from": 0.5}) == {"stitch_from": 0.5}
+
+
+def test_settings_of_an_earlier_training_have_todays_paths_and_no_other_setting_does():
+    old = {"training.rate": 1e-3, "training.steps": 4, "denoiser.rate": 2.0, "data.corpus.least": 2}
+    old["data.corpus._target_"] = "stmc.data.dataset.Corpus"
+    assert with_new_paths(old) == {
+        "training.lr": 1e-3,
+        "training.steps": 4,
+        "denoiser.rate": 2.0,
+        "data.dataset.min_clips": 2,
+        "data.dataset._target_": "stmc.data.dataset.Dataset",
+    }

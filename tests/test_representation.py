@@ -246,4 +246,4 @@ def test_foot_steps_are_the_ways_of_the_decoded_feet_seen_from_the_heading():
     motion = representation.decode(features, 20, skeleton)
     feet = motion.joints[:, [JOINTS.index("left_foot"), JOINTS.index("right_foot")]].diff(dim=0)
     seen = (feet @ rotation_z(motion.heading[:-1])).flatten(1)
-    torch.testing.assert_close(representation.foot_steps(features, skeleton), seen, atol=1e-5, rtol=0)
+    torch.testing.assert_close(representation.foot_velocities(features, skeleton), seen, atol=1e-5, rtol=0)

@@ -16,7 +16,7 @@ from strategies import timelines as any_timeline
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.composing import collage, crop_lengths, guided_crops, inpaint, kept_shares, lerp, slerp
+from stmc.composing import collage, crop_lengths, guided_crops, inpaint, kept_shares, slerp, smooth_seams
 from stmc.diffusion import Schedule, ddim, ddpm
 from stmc.geometry import matrix_to_rows, rows_to_matrix
 from stmc.planning import Crop, Plan, Tile, cross_fade, handshake, multi_diffusion, plan, second_take, transition_spans
@@ -192,7 +192,7 @@ def test_rotations_of_a_transition_follow_the_shortest_arc_and_the_rest_a_line()
     smooth = slerp(raw, plans, SMPL_LAYOUT, overlap=10)
     torch.testing.assert_close(smooth[0, :, rotations], turn.repeat(1, 22), atol=1e-5, rtol=0)
     rest = [column for column in range(SMPL_LAYOUT.width) if not rotations.start <= column < rotations.stop]
-    assert torch.equal(smooth[..., rest], lerp(raw, plans, SMPL_LAYOUT.columns, 10)[..., rest])
+    assert torch.equal(smooth[..., rest], smooth_seams(raw, plans, SMPL_LAYOUT.columns, 10)[..., rest])
     made = rows_to_matrix(smooth[0, :, rotations].reshape(60, 22, 6))
     assert roma.is_rotation_matrix(made, epsilon=1e-4)
     assert torch.equal(slerp(raw, plans, SMPL_LAYOUT, overlap=0), raw)

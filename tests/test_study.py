@@ -312,7 +312,7 @@ def test_what_cannot_be_paired_is_named(tmp_path, pairs):
     with pytest.raises(StudyError, match="has a motion of any of the 1 timelines"):
         read_pairs(first, second, [pairs[2].timeline])
     path.with_suffix(".json").write_text('{"seed": 0}')
-    with pytest.raises(StudyError, match=r"some_0\.json is no record"):
+    with pytest.raises(StudyError, match=r"some_0\.json is not a record"):
         read_pairs(first, second, [one.timeline])
     path.with_suffix(".json").unlink()
     with pytest.raises(StudyError, match=r"some_0\.json is missing"):
@@ -438,7 +438,7 @@ def test_wilson_s_bounds_are_the_shares_from_which_the_observed_one_is_z_deviati
 
 
 def test_no_share_of_nothing():
-    with pytest.raises(ValueError, match="3 of 0 is no share"):
+    with pytest.raises(ValueError, match="3 of 0 is not a share"):
         wilson(3, 0)
 
 
@@ -479,7 +479,7 @@ def tampered(change: str, data: dict, key: Key) -> None:
         ("a choice is another question's", r"answers\.[0-9a-f]{16}\.realism: '[0-9a-f]{16}' is neither of the two"),
         ("a choice is no text", r"realism: \[\"none\"\] is neither of the two motions nor 'none'"),
         ("an answer is gone", r"answers\.[0-9a-f]{16}: 'timeline' is missing"),
-        ("an answer is none at all", r"answers\.[0-9a-f]{16}: null is no object"),
+        ("an answer is none at all", r"answers\.[0-9a-f]{16}: null is not an object"),
         ("the survey is unknown", "survey: 'ffffffffffffffff' is none of the 2 surveys of this key"),
         ("the survey is a list", r"survey: \[\] is none of the 2 surveys"),
         ("the rater is a name", "rater: 'Anna' is not the code of 16 hexadecimal digits"),
@@ -502,7 +502,7 @@ def test_a_tampered_file_is_named_with_the_place_that_is_wrong(study, tmp_path, 
         (b"", "line 1, column 1: not JSON"),
         (b"\xff\xfe", "not UTF-8 text"),
         (b"[" * 100000, "not JSON"),
-        (b"[]", r"the document: \[\] is no object"),
+        (b"[]", r"the document: \[\] is not an object"),
         (b'{"rater": "a", "rater": "b"}', "the key 'rater' is duplicated"),
         (b"{}", "the document: 'format' is missing, and 3 more"),
         (b" " * (2**20 + 1), "larger than 1 MiB"),
@@ -533,7 +533,7 @@ def test_a_key_is_read_as_it_was_written_and_else_refused(study, tmp_path):
     next(iter(next(iter(broken["surveys"].values())).values()))["sides"] = {"a": "collage", "b": "collage"}
     for content in ("", "[]", "{}", json.dumps(data | {"methods": ["one"]}), json.dumps(broken)):
         path.write_text(content)
-        with pytest.raises(StudyError, match=r"key\.json is no answer key"):
+        with pytest.raises(StudyError, match=r"key\.json is not an answer key"):
             Key.read(path)
     path.write_text(json.dumps(data | {"format": "else"}))
     with pytest.raises(StudyError, match="the format is 'else'"):

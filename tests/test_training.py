@@ -15,28 +15,29 @@ from torch import nn
 from toys import LAYOUT, LetterCounts, cache
 
 from stmc.data.batches import ClipBatches, Sampling
-from stmc.data.dataset import Corpus
+from stmc.data.dataset import Dataset
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion.schedule import Schedule
 from stmc.training import (
     Batch,
+    Callback,
     CheckpointError,
     Checkpoints,
     Denoising,
     Ema,
-    Hook,
     Settings,
     SettingsChanged,
     Trainer,
     draw_noise,
     find_accelerator,
+    loop,
     squared_errors,
 )
 from stmc.training.logs import Table
 from stmc.training.speed import ByteDropout, quick_attention, quicken_dropout
 
 HERE = Path(__file__).parent
-QUICK = {"rate": 3e-3, "warmup": 5, "decay": 0.9, "log_every": 2, "checkpoint_every": 4, "validate_every": 8}
+QUICK = {"lr": 3e-3, "warmup": 5, "ema_decay": 0.9, "log_every": 2, "checkpoint_every": 4, "validate_every": 8}
 
 
 class Constant(nn.Module):
@@ -55,20 +56,20 @@ class Killed(BaseException):
 
 
 def trainer(
-    folder, denoiser=None, hooks=(), pieces=2, dropout=0.1, objective=None,
+    folder, denoiser=None, callbacks=(), pieces=2, dropout=0.1, objective=None,
     described=None, allow_changed_settings=False, **settings,
 ) -> Trainer:  # fmt: skip
     torch.manual_seed(0)
-    corpus = Corpus(cache(), LetterCounts(), LAYOUT, least=3)
+    dataset = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
     sampling = Sampling(rows=8, pool=2, pieces=pieces)
     return Trainer(
         denoiser or MdmSmpl(LAYOUT.width, 8, width=16, feedforward=32, layers=1, heads=2, dropout=dropout),
         objective or Denoising(Schedule.cosine(20), fields=LAYOUT.slices),
-        ClipBatches(corpus, "train", sampling),
+        ClipBatches(dataset, "train", sampling),
         folder,
         Settings(**({"steps": 16} | QUICK | settings)),
-        validation=ClipBatches(corpus, "val", sampling)(0),
-        hooks=hooks,
+        validation=ClipBatches(dataset, "val", sampling)(0),
+        callbacks=callbacks,
         described=described,
         allow_changed_settings=allow_changed_settings,
     )
@@ -124,19 +125,19 @@ def test_errors_of_derived_numbers_follow_where_both_frames_exist():
     mask = torch.tensor([[True, True, True], [True, True, False]])
     errors = squared_errors(
         lambda x, *_: torch.zeros_like(x), Schedule.cosine(10), batch_of(motion, mask),
-        torch.tensor([3, 4]), torch.zeros_like(motion), derive=lambda x: x[:, 1:].sum(-1, keepdim=True),
+        torch.tensor([3, 4]), torch.zeros_like(motion), auxiliary_loss=lambda x: x[:, 1:].sum(-1, keepdim=True),
     )  # fmt: skip
     assert errors.tolist() == [0 + 4 + 16 + 36 + 64, 1 + 9 + 25 + 49 + 81, 5**2 + 9**2 + 17**2]
 
 
 def test_only_a_prediction_of_the_clean_motion_has_derived_numbers():
     with pytest.raises(ValueError, match="x0, not of eps"):
-        Denoising(Schedule.cosine(10), derive=lambda x: x[:, 1:], prediction="eps")
+        Denoising(Schedule.cosine(10), auxiliary_loss=lambda x: x[:, 1:], prediction="eps")
 
 
 def test_derived_numbers_are_logged_and_weighed_by_their_name(tmp_path):
     fields = LAYOUT.slices | {"steps": slice(LAYOUT.width, None)}
-    derived = {"derive": lambda x: x.diff(dim=1), "fields": fields}
+    derived = {"auxiliary_loss": lambda x: x.diff(dim=1), "fields": fields}
     heavy = Denoising(Schedule.cosine(20), weights={"steps": 100.0}, **derived)
     run = trainer(tmp_path / "heavy", steps=2, objective=heavy)
     run.run()
@@ -157,7 +158,7 @@ def test_steps_of_noising_are_uniform_and_noise_is_standard():
 
 
 def test_the_loss_falls_and_the_average_learns_too(tmp_path):
-    model = trainer(tmp_path, steps=48, rate=1e-2, precision="fp32").run()
+    model = trainer(tmp_path, steps=48, lr=1e-2, precision="fp32").run()
     first, *_, last = rows(tmp_path / "train.csv")
     assert float(last["loss"]) < 0.6 * float(first["loss"])
     first, *_, last = rows(tmp_path / "validation.csv")
@@ -186,7 +187,7 @@ def test_pieces_of_a_batch_add_up_to_the_batch(tmp_path):
     frames = {}
     for pieces in (1, 4):
         run = trainer(tmp_path / str(pieces), Constant(LAYOUT.width), pieces=pieces, steps=2)
-        whole = ClipBatches(run.batches.corpus, "train", Sampling(rows=8, pool=1, pieces=pieces))
+        whole = ClipBatches(run.batches.dataset, "train", Sampling(rows=8, pool=1, pieces=pieces))
         run.batches = lambda step, process, draw=whole: draw(0, process)
         run.run()
         frames[pieces] = run.network.frame.detach()
@@ -204,11 +205,11 @@ def test_a_fields_weight_scales_its_part_of_the_gradient():
 
 
 def test_the_rate_rises_to_its_peak_and_falls_to_its_end():
-    settings = Settings(steps=1000, rate=1.0, warmup=100, final_rate=0.1)
-    assert settings.rate_at(0) == pytest.approx(0.01)
-    assert settings.rate_at(99) == settings.rate_at(100) == pytest.approx(1.0)
-    assert settings.rate_at(550) == pytest.approx(0.55)
-    assert settings.rate_at(1000) == settings.rate_at(2000) == pytest.approx(0.1)
+    settings = Settings(steps=1000, lr=1.0, warmup=100, final_lr_ratio=0.1)
+    assert settings.lr_at(0) == pytest.approx(0.01)
+    assert settings.lr_at(99) == settings.lr_at(100) == pytest.approx(1.0)
+    assert settings.lr_at(550) == pytest.approx(0.55)
+    assert settings.lr_at(1000) == settings.lr_at(2000) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("wrong", [{"precision": "fp8"}, {"steps": 0}, {"checkpoint_every": 75}, {"validate_every": 0}])
@@ -242,7 +243,7 @@ def test_a_run_stopped_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
 
         folder = tmp_path / str(moment)
         with pytest.raises(Killed):
-            trainer(folder, hooks=[Hook(1, kill)]).run()
+            trainer(folder, callbacks=[Callback(1, kill)]).run()
         resumed = trainer(folder)
         assert resumed.step == (moment - 1) // 4 * 4  # a checkpoint is the last thing that a step does
         model = resumed.run().state_dict()
@@ -264,12 +265,26 @@ def test_another_seed_cannot_go_on_with_a_run(tmp_path):
         trainer(tmp_path, steps=8, lr_decay_steps=4, seed=1)
 
 
+def test_a_run_of_an_earlier_version_goes_on_under_todays_names(tmp_path, monkeypatch):
+    with monkeypatch.context() as before:
+        old = {"training.lr": "training.rate", "training.ema_decay": "training.decay"}
+        renamed = loop.deciding
+        before.setattr(loop, "deciding", lambda now: {old.get(path, path): v for path, v in renamed(now).items()})
+        trainer(tmp_path, steps=2).run()
+    table = tmp_path / "train.csv"
+    table.write_text(table.read_text().replace(",lr,", ",rate,"))
+    again = trainer(tmp_path, steps=4, lr_decay_steps=2)
+    assert again.step == 2
+    again.run()
+    assert [row["step"] for row in rows(table)] == ["2", "4"]
+
+
 def test_what_a_run_was_begun_with_is_named_with_both_values_where_it_differs(tmp_path):
     trainer(tmp_path, steps=2, described={"data": {"rows": 48, "trim": 0.1}, "cache": "abc"}).run()
     other = {"data": {"rows": 8, "trim": 0.1}, "cache": "abd", "start": None}
     with pytest.raises(SettingsChanged) as refusal:
-        trainer(tmp_path, steps=2, rate=1.0, described=other)
-    for difference in ("data.rows: 48 → 8", "cache: abc → abd", "start: absent → None", "training.rate: 0.003 → 1.0"):
+        trainer(tmp_path, steps=2, lr=1.0, described=other)
+    for difference in ("data.rows: 48 → 8", "cache: abc → abd", "start: absent → None", "training.lr: 0.003 → 1.0"):
         assert difference in str(refusal.value)
     assert "trim" not in str(refusal.value) and "allow_changed_settings=true" in str(refusal.value)
 
@@ -298,7 +313,7 @@ def test_a_longer_run_must_say_where_its_rate_has_fallen(tmp_path):
     trainer(tmp_path, steps=4, lr_decay_steps=2, warmup=1).run()
     trainer(tmp_path / "whole", steps=4, lr_decay_steps=2, warmup=1, validate_every=2).run()
     assert losses(tmp_path) == losses(tmp_path / "whole")
-    assert rows(tmp_path / "train.csv")[-1]["rate"] == format(3e-3 * 0.02, ".9g")
+    assert rows(tmp_path / "train.csv")[-1]["lr"] == format(3e-3 * 0.02, ".9g")
 
 
 def cut(content: bytes) -> bytes:
@@ -362,9 +377,9 @@ def test_a_step_leaves_the_global_generator_alone(tmp_path):
     assert torch.equal(before, torch.get_rng_state())
 
 
-def test_hooks_get_the_average_now_and_then_and_at_the_end(tmp_path):
+def test_callbacks_get_the_average_now_and_then_and_at_the_end(tmp_path):
     seen = []
-    run = trainer(tmp_path, steps=10, hooks=[Hook(4, lambda step, model: seen.append((step, model.training)))])
+    run = trainer(tmp_path, steps=10, callbacks=[Callback(4, lambda step, model: seen.append((step, model.training)))])
     run.run()
     assert seen == [(4, False), (8, False), (10, False)]
 
@@ -438,15 +453,15 @@ def test_where_there_is_no_terminal_the_loss_is_told_in_lines(tmp_path, caplog):
 
 def test_a_table_forgets_later_rows_and_half_rows(tmp_path):
     path = tmp_path / "train.csv"
-    table = Table(path, ("loss", "rate"), 0)
+    table = Table(path, ("loss", "lr"), 0)
     for step in (10, 20, 30):
-        table.write(step, {"loss": 1 / step, "rate": 0.1})
+        table.write(step, {"loss": 1 / step, "lr": 0.1})
     with path.open("a") as file:
         file.write("4")
-    resumed = Table(path, ("loss", "rate"), 20)
+    resumed = Table(path, ("loss", "lr"), 20)
     assert [row["step"] for row in rows(path)] == ["10", "20"]
-    resumed.write(30, {"loss": 0.5, "rate": 0.1})
-    assert rows(path)[-1] == {"step": "30", "loss": "0.5", "rate": "0.1"}
+    resumed.write(30, {"loss": 0.5, "lr": 0.1})
+    assert rows(path)[-1] == {"step": "30", "loss": "0.5", "lr": "0.1"}
     with pytest.raises(ValueError, match="has columns"):
         Table(path, ("loss",), 0)
 

@@ -22,7 +22,7 @@ from stmc.geometry import rotation_z
 from stmc.motion import Motion
 from stmc.planning import plan
 from stmc.timeline import Timeline
-from stmc.viewing import figure, page, pictures, plot_plan, view
+from stmc.viewing import film_strip, plot_plan, plot_timeline, render_html, view
 from stmc.viewing.camera import framing
 from stmc.viewing.colours import NEUTRAL, as_rgb, hand_overs, ink, owners, palette, worn
 from stmc.viewing.mannequin import dressed, sculpt
@@ -179,7 +179,7 @@ def test_the_camera_sees_every_joint_of_every_frame(seconds):
 
 
 def test_the_figure_shows_every_prompt_in_its_colour_at_its_seconds_and_all_five_parts(timeline):
-    axes = figure(timeline, fps=20.0).axes[0]
+    axes = plot_timeline(timeline, fps=20.0).axes[0]
     bars = [patch for patch in axes.patches if isinstance(patch, FancyBboxPatch)]
     assert [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in bars] == [(0.0, 4.5), (2.0, 4.0)]
     assert tuple(to_hex(bar.get_facecolor()) for bar in bars) == palette(2)
@@ -193,12 +193,12 @@ def test_the_figure_shows_every_prompt_in_its_colour_at_its_seconds_and_all_five
 
 def test_a_long_text_is_cut_where_its_bar_is_short():
     timeline = Timeline.parse("walk # 0 # 20 # legs\nturn around slowly and look at the ceiling # 3 # 4 # head")
-    short = figure(timeline, fps=20.0).axes[0].texts[1].get_text()
+    short = plot_timeline(timeline, fps=20.0).axes[0].texts[1].get_text()
     assert len(short) < 20
 
 
 def test_pictures_show_as_many_moments_as_asked_for_with_their_times(motion, timeline):
-    plot = pictures(motion, timeline, frames=4, title="a walk")
+    plot = film_strip(motion, timeline, frames=4, title="a walk")
     assert [axes.get_title() for axes in plot.axes[:4]] == ["0.0 s", "2.0 s", "4.0 s", "6.0 s"]
     assert "from above" in plot.axes[4].get_title()
     assert len(plot.axes) == 6
@@ -206,7 +206,7 @@ def test_pictures_show_as_many_moments_as_asked_for_with_their_times(motion, tim
 
 
 def test_pictures_wear_the_colours_of_the_prompts(motion, timeline):
-    plot = pictures(motion, timeline, frames=3)
+    plot = film_strip(motion, timeline, frames=3)
     hues = [_hues(axes) for axes in plot.axes[:3]]
     walk, lift = ((as_rgb(colour) / as_rgb(colour).max()).round(1) for colour in palette(2))
     assert all(any(np.allclose(hue, walk, atol=0.15) for hue in seen) for seen in hues[:2])
@@ -222,16 +222,16 @@ def _hues(axes) -> np.ndarray:
 
 
 def test_pictures_of_a_motion_of_one_frame_show_it_once():
-    assert len(pictures(standing(), frames=8).axes) == 2
+    assert len(film_strip(standing(), frames=8).axes) == 2
 
 
 def test_pictures_need_at_least_one_frame(motion):
     with pytest.raises(ValueError, match="1 or more, not 0"):
-        pictures(motion, frames=0)
+        film_strip(motion, frames=0)
 
 
 def test_a_page_is_whole_small_quiet_and_refuses_to_load_anything(timeline, capsys):
-    content = page(walking(seconds=10.0), timeline)
+    content = render_html(walking(seconds=10.0), timeline)
     assert len(content) < 3_000_000
     assert capsys.readouterr() == ("", "")
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', content)
@@ -242,7 +242,7 @@ def test_a_page_is_whole_small_quiet_and_refuses_to_load_anything(timeline, caps
 
 
 def test_a_page_has_every_prompt_at_its_place_in_its_colour(motion, timeline):
-    content = page(motion, timeline, title="an evening walk")
+    content = render_html(motion, timeline, title="an evening walk")
     assert "<title>an evening walk</title>" in content
     place = re.search(rf'<div class="bar"[^>]*title="{RAISE}" style="left:([\d.]+)%;width:([\d.]+)%;([^"]*)"', content)
     assert place and float(place[1]) == pytest.approx(100 / 3, abs=0.01)
@@ -256,18 +256,18 @@ def test_a_page_has_every_prompt_at_its_place_in_its_colour(motion, timeline):
 def test_a_page_s_texts_stay_texts():
     nasty = '</script><script>alert("hi")</script> & \'"<b>'
     timeline = Timeline.parse(f"{nasty} # 0 # 2 # legs")
-    content = page(standing(), timeline, title=nasty)
+    content = render_html(standing(), timeline, title=nasty)
     assert nasty not in content
     assert html.escape(nasty) in content
 
 
 def test_a_page_without_a_timeline_has_no_tracks():
-    content = page(standing())
+    content = render_html(standing())
     assert 'id="stmc-tracks"' not in content and "<title>motion</title>" in content
 
 
 def test_a_page_of_one_frame_and_of_a_timeline_that_lasts_longer_is_made(timeline):
-    assert "left:100.000%;width:0.000%" in page(standing(), timeline)
+    assert "left:100.000%;width:0.000%" in render_html(standing(), timeline)
 
 
 def test_view_opens_the_page_in_the_browser_outside_notebooks(timeline, monkeypatch):

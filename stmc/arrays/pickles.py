@@ -46,7 +46,7 @@ def read_pickle(path: Path, required: Sequence[str], optional: Sequence[str] = (
         raise ArraysError(f"{path}: {error}") from error
     except Exception as error:  # a damaged pickle can raise whatever it likes
         reason = f"{type(error).__name__}: {error}"[:200]
-        raise ArraysError(f"{path} is no pickle, or a damaged one: {reason}") from error
+        raise ArraysError(f"{path} is not a pickle, or a damaged one: {reason}") from error
     if not isinstance(content, dict):
         raise ArraysError(f"{path} holds a {type(content).__name__}, not a dict of arrays")
     if missing := [name for name in required if name not in content]:

@@ -2,6 +2,6 @@
 
 from stmc.benchmarks.compositions import Compositions
 from stmc.benchmarks.multi_track import MultiTrack, open_mtt, published_mtt
-from stmc.benchmarks.protocol import Benchmark, Scores, TextJudge
+from stmc.benchmarks.protocol import Benchmark, Scores, TextEvaluator
 
-__all__ = ["Benchmark", "Compositions", "MultiTrack", "Scores", "TextJudge", "open_mtt", "published_mtt"]
+__all__ = ["Benchmark", "Compositions", "MultiTrack", "Scores", "TextEvaluator", "open_mtt", "published_mtt"]

@@ -34,12 +34,12 @@ class AtomicPrompt:
     end: float
 
 
-def read_atoms(path: str | Path, motions: str | Path | None = None) -> list[AtomicPrompt]:
+def read_atomic_prompts(path: str | Path, motions: str | Path | None = None) -> list[AtomicPrompt]:
     """Atomic prompts in the published form, a line each: `path` says `text # part # part`, and `motions`, in the same
     order, `clip # start # end`. Without `motions`, `path` is a JSON list as `assets/open_mtt/prompts.json` is.
 
-    Raises `TimelineError` with the file and the line (or the entry) for what cannot be meant, and for a text that
-    stands twice: retrieval could not tell the two apart.
+    Raises `TimelineError` with the file and the line (or the entry) for what is invalid, and for a text that
+    is duplicated: retrieval could not tell the two apart.
     """
     path = Path(path)
     if motions is None:
@@ -55,12 +55,12 @@ def read_atoms(path: str | Path, motions: str | Path | None = None) -> list[Atom
     seen: set[str] = set()
     for atom in atoms:
         if atom.text in seen:
-            raise TimelineError(f"{path}: {atom.text!r} stands twice; each text can stand once")
+            raise TimelineError(f"{path}: {atom.text!r} is duplicated")
         seen.add(atom.text)
     return atoms
 
 
-def write_atoms(atoms: Sequence[AtomicPrompt], path: str | Path) -> None:
+def write_atomic_prompts(atoms: Sequence[AtomicPrompt], path: str | Path) -> None:
     """The atomic prompts as a JSON list, a line each; the file appears whole or not at all."""
     rows = [(each.text, sorted(each.parts), each.clip, each.start, each.end) for each in atoms]
     lines = ",\n".join(json.dumps(dict(zip(_KEYS, row, strict=True))) for row in rows)
@@ -96,7 +96,7 @@ def _atom(text: str, parts: Sequence[str], *motion: str | float, place: str) -> 
     return AtomicPrompt(prompt.text, prompt.claims, str(clip), prompt.start, prompt.end)
 
 
-def construct(
+def sample_timelines(
     atoms: Sequence[AtomicPrompt], count: int, seed: int, mean: float | int = 6.0, deviation: float | int = 1.0
 ) -> list[Timeline]:
     """`count` timelines of three prompts on two tracks: two that follow each other, and at a random place on the second

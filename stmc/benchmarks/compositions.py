@@ -1,8 +1,8 @@
 """The benchmark of compositions in time (Barquero et al. 2024, section 4.1): many actions one after the other, of which
 every subsequence and every transition is measured by itself.
 
-Knows a prepared data set's test clips, their sentences and a judge; what is asked is drawn from them, and what comes is
-compared with them. Knows no model.
+Knows a prepared data set's test clips, their sentences and an evaluator; what is asked is drawn from them, and what
+comes is compared with them. Knows no model.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.benchmarks.protocol import Scores, TextJudge
+from stmc.benchmarks.protocol import Scores, TextEvaluator
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.matching import BATCH, embedding_diversity, matching_score, r_precision
@@ -42,7 +42,7 @@ class Segment:
 
 
 @dataclass(frozen=True, eq=False)
-class Takes:
+class Measurements:
     """What is measured of motions, made or real: the latents, of length 1, of the segments' texts and of their
     subsequences; and of windows of transitions the latents and the jerk of each frame."""
 
@@ -57,15 +57,16 @@ class Compositions:
     """A `Benchmark`: `count` compositions of `segments` pairs of a sentence and a duration, drawn with `seed` from the
     test clips of `cache`, those that are not mirrored.
 
-    Each content that has `least` such clips is drawn as often as any other, however many there are; a segment lasts as
-    long as its clip, but `shortest` to `longest` seconds. Each action that is drawn stays for `repeats` segments; where
-    that is more than one, only cyclic contents are drawn: `repeats=segments` is FlowMDM's extrapolation. A transition
-    is a `window` of frames, at the judge's frame rate, around the first frame of each segment but the first.
+    Each content that has `min_clips` such clips is drawn as often as any other, however many there are; a segment lasts
+    as long as its clip, but `shortest` to `longest` seconds. Each action that is drawn stays for `repeats` segments;
+    where that is more than one, only cyclic contents are drawn: `repeats=segments` is FlowMDM's extrapolation. A
+    transition is a `window` of frames, at the evaluator's frame rate, around the first frame of each segment but the
+    first.
 
     `representation` is that of the cache's features. Latents are compared at length 1, as TMR does.
 
     Raises `CacheError` for a test split that holds too little, `ImplausibleMotion` where its motions are not people's,
-    and `ValueError` for numbers that cannot be meant.
+    and `ValueError` for numbers that are invalid.
     """
 
     joints_from: JointsFrom = "skeleton"
@@ -74,31 +75,31 @@ class Compositions:
         self,
         cache: Cache,
         representation: Representation,
-        judge: TextJudge,
+        evaluator: TextEvaluator,
         count: int = 32,
         segments: int = 32,
         repeats: int = 1,
         shortest: float | int = 2.0,
         longest: float | int = 8.0,
-        least: int = 5,
+        min_clips: int = 5,
         window: int = HUMANML3D_WINDOW,
         seed: int = 0,
     ) -> None:
-        if min(count, segments - 1, repeats, least, window - 7) < 1 or count * segments < BATCH:
+        if min(count, segments - 1, repeats, min_clips, window - 7) < 1 or count * segments < BATCH:
             raise ValueError(
-                f"count {count}, repeats {repeats} and least {least} must be at least 1, segments {segments} 2, window "
-                f"{window} 8, and there must be {BATCH} segments in all, not {count * segments}"
+                f"count {count}, repeats {repeats} and min_clips {min_clips} must be at least 1, segments {segments} "
+                f"2, window {window} 8, and there must be {BATCH} segments in all, not {count * segments}"
             )
-        if not window / 2 <= int(shortest * judge.fps) <= longest * judge.fps:
+        if not window / 2 <= int(shortest * evaluator.fps) <= longest * evaluator.fps:
             raise ValueError(
-                f"shortest {shortest} s must be half of the window ({window} frames at {judge.fps} a second) or more, "
-                f"and at most longest, {longest} s"
+                f"shortest {shortest} s must be half of the window ({window} frames at {evaluator.fps} a second) or "
+                f"more, and at most longest, {longest} s"
             )
-        self.judge, self.window, self.longest, self._shortest = judge, window, longest, shortest
+        self.evaluator, self.window, self.longest, self._shortest = evaluator, window, longest, shortest
         self._repeats, self._seed = repeats, seed
         self._said = {key: dict(rows) for key, rows in cache.texts.items()}
-        self._contents = _contents(cache, least, cyclic=repeats > 1)
-        self._footage = _footage(cache, representation, judge.fps, self._contents)
+        self._contents = _contents(cache, min_clips, cyclic=repeats > 1)
+        self._reference_motions = _reference_motions(cache, representation, evaluator.fps, self._contents)
         self._long = self._long_enough()
         chance = np.random.default_rng([seed, ASKED])
         self.compositions = [self._composition(segments, chance) for _ in range(count)]
@@ -142,7 +143,7 @@ class Compositions:
         return timelines
 
     @cached_property
-    def _reference(self) -> Takes:
+    def _reference(self) -> Measurements:
         return self._of_clips(self.compositions, np.random.default_rng([self._seed, REFERENCE]))
 
     def _composition(self, segments: int, chance: np.random.Generator) -> tuple[Segment, ...]:
@@ -161,19 +162,19 @@ class Compositions:
         return [clip for clips in self._contents.values() for clip in clips if text in self._said[clip.texts]]
 
     def _lasting(self, clip: Clip) -> float:
-        duration = self._footage[clip].frames / self.judge.fps
+        duration = self._reference_motions[clip].frames / self.evaluator.fps
         return round(float(min(max(duration, self._shortest), self.longest)), 2)
 
     def _long_enough(self) -> dict[str, list[Clip]]:
         """For each content the clips that hold a window, of all contents where it has none."""
-        long = [clip for clip, motion in self._footage.items() if len(motion) >= self.window]
+        long = [clip for clip, motion in self._reference_motions.items() if len(motion) >= self.window]
         if not long:
-            longest = max(len(motion) for motion in self._footage.values())
+            longest = max(len(motion) for motion in self._reference_motions.values())
             raise CacheError(f"no test clip is as long as a window of {self.window} frames; the longest has {longest}")
         return {content: [clip for clip in long if clip.content == content] or long for content in self._contents}
 
-    def _of_motions(self, motions: Sequence[Motion]) -> Takes:
-        fps = self.judge.fps
+    def _of_motions(self, motions: Sequence[Motion]) -> Measurements:
+        fps = self.evaluator.fps
         if len(motions) != len(self._timelines):
             raise ValueError(f"{len(motions)} motions for {len(self._timelines)} timelines")
         check_joints([motion.joints for motion in motions])
@@ -184,96 +185,97 @@ class Compositions:
             spans = timeline.spans(fps)
             if len(motion) < spans[-1][1] - lost:
                 raise ValueError(f"the motion of timeline {timeline.name} has {len(motion)} frames, not {spans[-1][1]}")
-            features = self.judge.features(motion)
+            features = self.evaluator.features(motion)
             crops += [features[start:end] for start, end in spans]
             around = [transition_window(start, self.window) for start, _ in spans[1:]]
             windows += [features[start:end] for start, end in around]
             jerks += [window_jerk(motion.trimmed(start, min(end, len(motion))), self.window) for start, end in around]
         segments = tuple(segment for composition in self.compositions for segment in composition)
-        return self._takes(segments, crops, windows, jerks)
+        return self._measurements(segments, crops, windows, jerks)
 
-    def _of_clips(self, compositions: Sequence[Sequence[Segment]], chance: np.random.Generator) -> Takes:
+    def _of_clips(self, compositions: Sequence[Sequence[Segment]], chance: np.random.Generator) -> Measurements:
         """The clips of the segments as subsequences, and for each transition a window from anywhere in a clip of the
         content that it leads to."""
         segments = tuple(segment for composition in compositions for segment in composition)
-        longest = int(self.longest * self.judge.fps)
-        features = {clip: self.judge.features(motion) for clip, motion in self._footage.items()}
+        longest = int(self.longest * self.evaluator.fps)
+        features = {clip: self.evaluator.features(motion) for clip, motion in self._reference_motions.items()}
         crops = [features[segment.clip][:longest] for segment in segments]
         windows, jerks = [], []
         for segment in (segment for composition in compositions for segment in composition[1:]):
             clip = _choice(self._long[segment.clip.content], chance)
-            start = int(chance.integers(len(self._footage[clip]) - self.window + 1))
+            start = int(chance.integers(len(self._reference_motions[clip]) - self.window + 1))
             end = start + self.window
             windows.append(features[clip][start:end])
-            jerks.append(window_jerk(self._footage[clip].trimmed(start, end), self.window))
-        return self._takes(segments, crops, windows, jerks)
+            jerks.append(window_jerk(self._reference_motions[clip].trimmed(start, end), self.window))
+        return self._measurements(segments, crops, windows, jerks)
 
-    def _takes(
+    def _measurements(
         self,
         segments: tuple[Segment, ...],
         crops: Sequence[Tensor],
         windows: Sequence[Tensor],
         jerks: Sequence[Tensor],
-    ) -> Takes:
+    ) -> Measurements:
         distinct = {text: row for row, text in enumerate(dict.fromkeys(segment.text for segment in segments))}
-        texts = self.judge.texts(list(distinct))[[distinct[segment.text] for segment in segments]]
+        texts = self.evaluator.texts(list(distinct))[[distinct[segment.text] for segment in segments]]
         latents = (
-            F.normalize(each, dim=-1) for each in (texts, self.judge.motions(crops), self.judge.motions(windows))
+            F.normalize(each, dim=-1)
+            for each in (texts, self.evaluator.motions(crops), self.evaluator.motions(windows))
         )
-        return Takes(segments, *latents, torch.stack(list(jerks)))
+        return Measurements(segments, *latents, torch.stack(list(jerks)))
 
-    def _scores(self, takes: Takes, seed: int) -> Scores:
+    def _scores(self, measurements: Measurements, seed: int) -> Scores:
         real = self._reference
-        order = torch.from_numpy(np.random.default_rng(seed).permutation(len(takes.segments)))
+        order = torch.from_numpy(np.random.default_rng(seed).permutation(len(measurements.segments)))
         texts, motions, true = (
-            takes.texts[order],
-            takes.subsequences[order],
-            self._true(takes.segments)[order][:, order],
+            measurements.texts[order],
+            measurements.subsequences[order],
+            self._true(measurements.segments)[order][:, order],
         )
         metrics = {
             "r_precision": r_precision(texts, motions, true)[2],
             "subsequence_fid": fid(motions, real.subsequences),
             "subsequence_diversity": embedding_diversity(motions, len(motions), seed),
             "mm_dist": matching_score(texts, motions),
-            "transition_fid": fid(takes.windows, real.windows),
-            "transition_diversity": embedding_diversity(takes.windows, len(takes.windows), seed),
+            "transition_fid": fid(measurements.windows, real.windows),
+            "transition_diversity": embedding_diversity(measurements.windows, len(measurements.windows), seed),
         }
-        return Scores(metrics).with_jerk(takes.jerks, real.jerks)
+        return Scores(metrics).with_jerk(measurements.jerks, real.jerks)
 
     def _true(self, segments: Sequence[Segment]) -> Bool[Tensor, "segments segments"]:
         """Of which segments' clips the text of each segment is true."""
         return torch.tensor([[one.text in self._said[other.clip.texts] for other in segments] for one in segments])
 
 
-def _contents(cache: Cache, least: int, cyclic: bool) -> dict[str, list[Clip]]:
+def _contents(cache: Cache, min_clips: int, cyclic: bool) -> dict[str, list[Clip]]:
     """The test clips of each content that has enough, in order of their names."""
     test = [clip for clip in cache.clips if clip.split == "test" and not clip.mirrored and any(cache.texts[clip.texts])]
     found: dict[str, list[Clip]] = {}
     for clip in sorted(test, key=lambda clip: (clip.content, clip.name)):
         if clip.cyclic or not cyclic:
             found.setdefault(clip.content, []).append(clip)
-    enough = {content: clips for content, clips in found.items() if len(clips) >= least}
+    enough = {content: clips for content, clips in found.items() if len(clips) >= min_clips}
     if len(enough) < 2:
         kind = "cyclic " if cyclic else ""
         counts = ", ".join(f"{content} ({len(clips)})" for content, clips in found.items()) or "none"
         raise CacheError(
-            f"the test split needs two {kind}contents of at least {least} clips with texts, not mirrored; it has "
-            f"{counts}: prepare more data, or lower `least`"
+            f"the test split needs two {kind}contents of at least {min_clips} clips with texts, not mirrored; it has "
+            f"{counts}: prepare more data, or lower `min_clips`"
         )
     return enough
 
 
-def _footage(
+def _reference_motions(
     cache: Cache, representation: Representation, fps: float | int, contents: dict[str, list[Clip]]
 ) -> dict[Clip, Motion]:
     if cache.features.shape[1] != representation.width:
         raise CacheError(f"the cache has {cache.features.shape[1]} features, the representation {representation.width}")
-    footage = {}
+    reference_motions = {}
     for clip in (clip for clips in contents.values() for clip in clips):
         motion = representation.decode(cache.features[clip.start : clip.end], cache.fps, cache.skeleton)
-        footage[clip] = motion.resampled(fps)
-    check_joints([motion.joints for motion in footage.values()])
-    return footage
+        reference_motions[clip] = motion.resampled(fps)
+    check_joints([motion.joints for motion in reference_motions.values()])
+    return reference_motions
 
 
 def _choice(items: Sequence, chance: np.random.Generator):

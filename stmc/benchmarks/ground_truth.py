@@ -11,12 +11,12 @@ from stmc.data.sources.amass import Recordings, read_recording, reposed, unmirro
 from stmc.motion import Motion
 from stmc.representation import Representation
 
-Footage = Callable[[str, float, float], Motion]
+ReferenceMotions = Callable[[str, float, float], Motion]
 """(recording, start, end) → what it shows in between: frames from `int(fps * start)` to `int(fps * end)`, which are
 seconds, as in timelines."""
 
 
-def cache_footage(cache: Cache, representation: Representation) -> Footage:
+def cache_reference_motions(cache: Cache, representation: Representation) -> ReferenceMotions:
     """The clips of a prepared data set. Raises `CacheError` for a clip that is not there."""
     clips = {clip.name: clip for clip in cache.clips}
 
@@ -30,7 +30,7 @@ def cache_footage(cache: Cache, representation: Representation) -> Footage:
     return shown
 
 
-def amass_footage(folder: str | Path, fps: float | int, body: str | Path | None = None) -> Footage:
+def amass_reference_motions(folder: str | Path, fps: float | int, body: str | Path | None = None) -> ReferenceMotions:
     """The recordings of a folder of AMASS at `fps`, on the bones of SMPL-H's folder `body` (None: the default
     skeleton's); `M/KIT/3/…` is the mirror image of `KIT/3/…`, as in STMC's motions.txt.
 

@@ -17,10 +17,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.benchmarks.ability import Question, questions
-from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atoms
-from stmc.benchmarks.ground_truth import Footage, amass_footage, cache_footage
-from stmc.benchmarks.protocol import Scores, TextJudge
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atomic_prompts
+from stmc.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions, cache_reference_motions
+from stmc.benchmarks.protocol import Scores, TextEvaluator
+from stmc.benchmarks.questions import QUESTIONS, Question
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.realism import fid
@@ -42,17 +42,17 @@ JERKED_SECONDS = 1
 class MultiTrack:
     """A `Benchmark` of `asked` timelines whose texts are those of `atoms`.
 
-    `truth` are the judge's latents of the atoms in their order, `footage` the motions that show them, at its frame
-    rate. `formulas` and `joints_from` say how to measure, and which joints of a model's features: by definition, or as
-    published to compare with the paper's tables. `questions` are those that geometry can answer about a motion, for
-    some of the texts: no learned judge is asked.
+    `truth` are the evaluator's latents of the atoms in their order, `reference_motions` the motions that show them, at
+    its frame rate. `formulas` and `joints_from` say how to measure, and which joints of a model's features: by
+    definition, or as published to compare with the paper's tables. `questions` are those that geometry can answer about
+    a motion, for some of the texts: no learned evaluator is asked.
     """
 
     asked: Sequence[Timeline]
     atoms: Sequence[AtomicPrompt]
-    judge: TextJudge
+    evaluator: TextEvaluator
     truth: GroundTruth
-    footage: Sequence[Motion]
+    reference_motions: Sequence[Motion]
     formulas: Formulas = DEFINED
     joints_from: JointsFrom = "skeleton"
     questions: Mapping[str, Question] = field(default_factory=dict)
@@ -69,23 +69,23 @@ class MultiTrack:
         cls,
         asked: Sequence[Timeline],
         atoms: Sequence[AtomicPrompt],
-        judge: TextJudge,
-        footage: Footage,
+        evaluator: TextEvaluator,
+        reference_motions: ReferenceMotions,
         others: Sequence[Motion] = (),
         formulas: Formulas = DEFINED,
         joints_from: JointsFrom = "skeleton",
         questions: Mapping[str, Question] = MappingProxyType({}),
     ) -> MultiTrack:
-        """The benchmark with the latents of its atoms, shown by `footage`, and of the `others` that FID compares with
-        (none: as published, the atoms' own)."""
-        shown = [footage(atom.clip, atom.start, atom.end).resampled(judge.fps) for atom in atoms]
-        latents = judge.motions([judge.features(motion) for motion in [*shown, *others]])
+        """The benchmark with the latents of its atoms, shown by `reference_motions`, and of the `others` that FID
+        compares with (none: as published, the atoms' own)."""
+        shown = [reference_motions(atom.clip, atom.start, atom.end).resampled(evaluator.fps) for atom in atoms]
+        latents = evaluator.motions([evaluator.features(motion) for motion in [*shown, *others]])
         truth = GroundTruth(
-            texts=judge.texts([atom.text for atom in atoms]),
+            texts=evaluator.texts([atom.text for atom in atoms]),
             motions=latents[: len(atoms)],
             others=latents[len(atoms) :] if others else None,
         )
-        return cls(asked, atoms, judge, truth, shown, formulas, joints_from, questions)
+        return cls(asked, atoms, evaluator, truth, shown, formulas, joints_from, questions)
 
     def timelines(self, method: str) -> list[Timeline]:
         """Those of the benchmark; for "independent" each of their prompts as a timeline."""
@@ -102,9 +102,9 @@ class MultiTrack:
         One text stands for its whole motion, which is measured as every prompt's, as in the paper; "independent"
         motions have no transitions and are not whole, so only their crops are measured.
         """
-        motions = [motion.resampled(self.judge.fps) for motion in motions]
+        motions = [motion.resampled(self.evaluator.fps) for motion in motions]
         spans = self._spans(method, [len(motion) for motion in motions])
-        scores = self.formulas.scores(motions, spans, self.judge, self.truth, seed)
+        scores = self.formulas.scores(motions, spans, self.evaluator, self.truth, seed)
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
         if method == INDEPENDENT:
             return Scores(metrics)
@@ -120,19 +120,19 @@ class MultiTrack:
         if self.truth.others is not None:
             order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
             least = fid(*(self.truth.real[half] for half in order.tensor_split(2)))
-        whole = [[(0, len(motion), number)] for number, motion in enumerate(self.footage)]
-        metrics = self._shown(self.footage, whole) | asdict(found)
-        distance = self.formulas.real_transition(self.footage, self.judge)
+        whole = [[(0, len(motion), number)] for number, motion in enumerate(self.reference_motions)]
+        metrics = self._shown(self.reference_motions, whole) | asdict(found)
+        distance = self.formulas.real_transition(self.reference_motions, self.evaluator)
         metrics |= {"fid": least, "fid_plus": least, "transition": distance}
         return self._with_jerk(Scores(metrics), self._real_jerks)
 
     @cached_property
     def _real_jerks(self) -> Float[Tensor, "windows frames"]:
-        return self._jerks(self.footage, [quarter_points(len(motion)) for motion in self.footage])
+        return self._jerks(self.reference_motions, [quarter_points(len(motion)) for motion in self.reference_motions])
 
     def _jerks(self, motions: Sequence[Motion], points: Sequence[Sequence[int]]) -> Float[Tensor, "windows frames"]:
         """In m/frame³, of the windows around the points of each motion that lie within it."""
-        length, jerks = round(JERKED_SECONDS * self.judge.fps), []
+        length, jerks = round(JERKED_SECONDS * self.evaluator.fps), []
         for motion, chosen in zip(motions, points, strict=True):
             for point in chosen:
                 start, end = transition_window(point, length)
@@ -157,13 +157,13 @@ class MultiTrack:
         numbers, spans = {atom.text: number for number, atom in enumerate(self.atoms)}, []
         for timeline, length in zip(self.timelines(method), lengths, strict=True):
             whole = [(0, length)] * len(timeline.prompts)
-            asked = whole if method in ("one_text", INDEPENDENT) else timeline.spans(self.judge.fps)
+            asked = whole if method in ("one_text", INDEPENDENT) else timeline.spans(self.evaluator.fps)
             named = zip(asked, timeline.prompts, strict=True)
             spans.append([(start, min(end, length), numbers[prompt.text]) for (start, end), prompt in named])
         return spans
 
 
-def open_mtt(judge: TextJudge, cache: str | Path, first: int | None = None) -> MultiTrack:
+def open_mtt(evaluator: TextEvaluator, cache: str | Path, first: int | None = None) -> MultiTrack:
     """The benchmark that anybody can run: bundled timelines, and real motion from the test split of the Bandai Namco
     data set, prepared in the folder `cache`.
 
@@ -171,8 +171,12 @@ def open_mtt(judge: TextJudge, cache: str | Path, first: int | None = None) -> M
     timelines. Raises `CacheError` for a cache of other data.
     """
     folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), Cache.read(Path(cache).expanduser())
-    atoms, asked = read_atoms(folder / "prompts.json"), Timeline.read_all(folder / "timelines.json")[:first]
-    footage, random, others = cache_footage(prepared, SmplRepresentation()), np.random.default_rng(0), []
+    atoms, asked = read_atomic_prompts(folder / "prompts.json"), Timeline.read_all(folder / "timelines.json")[:first]
+    reference_motions, random, others = (
+        cache_reference_motions(prepared, SmplRepresentation()),
+        np.random.default_rng(0),
+        [],
+    )
     for atom in atoms:
         clips = [clip for clip in prepared.clips if clip.split == "test" and _describes(prepared, atom.text, clip)]
         if not clips:
@@ -180,15 +184,14 @@ def open_mtt(judge: TextJudge, cache: str | Path, first: int | None = None) -> M
                 f"{cache}: no clip of the test split shows {atom.text!r}; prepare the Bandai Namco data set"
             )
         drawn = [clips[index] for index in random.integers(len(clips), size=PER_TEXT)]
-        others += [footage(clip.name, 0.0, (clip.end - clip.start) / prepared.fps) for clip in drawn]
+        others += [reference_motions(clip.name, 0.0, (clip.end - clip.start) / prepared.fps) for clip in drawn]
     contents = {clip.name: clip.content for clip in prepared.clips}
-    known = questions()
-    asked_of = {atom.text: known[contents[atom.clip]] for atom in atoms if contents[atom.clip] in known}
-    return MultiTrack.of(asked, atoms, judge, footage, others, questions=asked_of)
+    asked_of = {atom.text: QUESTIONS[contents[atom.clip]] for atom in atoms if contents[atom.clip] in QUESTIONS}
+    return MultiTrack.of(asked, atoms, evaluator, reference_motions, others, questions=asked_of)
 
 
 def published_mtt(
-    judge: TextJudge,
+    evaluator: TextEvaluator,
     folder: str | Path,
     amass: str | Path,
     body: str | Path | None = None,
@@ -196,12 +199,12 @@ def published_mtt(
     joints_from: JointsFrom = "features",
 ) -> MultiTrack:
     """The paper's benchmark, measured as published: `folder` holds its MTT.txt, texts.txt and motions.txt; see
-    `amass_footage` for the rest. The paper's tables were made from the joints of the features."""
+    `amass_reference_motions` for the rest. The paper's tables were made from the joints of the features."""
     folder = Path(folder).expanduser()
-    atoms = read_atoms(folder / "texts.txt", folder / "motions.txt")
-    footage = amass_footage(amass, judge.fps, body)
+    atoms = read_atomic_prompts(folder / "texts.txt", folder / "motions.txt")
+    reference_motions = amass_reference_motions(amass, evaluator.fps, body)
     asked = Timeline.read_all(folder / "MTT.txt")[:first]
-    return MultiTrack.of(asked, atoms, judge, footage, formulas=PUBLISHED, joints_from=joints_from)
+    return MultiTrack.of(asked, atoms, evaluator, reference_motions, formulas=PUBLISHED, joints_from=joints_from)
 
 
 def _describes(cache: Cache, text: str, clip: Clip) -> bool:

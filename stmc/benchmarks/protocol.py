@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.metrics.smoothness import area_under_jerk, jerk_curve, peak_jerk
-from stmc.metrics.timelines import Judge
+from stmc.metrics.timelines import MotionEvaluator
 from stmc.motion import Motion
 from stmc.representation import JointsFrom
 from stmc.timeline import Timeline
@@ -31,8 +31,9 @@ class Scores(NamedTuple):
 
 
 @runtime_checkable
-class TextJudge(Judge, Protocol):
-    """A judge of texts, too, as `evaluators.Evaluator` is: their latents are near those of the motions they tell of."""
+class TextEvaluator(MotionEvaluator, Protocol):
+    """An evaluator of texts, too, as `evaluators.Evaluator` is: their latents are near those of the motions they tell
+    of."""
 
     def texts(self, texts: Sequence[str]) -> Float[Tensor, "batch width"]: ...
 

@@ -64,7 +64,7 @@ def read(arguments: Sequence[str], record: type, groups: Mapping[str, Any], posi
         elif (key := next(places, None)) is not None:
             overrides.append(_override("", key, argument, hints))
         else:
-            raise SettingError(f"{shown(argument)} is no setting: give them as key=value; --help lists all")
+            raise SettingError(f"{shown(argument)} is not a setting: give them as key=value; --help lists all")
     folder = Path(flags.pop("folder")).expanduser() if "folder" in flags else None
     return Asked(tuple(overrides), folder=folder, **flags)
 

@@ -25,7 +25,7 @@ class Threaded:
 class Trained(Threaded):
     """Of a command that trains."""
 
-    run: str = setting(MISSING, "folder for checkpoints, logs and what is trained; asked again, it goes on")
+    run: str = setting(MISSING, "folder for checkpoints, logs and what is trained; asked again, it resumes")
     trusted: tuple[str, ...] = setting((), "packages of your own that the parts may be classes of")
     allow_changed_settings: bool = setting(
         False, "go on although the run was begun with other settings; the card says which"

@@ -3,7 +3,7 @@
 from stmc.composing.batching import Guided
 from stmc.composing.double_take import inpaint, kept_shares
 from stmc.composing.guided import NULL, SequenceDenoiser, distinct_texts, guided_crops, guided_sequences
-from stmc.composing.interpolation import lerp, slerp
+from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.methods import METHODS, Method, Rule, find_method, settled, stitched
 from stmc.composing.running import Progress, Run
 from stmc.composing.sequences import body_sequences, weave
@@ -30,10 +30,10 @@ __all__ = [
     "guided_sequences",
     "inpaint",
     "kept_shares",
-    "lerp",
     "settled",
     "sinc",
     "slerp",
+    "smooth_seams",
     "stitched",
     "weave",
 ]

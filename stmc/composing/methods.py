@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.composing.double_take import inpaint, kept_shares
-from stmc.composing.interpolation import lerp, slerp
+from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.running import Run, settings_taken
 from stmc.composing.sequences import weave
 from stmc.diffusion import SAMPLERS
@@ -114,7 +114,7 @@ def alone(run: Run) -> Features:
 
 def smoothed(run: Run) -> Features:
     """SINC, with a straight line over the overlap wherever a part changes from one crop to another."""
-    return lerp(run.independent(), run.plans(0), run.columns, run.overlap)
+    return smooth_seams(run.independent(), run.plans(0), run.columns, run.overlap)
 
 
 def smoothed_on_the_sphere(run: Run) -> Features:

@@ -29,20 +29,20 @@ NULL = 0
 """The empty text's place among the sentences: what the network gets for "no text"."""
 
 SEAM = 6
-"""Frames over which a composition's guest comes and goes within a row."""
+"""Frames over which a composition's donor comes and goes within a row."""
 
 FLOOR = 1e-3
 """What a feature of no field's own floor, or a number of a word, is divided by at least."""
 
 
-class Corpus:
+class Dataset:
     """A cache and its texts, normalised and ready to draw from, on one device.
 
     `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
     sentences' words, unless they are given; `skeleton` is the cache's, if it has its own. Features that vary by less
-    than `floor` are divided by it (of one field of the layout each, or of all): a field of several data sets can be
-    constant in the largest. What is more than `limit` standard deviations from the mean is put there. Contents with
-    fewer than `least` training clips have no texts: one clip of several actions teaches no word.
+    than their field's `floor` are divided by it: what hardly varies in most clips may in some. What is more than
+    `limit` standard deviations from the mean is put there. Contents with fewer than `min_clips` training clips have no
+    texts: one clip of several actions teaches no word.
     Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
     """
 
@@ -51,8 +51,8 @@ class Corpus:
         cache: Cache,
         encoder: TextEncoder,
         layout: Layout,
-        floor: float | Mapping[str, float] = FLOOR,
-        least: int = 5,
+        floor: Mapping[str, float] | None = None,
+        min_clips: int = 5,
         limit: float = math.inf,
         text: Statistics | None = None,
         device: torch.device | str = "cpu",
@@ -62,9 +62,11 @@ class Corpus:
         self.fps, self.layout, self.clips, self.skeleton = cache.fps, layout, cache.clips, cache.skeleton
         training = [clip for clip in cache.clips if clip.split == "train"]
         counts = Counter(clip.content for clip in training)
-        self.described = np.array([counts[c.content] >= least and any(cache.texts[c.texts]) for c in cache.clips])
+        self.described = np.array([counts[c.content] >= min_clips and any(cache.texts[c.texts]) for c in cache.clips])
         if not training or not self.described.any():
-            raise ValueError(f"no content has {least} training clips among the {len(cache.clips)} clips of the cache")
+            raise ValueError(
+                f"no content has {min_clips} training clips among the {len(cache.clips)} clips of the cache"
+            )
         parts = list(layout.columns)
         self.claims = np.array([[part in clip.parts for part in parts] for clip in cache.clips], dtype=bool)
         owned = torch.zeros(len(parts), layout.width, dtype=torch.bool)
@@ -76,8 +78,8 @@ class Corpus:
         moving = cache.features[frames]
         if (moving.amax(dim=0) == moving.amin(dim=0)).all():
             raise ValueError(f"every one of the {len(frames)} training frames is the same: there is nothing to learn")
-        self.motion = (cache.statistics or Statistics.of(moving, _floors(layout, floor))).to(device)
-        self._limit = limit
+        floors = torch.tensor(layout.filled(floor or {}, FLOOR))
+        self.motion, self._limit = (cache.statistics or Statistics.of(moving, floors)).to(device), limit
         self._embed(cache, encoder, text, device)
         # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]
@@ -121,46 +123,46 @@ class Corpus:
         places, cumulated = self.choices[self.clips[clip].texts]
         return int(places[min(np.searchsorted(cumulated, u, side="right"), len(places) - 1)])
 
-    def batch(self, draws: Draws) -> Batch:
-        """The motion and the texts of `draws`, padded to the longest of each."""
-        frames, words = draws.body.frames, self.words[draws.sentence]
+    def batch(self, plan: BatchPlan) -> Batch:
+        """The motion and the texts of `plan`, padded to the longest of each."""
+        frames, words = plan.body.frames, self.words[plan.sentence]
         device = self.features.device
         lengths = torch.from_numpy(frames).to(device)
         text_lengths = torch.from_numpy(words).to(device)
         mask = None if (frames == frames.max()).all() else tensors.mask(lengths, int(frames.max()))
         text_mask = None if (words == words.max()).all() else tensors.mask(text_lengths, int(words.max()))
-        motion = self.motion.normalise(self._composed(self._cut(draws.body), draws)).clamp(-self._limit, self._limit)
+        motion = self.motion.normalise(self._composed(self._cut(plan.body), plan)).clamp(-self._limit, self._limit)
         if mask is not None:
             motion = torch.where(mask[..., None], motion, 0.0)
-        text = self._text[torch.from_numpy(draws.sentence).to(device)][:, : int(words.max())]
+        text = self._text[torch.from_numpy(plan.sentence).to(device)][:, : int(words.max())]
         return Batch(motion, mask, text, text_mask, int(frames.sum()))
 
-    def _composed(self, motion: Float[Tensor, "batch frames features"], draws: Draws) -> Tensor:
-        """Each row with its guest, if it has one, in the columns of the parts that the guest claims."""
-        rows = np.flatnonzero(draws.guest.frames)
+    def _composed(self, motion: Float[Tensor, "batch frames features"], plan: BatchPlan) -> Tensor:
+        """Each row with its donor, if it has one, in the columns of the parts that the donor claims."""
+        rows = np.flatnonzero(plan.donor.frames)
         if not len(rows):
             return motion
-        guest, device = draws.guest[rows], motion.device
-        moved, offset = self._cut(guest), draws.offset[rows]
-        frame = np.arange(motion.shape[1])[None] - offset[:, None]  # of the guest
-        share = torch.from_numpy(_shares(frame, guest.frames, offset, draws.body.frames[rows])).to(device)
+        donor, device = plan.donor[rows], motion.device
+        moved, offset = self._cut(donor), plan.offset[rows]
+        frame = np.arange(motion.shape[1])[None] - offset[:, None]  # of the donor
+        share = torch.from_numpy(_shares(frame, donor.frames, offset, plan.body.frames[rows])).to(device)
         inside = torch.from_numpy(frame.clip(0, moved.shape[1] - 1)).to(device)
         moved = moved.gather(1, inside[..., None].expand(-1, -1, moved.shape[2]))
-        claimed = torch.from_numpy(self.claims[guest.clip]).to(device)
+        claimed = torch.from_numpy(self.claims[donor.clip]).to(device)
         owned = (claimed[:, :, None] & self._owned).any(dim=1)
         chosen = torch.from_numpy(rows).to(device)
         blended = torch.lerp(motion[chosen], moved, share[..., None] * owned[:, None])
         return motion.index_copy(0, chosen, self._rotating(blended))
 
-    def _cut(self, stretches: Stretches) -> Float[Tensor, "batch frames features"]:
+    def _cut(self, crops: Crops) -> Float[Tensor, "batch frames features"]:
         """Raw features; frames after a row's end repeat its last one."""
         device = self.features.device
-        bounds = (stretches.start, stretches.end, stretches.frames - 1)
+        bounds = (crops.start, crops.end, crops.frames - 1)
         start, end, last = (torch.from_numpy(bound).to(device)[:, None] for bound in bounds)
-        frame = torch.arange(int(stretches.frames.max()), device=device)
-        if (stretches.speed == 1).all():
+        frame = torch.arange(int(crops.frames.max()), device=device)
+        if (crops.speed == 1).all():
             return self.features[start + torch.minimum(frame, last)]
-        speed = torch.from_numpy(stretches.speed).to(device)[:, None]
+        speed = torch.from_numpy(crops.speed).to(device)[:, None]
         position = torch.minimum(frame, last) * speed
         before = (start + position.long()).clamp(max=end - 1)
         share = (position - position.floor())[..., None].float()
@@ -183,7 +185,7 @@ class Corpus:
 
 
 @dataclass(frozen=True)
-class Stretches:
+class Crops:
     """Of clips: `frames` frames each from frame `start` of all features on, at `speed` source frames a frame, none at
     or after `end` (where the clip ends)."""
 
@@ -193,36 +195,28 @@ class Stretches:
     frames: np.ndarray
     speed: np.ndarray
 
-    def __getitem__(self, rows: np.ndarray) -> Stretches:
-        return Stretches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+    def __getitem__(self, rows: np.ndarray) -> Crops:
+        return Crops(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
-class Draws:
-    """Rows to be: the stretch that each is, and the place of its sentence; for a composition the `guest` whose claimed
-    parts it takes over from its frame `offset` on (else a stretch of no frames), and the sentence of the `other` of the
-    two where the row shows it, too (else the row's own): see `Sampling.composed`."""
+class BatchPlan:
+    """Rows to be: the crop that each is, and the place of its sentence; for a composition the `donor` whose claimed
+    parts it takes over from its frame `offset` on (else a crop of no frames), and the sentence of the `other` of the
+    two where the row shows it, too (else the row's own): see `Sampling.compose_prob`."""
 
-    body: Stretches
+    body: Crops
     sentence: np.ndarray
-    guest: Stretches
+    donor: Crops
     offset: np.ndarray
     other: np.ndarray
 
-    def __getitem__(self, rows: np.ndarray) -> Draws:
-        return Draws(self.body[rows], self.sentence[rows], self.guest[rows], self.offset[rows], self.other[rows])
-
-
-def _floors(layout: Layout, floor: float | Mapping[str, float]) -> Float[Tensor, " features"]:
-    by_field = floor if isinstance(floor, Mapping) else {}
-    floors = torch.full((layout.width,), FLOOR if by_field else floor)
-    for name, of_field in by_field.items():
-        floors[layout[name]] = of_field
-    return floors
+    def __getitem__(self, rows: np.ndarray) -> BatchPlan:
+        return BatchPlan(self.body[rows], self.sentence[rows], self.donor[rows], self.offset[rows], self.other[rows])
 
 
 def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:
-    """How much of the guest shows in its frame `frame`: all, but for ramps at its ends and nothing beyond them, where
+    """How much of the donor shows in its frame `frame`: all, but for ramps at its ends and nothing beyond them, where
     these lie within the row."""
     come = np.where(offset == 0, SEAM + 1, 0)[:, None] + frame + 1
     go = np.where(offset + frames == of_row, SEAM + 1, 0)[:, None] + frames[:, None] - frame

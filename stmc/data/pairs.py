@@ -1,6 +1,6 @@
 """Batches for what tells pairs of motion and text from non-pairs: which texts are true of which motions of a batch.
 
-Knows draws of a corpus and the sentences of its clips; knows no network and no loss.
+Knows plans of batches and the sentences of its clips; knows no network and no loss.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stmc.data.batches import ClipBatches
-from stmc.data.dataset import Draws
+from stmc.data.dataset import BatchPlan
 from stmc.text import TextEncoder
 from stmc.training import Pairs
 
@@ -33,49 +33,52 @@ class PairBatches:
     def __init__(
         self, batches: ClipBatches, sentences: TextEncoder | None = None, threshold: float | int = 0.8
     ) -> None:
-        sampling, corpus = batches.sampling, batches.corpus
-        if sampling.crops or sampling.silent:
-            raise ValueError(f"pairs need texts: crops ({sampling.crops}) and silent ({sampling.silent}) must be 0")
+        sampling, dataset = batches.sampling, batches.dataset
+        if sampling.uncond_crop_prob or sampling.text_dropout:
+            raise ValueError(
+                f"pairs need texts: uncond_crop_prob ({sampling.uncond_crop_prob}) and text_dropout "
+                f"({sampling.text_dropout}) must be 0"
+            )
         self.batches, self.threshold = batches, threshold
-        keys = {key: column for column, key in enumerate(corpus.choices)}
-        self._true = np.zeros((len(corpus.sentences), len(keys) + 1), dtype=bool)  # the last column: of no sentence
-        for key, (places, _) in corpus.choices.items():
+        keys = {key: column for column, key in enumerate(dataset.choices)}
+        self._true = np.zeros((len(dataset.sentences), len(keys) + 1), dtype=bool)  # the last column: of no sentence
+        for key, (places, _) in dataset.choices.items():
             self._true[places, keys[key]] = True
-        self._key = np.array([keys.get(clip.texts, len(keys)) for clip in corpus.clips])
-        self._embedded = None if sentences is None else sentences.encode(corpus.sentences)[0][:, 0].float()
+        self._key = np.array([keys.get(clip.texts, len(keys)) for clip in dataset.clips])
+        self._embedded = None if sentences is None else sentences.encode(dataset.sentences)[0][:, 0].float()
 
     def __call__(self, step: int, process: int = 0) -> list[Pairs]:
-        corpus, pieces = self.batches.corpus, []
+        dataset, pieces = self.batches.dataset, []
         random = np.random.default_rng([self.batches.seed, step, process])
-        for draws in self.batches.draws(step, process):
-            swapped = random.random(len(draws.sentence)) < 0.5
-            texts = draws.sentence, draws.other
-            draws = replace(draws, sentence=np.where(swapped, *texts[::-1]), other=np.where(swapped, *texts))
-            batch = corpus.batch(draws)
-            alike = self.alike(draws).to(batch.motion.device)
+        for plan in self.batches.plans(step, process):
+            swapped = random.random(len(plan.sentence)) < 0.5
+            texts = plan.sentence, plan.other
+            plan = replace(plan, sentence=np.where(swapped, *texts[::-1]), other=np.where(swapped, *texts))
+            batch = dataset.batch(plan)
+            alike = self.alike(plan).to(batch.motion.device)
             pieces.append(Pairs(batch.motion, batch.mask, batch.text, batch.text_mask, batch.frames, alike))
         return pieces
 
-    def alike(self, draws: Draws) -> Bool[Tensor, "batch batch"]:
+    def alike(self, plan: BatchPlan) -> Bool[Tensor, "batch batch"]:
         """Which row's text is true of which row's motion: see `Pairs`."""
-        composed = draws.guest.frames > 0
-        cut = composed & (draws.other == draws.sentence)  # what the body would show has been cut off
-        alike = (self.true_of(draws.sentence, draws.body.clip) & torch.from_numpy(~cut)) | (
-            self.true_of(draws.sentence, draws.guest.clip) & torch.from_numpy(composed)
+        composed = plan.donor.frames > 0
+        cut = composed & (plan.other == plan.sentence)  # what the body would show has been cut off
+        alike = (self.true_of(plan.sentence, plan.body.clip) & torch.from_numpy(~cut)) | (
+            self.true_of(plan.sentence, plan.donor.clip) & torch.from_numpy(composed)
         )
         if self._embedded is None:
             return alike
-        return alike | similar(self._embedded[torch.from_numpy(draws.sentence)], self.threshold)
+        return alike | similar(self._embedded[torch.from_numpy(plan.sentence)], self.threshold)
 
     def true_of(self, sentences: np.ndarray, clips: np.ndarray) -> Bool[Tensor, "texts motions"]:
-        """Which of the corpus' sentences, by their places, are among those of which of its clips."""
+        """Which of the dataset's sentences, by their places, are among those of which of its clips."""
         return torch.from_numpy(self._true[sentences][:, self._key[clips]])
 
     def drawn(self, split: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """All clips of a split that have texts, and the place of one sentence of each: whom to retrieve from whom."""
-        corpus, random = self.batches.corpus, np.random.default_rng(seed)
-        clips = np.flatnonzero([clip.split == split for clip in corpus.clips] & corpus.described)
-        return clips, np.array([corpus.sentence(clip, random.random()) for clip in clips.tolist()], dtype=int)
+        dataset, random = self.batches.dataset, np.random.default_rng(seed)
+        clips = np.flatnonzero([clip.split == split for clip in dataset.clips] & dataset.described)
+        return clips, np.array([dataset.sentence(clip, random.random()) for clip in clips.tolist()], dtype=int)
 
 
 def similar(sentences: Float[Tensor, "batch width"], threshold: float | int = 0.8) -> Bool[Tensor, "batch batch"]:

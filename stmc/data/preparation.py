@@ -1,6 +1,6 @@
 """What preparing a data set is, whichever it is: checked first, then converted piece by piece, in parallel.
 
-A piece's result is a cache of its own, whole or absent on the disk, so that a run that was killed goes on where it was.
+A piece's result is a cache of its own, whole or absent on the disk, so that a run that was killed resumes.
 Knows caches; knows no format and no body.
 """
 

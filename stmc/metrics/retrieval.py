@@ -46,10 +46,10 @@ def ranks(
     """How many wrong candidates score better than the right one (0 is best); of those that tie with it, half.
 
     `right` names each query's right answers, the diagonal by default; of several, the best counts (that is TMR's
-    protocol "threshold"). Raises `ValueError` for a query without any, and for scores that are no numbers.
+    protocol "threshold"). Raises `ValueError` for a query without any, and for scores that are not numbers.
     """
     if table.isnan().any():
-        raise ValueError(f"{int(table.isnan().sum())} of {table.numel()} scores are no numbers")
+        raise ValueError(f"{int(table.isnan().sum())} of {table.numel()} scores are not numbers")
     if right is None:
         if len(table) != table.shape[1]:
             raise ValueError(f"{len(table)} queries and {table.shape[1]} candidates: say which are right")

@@ -1,6 +1,6 @@
 """The measures of motions made from timelines (STMC, section 4.2): do crops match their texts, is the whole realistic?
 
-Knows motions, the spans of their prompts, and any judge that turns motion into latents; knows no timeline file, no
+Knows motions, the spans of their prompts, and any evaluator that turns motion into latents; knows no timeline file, no
 network and no way to make motions.
 """
 
@@ -34,7 +34,7 @@ Span = tuple[int, int, int]
 
 
 @runtime_checkable
-class Judge(Protocol):
+class MotionEvaluator(Protocol):
     """What turns motions into latents, as `evaluators.Evaluator` does. `fps`: of the features."""
 
     @property
@@ -103,35 +103,43 @@ def measured_points(spans: Sequence[Span], frames: int) -> tuple[int, ...]:
 
 
 def timeline_scores(
-    motions: Sequence[Motion], spans: Sequence[Sequence[Span]], judge: Judge, truth: GroundTruth, seed: int = 0
+    motions: Sequence[Motion],
+    spans: Sequence[Sequence[Span]],
+    evaluator: MotionEvaluator,
+    truth: GroundTruth,
+    seed: int = 0,
 ) -> TimelineScores:
-    """All measures of motions, each with the spans of its prompts in frames at the judge's frame rate.
+    """All measures of motions, each with the spans of its prompts in frames at the evaluator's frame rate.
 
     Transitions: every begin and end of a prompt within a motion, of joints relative to the pelvis in its heading frame;
     a motion without any is measured at its quarters, as real ones are. FID+ takes five crops of each motion, drawn with
     `seed` over its whole length. Raises `ImplausibleMotion` for joints that no measure can be meant for.
     """
-    motions = _at(motions, judge.fps)
-    features = [judge.features(motion) for motion in motions]
-    crop = int(CROP_SECONDS * judge.fps)
+    motions = _at(motions, evaluator.fps)
+    features = [evaluator.features(motion) for motion in motions]
+    crop = int(CROP_SECONDS * evaluator.fps)
     starts = crop_starts([len(rows) for rows in features], crop, seed)
     poses = [local_joints(motion) for motion in motions]
     points = [measured_points(each, len(pose)) for each, pose in zip(spans, poses, strict=True)]
     distance = transition_distance(poses, points)
-    return _scores(features, spans, starts, crop, judge, truth, distance)
+    return _scores(features, spans, starts, crop, evaluator, truth, distance)
 
 
 def published_timeline_scores(
-    motions: Sequence[Motion], spans: Sequence[Sequence[Span]], judge: Judge, truth: GroundTruth, seed: int = 0
+    motions: Sequence[Motion],
+    spans: Sequence[Sequence[Span]],
+    evaluator: MotionEvaluator,
+    truth: GroundTruth,
+    seed: int = 0,
 ) -> TimelineScores:
-    """What the published code prints for the same motions, to compare with the paper's tables. Its judge must know
+    """What the published code prints for the same motions, to compare with the paper's tables. Its evaluator must know
     HumanML3D's 263 features.
 
     It differs in FID+ (`published_crop_starts`, the same whatever the `seed`) and in the transition distance
     (`published_transition_distance`, at `published_transition_points`).
     """
-    features = _published_features(motions, judge)
-    crop = int(CROP_SECONDS * judge.fps)
+    features = _published_features(motions, evaluator)
+    crop = int(CROP_SECONDS * evaluator.fps)
     starts = [published_crop_starts(rows.shape[1], crop) for rows in features]
     for number, rows in enumerate(features):
         if len(rows) <= max(starts[number]):
@@ -146,20 +154,20 @@ def published_timeline_scores(
     ]
     poses = [z_up(features_to_local_joints(rows)) for rows in features]
     distance = published_transition_distance(poses, points)
-    return _scores(features, spans, starts, crop, judge, truth, distance)
+    return _scores(features, spans, starts, crop, evaluator, truth, distance)
 
 
-def real_transition(motions: Sequence[Motion], judge: Judge) -> float:
+def real_transition(motions: Sequence[Motion], evaluator: MotionEvaluator) -> float:
     """The distance in centimetres from frame to frame in real motions, at their quarters: what `timeline_scores`'
     transitions compare with."""
-    poses = [local_joints(motion) for motion in _at(motions, judge.fps)]
+    poses = [local_joints(motion) for motion in _at(motions, evaluator.fps)]
     return _at_quarters(poses)
 
 
-def published_real_transition(motions: Sequence[Motion], judge: Judge) -> float:
+def published_real_transition(motions: Sequence[Motion], evaluator: MotionEvaluator) -> float:
     """What the published code prints in the ground truth's row: of the joints of HumanML3D's features (22, one frame
     less, on its skeleton), relative to the pelvis."""
-    return _at_quarters([z_up(features_to_local_joints(rows)) for rows in _published_features(motions, judge)])
+    return _at_quarters([z_up(features_to_local_joints(rows)) for rows in _published_features(motions, evaluator)])
 
 
 @dataclass(frozen=True)
@@ -168,7 +176,7 @@ class Formulas:
     (its other measures have one formula)."""
 
     scores: Callable[..., TimelineScores]
-    real_transition: Callable[[Sequence[Motion], Judge], float]
+    real_transition: Callable[[Sequence[Motion], MotionEvaluator], float]
 
 
 DEFINED = Formulas(timeline_scores, real_transition)
@@ -178,8 +186,8 @@ PUBLISHED = Formulas(published_timeline_scores, published_real_transition)
 """By the published code, to compare with the paper's tables."""
 
 
-def _published_features(motions: Sequence[Motion], judge: Judge) -> list[Float[Tensor, "_ features"]]:
-    features = [judge.features(motion) for motion in _at(motions, judge.fps)]
+def _published_features(motions: Sequence[Motion], evaluator: MotionEvaluator) -> list[Float[Tensor, "_ features"]]:
+    features = [evaluator.features(motion) for motion in _at(motions, evaluator.fps)]
     if (width := features[0].shape[1]) != HUMANML3D_LAYOUT.width:
         raise ValueError(
             f"the evaluator knows {width} features; the published formulas need one of HumanML3D's "
@@ -206,13 +214,13 @@ def _scores(
     spans: Sequence[Sequence[Span]],
     starts: Sequence[Sequence[int]],
     crop: int,
-    judge: Judge,
+    evaluator: MotionEvaluator,
     truth: GroundTruth,
     distance: float,
 ) -> TimelineScores:
     pairs = [(rows, span) for rows, each in zip(features, spans, strict=True) for span in each]
-    own = judge.motions([rows[start:end] for rows, (start, end, _) in pairs])
-    anywhere = judge.motions(
+    own = evaluator.motions([rows[start:end] for rows, (start, end, _) in pairs])
+    anywhere = evaluator.motions(
         [rows[start : start + crop] for rows, each in zip(features, starts, strict=True) for start in each]
     )
     matched = semantics(own, [number for _, (_, _, number) in pairs], truth)

@@ -27,7 +27,7 @@ from stmc.statistics import Statistics
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that cannot be meant or does not fit; the message names the file, what is wrong, what is right."""
+    """A checkpoint that is invalid or does not fit; the message names the file, what is wrong, what is right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ def read_tensor_statistics(mean: Path, std: Path, width: int) -> Statistics:
 def nudged_statistics(mean: Tensor, std: Tensor, place: str) -> Statistics:
     """What the code of TMR and STMC, and FlowMDM's on BABEL, normalises by: the deviation plus 1e-12.
 
-    Raises `CheckpointError` where a mean or a deviation cannot be meant.
+    Raises `CheckpointError` where a mean or a deviation is invalid.
     """
     try:
         return Statistics(mean.float(), std.float() + 1e-12)

@@ -70,7 +70,7 @@ def read(source: str | Path, statistics: str | Path | None = None, text_model: s
         return motion_diffuse.read(_above(source, 2), file, text_model)
     if (_above(source, 3) / "config.json").is_file():
         return mdm_smpl.read(_above(source, 3), file, text_model)
-    raise CheckpointError(f"{source} is no checkpoint that can be imported; {EXPECTED}")
+    raise CheckpointError(f"{source} is not a checkpoint that can be imported; {EXPECTED}")
 
 
 def _above(source: Path, levels: int) -> Path:

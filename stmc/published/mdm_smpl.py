@@ -42,7 +42,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
     settings = read_json(folder / "config.json")
     content = read_checkpoint(checkpoint)
     if "state_dict" not in content:
-        raise CheckpointError(f"{checkpoint} has no state_dict: it is no checkpoint of PyTorch Lightning")
+        raise CheckpointError(f"{checkpoint} has no state_dict: it is not a checkpoint of PyTorch Lightning")
     weights = state_dict(content["state_dict"], f"{checkpoint}: state_dict")
     denoiser = {
         name.removeprefix("denoiser."): value for name, value in weights.items() if name.startswith("denoiser.")

@@ -50,7 +50,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
     settings = _settings(folder / "opt.txt")
     content = read_checkpoint(checkpoint)
     if "encoder" not in content:
-        raise CheckpointError(f"{checkpoint} has no encoder: it is no checkpoint of MotionDiffuse")
+        raise CheckpointError(f"{checkpoint} has no encoder: it is not a checkpoint of MotionDiffuse")
     weights = without(state_dict(content["encoder"], f"{checkpoint}: encoder"), "clip.")
     config = _described(settings, weights, str(checkpoint), text_model)
     parts = built(config, weights, folder / "opt.txt", f"{checkpoint}: encoder")

@@ -112,7 +112,7 @@ class SmplRepresentation(Representation):
         pelvis = translation[..., None, :]
         return rotations, translation, torch.cat([pelvis, pelvis + relative], dim=-2)
 
-    def foot_steps(
+    def foot_velocities(
         self, features: Float[Tensor, "*batch frames features"], skeleton: Skeleton
     ) -> Float[Tensor, "*batch _ 6"]:
         """How far the left and the right toes move to the next frame, in metres, in the heading frame of the first:

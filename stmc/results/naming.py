@@ -41,17 +41,17 @@ class Measure:
 
 
 MEASURES = (
-    Measure("shown", "Shown", "higher", 0, "%"),
+    Measure("shown", "Action success rate", "higher", 0, "%"),
     Measure("recall_1", "R@1", "higher", 1, "%"),
     Measure("recall_3", "R@3", "higher", 1, "%"),
     Measure("m2t", "TMR-Score M2T", "higher", 3),
     Measure("m2m", "TMR-Score M2M", "higher", 3),
-    Measure("fid", "FID", "lower", 3),
+    Measure("fid", "FID (crops)", "lower", 3),
     Measure("fid_plus", "FID+", "lower", 3),
     Measure("transition", "Transition distance", "lower", 1, "cm"),
     Measure("r_precision", "R-prec", "higher", 3),
-    Measure("subsequence_fid", "FID", "lower", 3),
-    Measure("subsequence_diversity", "Div", "real", 2),
+    Measure("subsequence_fid", "FID (subsequences)", "lower", 3),
+    Measure("subsequence_diversity", "Div (subsequences)", "real", 2),
     Measure("mm_dist", "MM-Dist", "lower", 3),
     Measure("transition_fid", "FID (transitions)", "lower", 3),
     Measure("transition_diversity", "Div (transitions)", "real", 2),

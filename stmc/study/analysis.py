@@ -142,7 +142,7 @@ def analyse(key: Key, answers: Sequence[Answers]) -> Analysis:
 def wilson(count: int, total: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a share of `count` in `total` (1927): it stays within 0 and 1, also for few."""
     if not 0 <= count <= total or not total:
-        raise ValueError(f"{count} of {total} is no share")
+        raise ValueError(f"{count} of {total} is not a share")
     z = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
     share = count / total
     centre = share + z * z / (2 * total)

@@ -91,7 +91,7 @@ def _json(path: Path) -> Any:
 
 def _expect(data: Any, place: str) -> dict[str, Any]:
     if not isinstance(data, dict):
-        raise AnswersError(f"{place}: {shown(data)} is no object")
+        raise AnswersError(f"{place}: {shown(data)} is not an object")
     return data
 
 

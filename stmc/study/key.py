@@ -89,7 +89,7 @@ class Key:
         except StudyError:
             raise
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise StudyError(f"{path} is no answer key as the study's script writes it ({error!r})") from None
+            raise StudyError(f"{path} is not an answer key as the study's script writes it ({error!r})") from None
         return cls((first, second), surveys)
 
 

@@ -73,7 +73,7 @@ def _record(path: Path) -> tuple[int, Content]:
         content = tuple((str(text), float(a), float(b), tuple(sorted(parts))) for text, a, b, parts in data["prompts"])
         return int(data["seed"]), content
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise StudyError(f"{path} is no record as the sampling script writes it ({error!r})") from None
+        raise StudyError(f"{path} is not a record as the sampling script writes it ({error!r})") from None
 
 
 def _content(timeline: Timeline) -> Content:

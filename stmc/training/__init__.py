@@ -3,7 +3,7 @@
 from stmc.training.checkpoint import CheckpointError, Checkpoints
 from stmc.training.device import find_accelerator
 from stmc.training.ema import Ema
-from stmc.training.loop import Batches, Hook, Settings, Trainer
+from stmc.training.loop import Batches, Callback, Settings, Trainer
 from stmc.training.loss import Batch, Denoising, Objective, draw_noise, squared_errors
 from stmc.training.pairs import Pairs
 from stmc.training.resuming import SettingsChanged
@@ -11,11 +11,11 @@ from stmc.training.resuming import SettingsChanged
 __all__ = [
     "Batch",
     "Batches",
+    "Callback",
     "CheckpointError",
     "Checkpoints",
     "Denoising",
     "Ema",
-    "Hook",
     "Objective",
     "Pairs",
     "Settings",

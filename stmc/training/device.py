@@ -16,5 +16,5 @@ def find_accelerator(device: str) -> Accelerator:
     if device not in choices:
         raise ValueError(f"device={device!r}: choose from {', '.join(choices)}")
     if device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("device=cuda: there is none here, or PyTorch was installed without it; try device=cpu")
+        raise ValueError("device=cuda: no GPU is available, or PyTorch was installed without it; try device=cpu")
     return Accelerator(cpu=device == "cpu" or not torch.cuda.is_available())

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from stmc.files import write_whole
+from stmc.renamed import RENAMED_COLUMNS
 
 
 class Table:
@@ -32,7 +33,8 @@ class Table:
             return []
         with self.path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != self.columns:
+            reader.fieldnames = [RENAMED_COLUMNS.get(name, name) for name in reader.fieldnames or ()]
+            if tuple(reader.fieldnames) != self.columns:
                 raise ValueError(f"{self.path} has columns {reader.fieldnames}, this run writes {list(self.columns)}")
             # A kill can leave half a row at the end.
             return [row for row in reader if None not in row.values() and None not in row]

@@ -21,6 +21,7 @@ from accelerate import Accelerator
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch import Tensor, nn
 
+from stmc.renamed import with_new_paths
 from stmc.training.checkpoint import CheckpointError, Checkpoints
 from stmc.training.ema import Ema
 from stmc.training.logs import Board, Table
@@ -39,7 +40,7 @@ Batches = Callable[[int, int], Sequence[Batch]]
 
 
 @dataclass(frozen=True)
-class Hook:
+class Callback:
     """Something to do every so many steps and after the last: `call(step, model)` gets the moving average, in
     evaluation mode. Only the main process calls it."""
 
@@ -49,21 +50,21 @@ class Hook:
 
 @dataclass(frozen=True)
 class Settings:
-    """How to train. `rate` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
-    `final_rate` of it at `lr_decay_steps` (None: at `steps`), where it stays. `clip` bounds the gradient's norm.
-    `*_every` count steps.
+    """How to train. `lr` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
+    `final_lr_ratio` of it at `lr_decay_steps` (None: at `steps`), where it stays. `grad_clip` bounds the gradient's
+    norm. `*_every` count steps.
 
-    A run can be made longer: with the `steps` it had as `lr_decay_steps` it goes on at its final rate.
+    A run can be made longer: with the `steps` it had as `lr_decay_steps` it goes on at its final learning rate.
     """
 
     steps: int
-    rate: float = 3e-4
+    lr: float = 3e-4
     warmup: int = 500
-    final_rate: float = 0.02
+    final_lr_ratio: float = 0.02
     lr_decay_steps: int | None = None
     weight_decay: float = 0.01
-    clip: float = 1.0
-    decay: float = 0.999
+    grad_clip: float = 1.0
+    ema_decay: float = 0.999
     precision: Literal["bf16", "fp32"] = "bf16"
     compile: bool = False
     seed: int = 0
@@ -89,12 +90,12 @@ class Settings:
         """The step at which the learning rate has fallen."""
         return self.steps if self.lr_decay_steps is None else self.lr_decay_steps
 
-    def rate_at(self, step: int) -> float:
+    def lr_at(self, step: int) -> float:
         """The learning rate of the update that `step` (from 0) makes."""
         if step < self.warmup:
-            return self.rate * (step + 1) / self.warmup
+            return self.lr * (step + 1) / self.warmup
         progress = min(1.0, (step - self.warmup) / max(1, self.decay_end - self.warmup))
-        return self.rate * (self.final_rate + (1 - self.final_rate) * (1 + math.cos(math.pi * progress)) / 2)
+        return self.lr * (self.final_lr_ratio + (1 - self.final_lr_ratio) * (1 + math.cos(math.pi * progress)) / 2)
 
 
 class Trainer:
@@ -114,23 +115,23 @@ class Trainer:
         folder: Path,
         settings: Settings,
         validation: Sequence[Batch] = (),
-        hooks: Sequence[Hook] = (),
+        callbacks: Sequence[Callback] = (),
         accelerator: Accelerator | None = None,
         described: Mapping[str, Any] | None = None,
         allow_changed_settings: bool = False,
     ) -> None:
         self.objective, self.batches, self.settings = objective, batches, settings
-        self.folder, self.validation, self.hooks = Path(folder), validation, hooks
+        self.folder, self.validation, self.callbacks = Path(folder), validation, callbacks
         self.accelerator = accelerator or Accelerator()
         self.device = self.accelerator.device
         if self.device.type == "cpu":
             quicken_dropout(network)
         network.to(self.device).train()
-        self.ema = Ema(network, settings.decay)
+        self.ema = Ema(network, settings.ema_decay)
         if settings.compile:
             network.compile(dynamic=True)
         optimizer = torch.optim.AdamW(
-            network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay, fused=True
+            network.parameters(), lr=settings.lr, weight_decay=settings.weight_decay, fused=True
         )
         self._prepared, self.optimizer = self.accelerator.prepare(network, optimizer)
         own = {"training": asdict(settings) | {"lr_decay_steps": settings.decay_end}}
@@ -173,7 +174,7 @@ class Trainer:
         frames = sum(piece.frames for piece in pieces)
         share = self.accelerator.reduce(torch.tensor(float(frames), device=self.device), "mean")  # DDP averages
         for group in self.optimizer.param_groups:
-            group["lr"] = settings.rate_at(self.step)
+            group["lr"] = settings.lr_at(self.step)
         total: Tensor | float = 0.0
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
             torch.manual_seed(seed)  # dropout draws from the global generator
@@ -183,7 +184,7 @@ class Trainer:
                     terms = self._terms(self._prepared, piece, generator)
                     self.accelerator.backward(self.objective.weigh(terms) / share)
                 total = total + terms.detach()
-        norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), settings.clip)
+        norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), settings.grad_clip)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
         self.ema.update(self.network, self.step)
@@ -205,7 +206,7 @@ class Trainer:
             raise FloatingPointError(f"the loss of steps {self.step - steps + 1} to {self.step} is {values['loss']}")
         if not self.accelerator.is_main_process:
             return
-        values |= {"gradient": norm / steps, "rate": self.settings.rate_at(self.step - 1)}
+        values |= {"gradient": norm / steps, "lr": self.settings.lr_at(self.step - 1)}
         values |= {"frames_per_second": frames / seconds, "steps_per_second": steps / seconds}
         self.table.write(self.step, values)
         self.board.write("train", self.step, values)
@@ -216,16 +217,16 @@ class Trainer:
             self._said = time.monotonic()
 
     def _now_and_then(self) -> None:
-        """Validation, the hooks, and then the checkpoint: a run that was killed repeats what it does not vouch for."""
+        """Validation, callbacks, and then the checkpoint: a run that was killed repeats what it does not vouch for."""
         settings, last = self.settings, self.step == self.settings.steps
         if self.validation and (last or self.step % settings.validate_every == 0):
             values = self.validate()
             self.validation_table.write(self.step, values)
             self.board.write("validation", self.step, values)
             logger.info("step %d of %d: validation loss %.4f", self.step, settings.steps, values["loss"])
-        for hook in self.hooks:
-            if last or self.step % hook.every == 0:
-                hook.call(self.step, self.ema.model)
+        for callback in self.callbacks:
+            if last or self.step % callback.every == 0:
+                callback.call(self.step, self.ema.model)
         if last or self.step % settings.checkpoint_every == 0:
             self.checkpoints.save(self.step, self._state())
 
@@ -256,9 +257,10 @@ class Trainer:
 
     def _fill(self, step: int, state: dict[str, Any]) -> None:
         """Everything as it was after `step`; see `Checkpoints.restore`."""
-        changed = differences(state["described"], self.described)
+        begun = with_new_paths(state["described"])
+        changed = differences(begun, self.described)
         if changed and not self.allow_changed:
-            longer = f"; a longer run needs training.{_END}={state['described'][f'training.{_END}']}"
+            longer = f"; a longer run needs training.{_END}={begun[f'training.{_END}']}"
             raise SettingsChanged(
                 f"{self.folder} was begun with other settings: {'; '.join(changed)}. Ask again with the old ones"
                 f"{longer if any(_END in change for change in changed) else ''}, choose another folder, or go on with "
@@ -277,7 +279,7 @@ class Trainer:
 
     def _open_logs(self, stack: ExitStack) -> None:
         losses = self.objective.names
-        pace = ("gradient", "rate", "frames_per_second", "steps_per_second")
+        pace = ("gradient", "lr", "frames_per_second", "steps_per_second")
         self.table = Table(self.folder / "train.csv", (*losses, *pace), self.step)
         self.validation_table = Table(self.folder / "validation.csv", losses, self.step)
         self.board = Board(self.folder / "tensorboard", self.step)

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from stmc.denoisers.protocol import Denoiser
 from stmc.diffusion.schedule import Prediction, Schedule
 
-Derive = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor, "batch _ derived"]]
+AuxiliaryLoss = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor, "batch _ derived"]]
 """Clean normalised features → more numbers that should be right too, each of a frame and the next."""
 
 
@@ -67,7 +67,7 @@ class Objective(Protocol):
 class Denoising:
     """Eq. 5: the mean squared error of the prediction, per feature.
 
-    `fields` names columns of the features, and after them of what `derive` makes of these, for the logs and for
+    `fields` names columns of the features, and after them of what `auxiliary_loss` makes of these, for the logs and for
     `weights`, which make fields count more or less than the 1 of the plain mean: in the gradient, not in the logs.
     Raises `ValueError` for weights of unknown fields, and where something is to be derived from anything but x0.
     """
@@ -76,10 +76,10 @@ class Denoising:
     prediction: Prediction = "x0"
     fields: Mapping[str, slice] = field(default_factory=dict)
     weights: Mapping[str, float | int] = field(default_factory=dict)
-    derive: Derive | None = None
+    auxiliary_loss: AuxiliaryLoss | None = None
 
     def __post_init__(self) -> None:
-        if self.derive is not None and self.prediction != "x0":
+        if self.auxiliary_loss is not None and self.prediction != "x0":
             raise ValueError(f"further features are derived from a prediction of x0, not of {self.prediction}")
         if unknown := set(self.weights) - set(self.fields):
             raise ValueError(f"weights of unknown fields {sorted(unknown)}; choose from {', '.join(self.fields)}")
@@ -92,7 +92,7 @@ class Denoising:
     def __call__(self, network: Denoiser, piece: Batch, generator: torch.Generator) -> Float[Tensor, " terms"]:
         """Squared errors per column, at steps and with noise that `generator` draws."""
         t, noise = draw_noise(piece, self.schedule.steps, generator)
-        return squared_errors(network, self.schedule, piece, t, noise, self.prediction, self.derive)
+        return squared_errors(network, self.schedule, piece, t, noise, self.prediction, self.auxiliary_loss)
 
     def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
         """The weighted mean over columns."""
@@ -115,20 +115,20 @@ def squared_errors(
     t: Int[Tensor, " batch"],
     noise: Float[Tensor, "batch frames features"],
     prediction: Prediction = "x0",
-    derive: Derive | None = None,
+    auxiliary_loss: AuxiliaryLoss | None = None,
 ) -> Float[Tensor, " _"]:
     """Squared error of the prediction from x_t, per feature, summed over real frames: Eq. 5 before its mean.
 
-    The errors of what `derive` makes of the features follow those of the features; it needs a prediction of x0.
+    The errors of what `auxiliary_loss` makes of the features follow those of the features; it needs a prediction of x0.
     """
     noisy = schedule.q_sample(batch.motion, t, noise)
     target = schedule.from_x0(batch.motion, noisy, t, prediction)
     output = batch.denoised(denoiser, noisy, t)
     sums = [_summed(output.float(), target, batch.mask)]
-    if derive is not None:
+    if auxiliary_loss is not None:
         both = None if batch.mask is None else batch.mask[:, 1:] & batch.mask[:, :-1]
         with torch.autocast(output.device.type, enabled=False):
-            sums.append(_summed(derive(output.float()), derive(target), both))
+            sums.append(_summed(auxiliary_loss(output.float()), auxiliary_loss(target), both))
     return torch.cat(sums)
 
 

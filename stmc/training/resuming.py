@@ -12,11 +12,17 @@ MAY_CHANGE = (
     *("run", "data.folder", "data.preparation", "text_cache"),  # places: what lies there has a fingerprint
     *("device", "threads", "training.compile", "trusted"),  # the machine, and whose code may run there
     *("training.steps", "training.log_every", "training.validate_every", "training.checkpoint_every", "training.keep"),
-    *("draw", "draw_every", "spread", "allow_changed_settings"),  # what is done with the weights, not what they become
+    *(
+        "draw",
+        "draw_every",
+        "noise_scale",
+        "allow_changed_settings",
+    ),  # what is done with the weights, not what they become
 )
 """The settings (and all below them) that a resumed run may have otherwise: they change no step's outcome.
 
-`training.steps` is among them, since what the steps depend on is where the rate's fall ends: `training.lr_decay_steps`.
+`training.steps` is among them, since what the steps depend on is where the learning rate's fall ends:
+`training.lr_decay_steps`.
 """
 
 _ABSENT = object()

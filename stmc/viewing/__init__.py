@@ -4,8 +4,8 @@ Knows nothing of models and sampling. It stands a tier above `assign`, which tel
 """
 
 from stmc.viewing.plans import plot_plan
-from stmc.viewing.strip import pictures
-from stmc.viewing.tracks import figure
-from stmc.viewing.web import frame, page, view
+from stmc.viewing.strip import film_strip
+from stmc.viewing.tracks import plot_timeline
+from stmc.viewing.web import html_frame, render_html, view
 
-__all__ = ["figure", "frame", "page", "pictures", "plot_plan", "view"]
+__all__ = ["film_strip", "html_frame", "plot_plan", "plot_timeline", "render_html", "view"]

@@ -27,7 +27,7 @@ _FLOOR, _LINE, _SHADOW = "#f4f5f7", "#dcdfe4", "#c9cdd4"
 _LEGS = PARTS.index("legs")
 
 
-def pictures(
+def film_strip(
     motion: Motion,
     timeline: Timeline | None = None,
     frames: int = 8,
@@ -43,7 +43,7 @@ def pictures(
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
-        >>> stmc.pictures(motion, frames=2).savefig("walk.png")
+        >>> stmc.film_strip(motion, frames=2).savefig("walk.png")
     """
     if frames < 1:
         raise ValueError(f"frames must be 1 or more, not {frames}")

@@ -19,7 +19,9 @@ _TRACK, _PART = 1.0, 0.46
 _ROW_INCHES = 0.42
 
 
-def figure(timeline: Timeline, fps: int | float, overlap: int | float = 0.0, width: int | float = 10.0) -> Figure:
+def plot_timeline(
+    timeline: Timeline, fps: int | float, overlap: int | float = 0.0, width: int | float = 10.0
+) -> Figure:
     """The timeline's tracks, prompts as bars that bear their texts, and below them the five body parts.
 
     `fps` decides where frames cut the spans; `overlap` (seconds) is how long transitions will be, which are hatched;
@@ -27,7 +29,7 @@ def figure(timeline: Timeline, fps: int | float, overlap: int | float = 0.0, wid
 
     Examples:
         >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
-        >>> stmc.figure(timeline, fps=20, overlap=0.5).savefig("timeline.svg")
+        >>> stmc.plot_timeline(timeline, fps=20, overlap=0.5).savefig("timeline.svg")
     """
     rows = len(timeline.tracks) * _TRACK + 5 * _PART + 0.35
     plot = Figure(figsize=(width, _ROW_INCHES * rows + 0.85), layout="constrained")

@@ -26,7 +26,7 @@ _ALONE = (
 _FOLLOW = '<button id="stmc-follow" type="button" aria-pressed="false">follow</button>'
 
 
-def page(
+def render_html(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
@@ -47,7 +47,7 @@ def page(
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
-        >>> html = stmc.page(motion, title="A walk")
+        >>> html = stmc.render_html(motion, title="A walk")
         >>> "<title>A walk</title>" in html
         True
     """
@@ -78,24 +78,24 @@ def view(
     body: Body | None = None,
     height: int = 640,
 ) -> None:
-    """Show the motion's `page`: below the notebook's cell (`height` pixels tall), or elsewhere in the web browser.
+    """Show the page of `render_html`: below the notebook's cell (`height` pixels tall), or in the web browser.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
         >>> stmc.view(motion, title="A walk")
     """
-    content = page(motion, timeline, title, overlap, body)
+    content = render_html(motion, timeline, title, overlap, body)
     if _in_notebook():
         from IPython.display import HTML, display
 
-        display(HTML(frame(content, height)))
+        display(HTML(html_frame(content, height)))
         return
     with tempfile.NamedTemporaryFile("w", suffix=".html", delete=False, encoding="utf-8") as file:
         file.write(content)
     webbrowser.open(Path(file.name).as_uri())
 
 
-def frame(content: str, height: int = 640) -> str:
+def html_frame(content: str, height: int = 640) -> str:
     """A page inside another: an HTML element that holds all of `content`."""
     style = f"width:100%;height:{height}px;border:1px solid #e6e8ec;border-radius:6px"
     return f'<div><iframe srcdoc="{html.escape(content)}" style="{style}"></iframe></div>'

@@ -142,7 +142,7 @@ class Recordings:
         folder = Path(folder)
         if not folder.is_dir():
             raise LayoutError(
-                f"source={folder} is no folder; it should hold AMASS's data sets: ACCAD/, BMLmovi/, CMU/ …"
+                f"source={folder} is not a directory; it should hold AMASS's data sets: ACCAD/, BMLmovi/, CMU/ …"
             )
         files = sorted(path for path in folder.rglob("*.npz") if path.is_file())
         self._files: dict[tuple[str, ...], Path] = {}

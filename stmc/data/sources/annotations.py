@@ -200,7 +200,7 @@ def _listed(path: Path, split: str) -> list[str]:
     try:
         names = path.read_text(encoding="utf-8").split()
     except UnicodeDecodeError as error:
-        raise LayoutError(f"{path} is no text: {error}") from error
+        raise LayoutError(f"{path} is not text: {error}") from error
     if not names and split != "test":
         raise LayoutError(f"{path} lists nothing")
     return list(dict.fromkeys(names))

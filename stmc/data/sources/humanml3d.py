@@ -209,7 +209,7 @@ def _read(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], list[Ca
     try:
         captions = read_captions(texts)
     except UnicodeDecodeError as error:
-        raise ValueError(f"damaged: {texts.name} is no text: {error}") from error
+        raise ValueError(f"damaged: {texts.name} is not text: {error}") from error
     if not captions:
         raise ValueError("no caption: the file is empty")
     return features, captions
