@@ -14,13 +14,14 @@ from rich.progress import Progress
 from rich.table import Table
 
 import stmc
-from stmc.benchmarks.ability import abilities, mean_speed
+from stmc.benchmarks.ability import abilities
 from stmc.commands import command
 from stmc.commands.shared import OnDevice
 from stmc.data.cache import Cache
 from stmc.diffusion import NoiseScale
 from stmc.files import write_text, write_whole
 from stmc.metrics import kinematics
+from stmc.metrics.actions import mean_speed
 from stmc.model import Precision
 from stmc.settings import setting
 from stmc.viewing import film_strip

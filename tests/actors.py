@@ -20,7 +20,7 @@ FRAMES = ("-10 20 30", "0 0 20", "180 -30 -90")
 
 @dataclass
 class Actor:
-    """Bones by the names of one of `cmu.FORMATS`: parents, rest offsets in the file's unit, and whose SMPL joint's
+    """Bones by the names of one of `cmu.FORMATS`: parents, rest offsets in the file's unit, and which SMPL joint's
     world rotation each has. `turns` [frames, 22, 3, 3] and `path` [frames, 3] are in the files' axes, y up."""
 
     names: dict
@@ -62,9 +62,8 @@ class Actor:
             columns.append(Rotation.from_matrix(turned[joint]).as_euler("ZYX", degrees=True))
         rows = np.concatenate(columns, axis=1)
         if t_pose:
-            rows = np.concatenate(
-                [0 * rows[:1], *([7 * rows[:1]] * cmu.DAMAGED if self.names == cmu.DAZ else []), rows]
-            )
+            damaged = [7 * rows[:1]] * cmu.DAMAGED if self.names == cmu.DAZ else []
+            rows = np.concatenate([0 * rows[:1], *damaged, rows])
         text = "\n".join(" ".join(f"{value:.9f}" for value in row) for row in rows)
         head = f"MOTION\nFrames: {len(rows)}\nFrame Time: {1 / rate:.7f}\n"
         return f"HIERARCHY\n{self._hierarchy('pelvis')}{head}{text}\n"
@@ -95,9 +94,8 @@ class Actor:
             link, own = f"to_{self.names[joint]}", self.names[joint]
             frame = FRAMES[number % 3]
             bones.append(f"begin\n id {number}\n name {link}\n direction {direction}\n length {length:.12f}\n")
-            bones.append(
-                f" axis 0 0 0  XYZ\nend\nbegin\n name {own}\n direction 0 1 0\n length 1\n axis {frame}  XYZ\n"
-            )
+            bones.append(f" axis 0 0 0  XYZ\nend\nbegin\n name {own}\n direction 0 1 0\n length 1\n")
+            bones.append(f" axis {frame}  XYZ\n")
             bones.append(" dof rx ry rz\n limits (-180.0 180.0)\n        (-90.0 90.0)\nend\n")
             tree += [f"{self.names[parent]}_end {link}" if parent != "pelvis" else f"root {link}", f"{link} {own}"]
             zero = f"begin\n name {own}_end\n direction 0 -1 0\n length 1\n axis 0 0 0 XYZ\nend\n"

@@ -8,7 +8,9 @@ import pytest
 import torch
 from toys import cache as toy
 
-from stmc.data.cache import FEATURES, TABLE, Cache, CacheError, Clip, assemble, fingerprint, fresh
+from stmc.body_model import Skeleton
+from stmc.data.cache import FEATURES, TABLE, Cache, CacheError, Clip, assemble, fingerprint, fresh, read_caches
+from stmc.statistics import Statistics
 
 
 def written(folder, **changes) -> Cache:
@@ -178,3 +180,20 @@ def test_the_table_is_plain_json_that_people_can_read(tmp_path):
     table = json.loads((tmp_path / TABLE).read_text())
     assert table["fps"] == 20.0
     assert table["clips"][0]["name"] == "walk-0"
+
+
+def test_several_caches_are_read_as_one_without_the_statistics_of_the_first(tmp_path):
+    width = toy().features.shape[1]
+    one = written(tmp_path / "one", statistics=Statistics(torch.zeros(width), torch.ones(width)))
+    written(tmp_path / "two")
+    both = read_caches([tmp_path / "one", str(tmp_path / "two")])
+    assert len(both.clips) == 2 * len(one.clips) and len(both.features) == 2 * len(one.features)
+    assert both.statistics is None
+    assert read_caches(tmp_path / "one").statistics is not None
+
+
+def test_caches_of_different_bodies_are_not_one(tmp_path):
+    written(tmp_path / "one")
+    written(tmp_path / "two", skeleton=Skeleton(2 * Skeleton.default().offsets))
+    with pytest.raises(CacheError, match="two bodies"):
+        read_caches([tmp_path / "one", tmp_path / "two"])

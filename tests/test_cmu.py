@@ -1,5 +1,6 @@
 """CMU's database: made-up recordings in each of its formats, and what becomes of them."""
 
+import csv
 import dataclasses
 import json
 import tarfile
@@ -7,12 +8,13 @@ import tarfile
 import pytest
 import torch
 from actors import Actor, moving
+from conftest import data_file
 from studio import Threads
 
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
 from stmc.data import preparation
-from stmc.data.sources import cmu, cmu_clips
+from stmc.data.sources import asf, cmu, cmu_clips
 from stmc.data.sources.asf import AcclaimError, parse_amc, parse_asf
 from stmc.data.sources.bandai_sentences import CONTENTS
 from stmc.data.sources.bvh import parse_bvh
@@ -74,8 +76,12 @@ def test_an_asf_bone_turns_about_the_axes_of_its_own_frame():
     [
         (lambda asf, amc: (asf.replace("angle deg", "angle rad"), amc), "must be in degrees"),
         (lambda asf, amc: (asf.replace(":hierarchy", ":nothing"), amc), "hierarchy are missing"),
-        (lambda asf, amc: (asf.replace("name head\n", "name thorax\n"), amc), "bone thorax: it is duplicated"),
+        (lambda asf, amc: (asf.replace("name head\n", "name thorax\n"), amc), "bone 'thorax': it is duplicated"),
         (lambda asf, amc: (asf.replace("length 1\n", "length long\n", 1), amc), "could not convert"),
+        (lambda asf, amc: (asf.replace("length 1\n", "length\n", 1), amc), "one or three numbers"),
+        (lambda asf, amc: (asf.replace("length 1\n", "length inf\n", 1), amc), "one or three numbers below"),
+        (lambda asf, amc: (asf, amc.replace("\nhead ", "\nhead 1e300 ", 1).replace("e300 ", "e300", 1)), "bone 'head'"),
+        (lambda asf, amc: (asf, amc.replace("\nhead ", f"\nhead {'9' * 50} ")), "one of more than 40 letters"),
         (lambda asf, amc: (asf, amc.replace(":DEGREES", "")), "no frames"),
         (lambda asf, amc: (asf, amc.replace("\nhead ", "\ntail ")), "'tail' is not a bone of the skeleton"),
         (lambda asf, amc: (asf, amc.rstrip().rpartition(" ")[0]), "truncated or damaged"),
@@ -136,6 +142,21 @@ def test_recordings_that_cannot_be_used_say_why():
         cmu.read(cmu.Source("01_01", actor(cmu.DAZ, frames=1).bvh(t_pose=True)), BODY, 20)
 
 
+def test_a_skeleton_without_legs_is_refused():
+    recorded = actor()
+    for joint in ("knee", "ankle"):
+        recorded.offsets[f"left_{joint}"] = 0 * recorded.offsets[f"left_{joint}"]
+    with pytest.raises(cmu.CmuError, match="legs have no length"):
+        cmu.retarget(parse_bvh(recorded.bvh()), BODY, 20)
+
+
+def test_more_frames_of_bones_than_anybody_records_are_refused(monkeypatch):
+    recorded = actor(frames=3)
+    monkeypatch.setattr(asf, "MOST_VALUES", 100)
+    with pytest.raises(AcclaimError, match=r"3 frames of \d+ bones: more than 100, the limit"):
+        parse_amc(recorded.amc(), parse_asf(recorded.asf()), 120)
+
+
 # Folders, archives and the cache ----------------------------------------------------------------------------------
 
 
@@ -160,7 +181,7 @@ def folder(tmp_path_factory):
 def test_sources_are_named_once_and_read_with_their_own_or_a_known_skeleton(folder, tmp_path):
     found = list(cmu.read_sources(folder))
     names = [source.name for source in found if isinstance(source, cmu.Source)]
-    assert names == ["13_11", "16_01", "16_02", "16_03", "16_04", "35_17"]
+    assert names == ["35_17", "13_11", "16_03", "16_01", "16_02", "16_04"]
     assert ("16_03 (subjects/16/16_03.amc)", "a second recording of this name") in found
     with tarfile.open(tmp_path / "cmu.tar.xz", "w:xz", preset=0) as archive:
         archive.add(folder, arcname="cmu")
@@ -169,7 +190,27 @@ def test_sources_are_named_once_and_read_with_their_own_or_a_known_skeleton(fold
     ]
     (tmp_path / "07").mkdir()
     (tmp_path / "07" / "07_01.amc").write_text("")
-    assert next(iter(cmu.read_sources(tmp_path / "07")))[1].startswith("no skeleton")
+    assert next(cmu.read_sources(tmp_path / "07"))[1].startswith("no skeleton")
+
+
+def test_what_cannot_be_read_is_named_with_the_reason_and_skeletons_are_few_and_short(tmp_path, monkeypatch):
+    (tmp_path / "16_01.amc").mkdir()
+    (tmp_path / "16.asf").write_text("too long")
+    (tmp_path / "16_02.amc").write_text("")
+    monkeypatch.setattr(cmu, "LONGEST_SKELETON", 4)
+    found = dict(cmu.read_sources(tmp_path))
+    assert found["16_01"] == "a directory, not a file"
+    assert found["16_02"].startswith("no skeleton")
+    monkeypatch.setattr(cmu, "MOST_SKELETONS", 1)
+    for name in ("17", "18"):
+        (tmp_path / f"{name}.asf").write_text("asf")
+    with pytest.raises(ValueError, match=r"more than 1 \.asf files, the limit"):
+        next(cmu.read_sources(tmp_path))
+
+
+def test_a_cache_depends_on_the_files_the_frame_rate_and_the_code(folder):
+    first, second = (cmu_clips.CmuClips(folder, fps).fingerprint() for fps in (20, 30))
+    assert first != second == cmu_clips.CmuClips(str(folder), 30).fingerprint()
 
 
 def test_a_place_without_recordings_is_an_error(tmp_path):
@@ -178,7 +219,7 @@ def test_a_place_without_recordings_is_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"contains no \.amc or \.bvh"):
         list(cmu.read_sources(tmp_path))
     (tmp_path / "half.tar.xz").write_bytes(b"\xfd7zXZ\x00")
-    with pytest.raises(ValueError, match="truncated or damaged"):
+    with pytest.raises(ValueError, match="half or damaged"):
         list(cmu.read_sources(tmp_path / "half.tar.xz"))
 
 
@@ -249,3 +290,11 @@ def test_the_file_is_json_with_a_segment_a_line():
     text = (cmu_clips.Path(cmu_clips.__file__).parents[2] / "assets" / "segments.json").read_text("utf-8")
     assert json.loads(text) == table()
     assert max(map(len, text.splitlines())) < 1000
+
+
+@pytest.mark.data
+def test_segments_lie_within_the_real_recordings():
+    with data_file("cmu/trials.csv").open(newline="") as file:
+        seconds = {row["trial"]: float(row["seconds"]) for row in csv.DictReader(file)}
+    for name, rows in read_segments("cmu").items():
+        assert max(row.end for row in rows) <= seconds[name], name

@@ -13,7 +13,7 @@ from toys import FPS, LAYOUT, LetterCounts, cache
 from stmc.body import BodyPart
 from stmc.body_model import Skeleton
 from stmc.data.batches import ClipBatches, Sampling
-from stmc.data.cache import Cache, Clip
+from stmc.data.cache import Cache, Clip, read_caches
 from stmc.data.dataset import NULL, SEAM, BatchPlan, Dataset
 from stmc.representation import Field, Layout, SmplRepresentation
 from stmc.statistics import Statistics
@@ -188,7 +188,7 @@ def test_no_text_is_the_empty_text_not_zeros(dataset):
 
 def test_statistics_are_those_of_the_training_clips_alone():
     data = cache()
-    dataset = Dataset(data, LetterCounts(), LAYOUT, floor=0.01, min_clips=3)
+    dataset = Dataset(data, LetterCounts(), LAYOUT, floor={name: 0.01 for name in LAYOUT.slices}, min_clips=3)
     rows = torch.cat([data.features[clip.start : clip.end] for clip in data.clips if clip.split == "train"])
     torch.testing.assert_close(dataset.motion.mean, rows.mean(dim=0))
     torch.testing.assert_close(dataset.motion.std, rows.std(dim=0, correction=0).clamp_min(0.01))
@@ -381,3 +381,71 @@ def test_data_that_stand_still_are_refused(statistics):
     still.features[:] = still.features[:1].clone()
     with pytest.raises(ValueError, match="training frames is the same: there is nothing to learn"):
         Dataset(still, LetterCounts(), LAYOUT)
+
+
+# Several data sets -----------------------------------------------------------------------------------------------
+
+
+def test_a_feature_that_hardly_varies_in_most_clips_is_divided_by_its_field_s_floor():
+    name = next(iter(LAYOUT.slices))
+    plain = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
+    floored = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3, floor={name: 100.0})
+    assert (floored.motion.std[LAYOUT[name]] == 100).all()
+    rest = torch.ones(LAYOUT.width, dtype=torch.bool)
+    rest[LAYOUT[name]] = False
+    assert torch.equal(floored.motion.std[rest], plain.motion.std[rest])
+    with pytest.raises(ValueError, match=r"unknown fields \['height'\]; choose from"):
+        Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3, floor={"height": 1.0})
+
+
+def test_what_is_far_from_the_mean_is_put_at_the_limit():
+    near, far = (Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3, limit=limit) for limit in (0.5, 1e9))
+    pieces = [ClipBatches(each, "train", Sampling(rows=8))(0) for each in (near, far)]
+    for cut, whole in zip(*pieces, strict=True):
+        assert torch.equal(cut.motion, whole.motion.clamp(-0.5, 0.5))
+        assert whole.motion.abs().max() > 0.5
+
+
+def test_text_statistics_that_are_given_are_kept():
+    given = Statistics(torch.zeros(8), torch.full((8,), 2.0))
+    assert Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3, text=given).text.std.tolist() == [2.0] * 8
+
+
+@pytest.fixture(scope="module")
+def two_data_sets(tmp_path_factory) -> Dataset:
+    """Ten walks of zeros and a bit, in one folder; ten drinks of ones and a bit in another."""
+    folder, generator = tmp_path_factory.mktemp("caches"), torch.Generator().manual_seed(0)
+    for name, parts, value in (("walk", ("legs",), 0.0), ("drink", ("left arm", "right arm"), 1.0)):
+        motion = value + 0.01 * torch.randn(400, SmplRepresentation.layout.width, generator=generator)
+        clips = tuple(
+            Clip(f"{name}_{number}", name, "", name, parts, True, False, "train", 40 * number, 40 * number + 40)
+            for number in range(10)
+        )
+        Cache(20.0, "smpl", motion, clips, {name: ((name, 1.0),)}).write(folder / name)
+    cache = read_caches([folder / "walk", str(folder / "drink")])
+    return Dataset(cache, LetterCounts(), SmplRepresentation.layout, min_clips=1)
+
+
+@pytest.mark.parametrize(
+    ("shares", "donor", "receiver"),
+    [({"compose_prob": 0.5}, "drink", "walk"), ({"compose_legs_prob": 0.5}, "walk", "drink")],
+    ids=("arms on a walk", "legs under a drink"),
+)
+def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(two_data_sets, shares, donor, receiver):
+    dataset = two_data_sets
+    batches = ClipBatches(
+        dataset, "train", Sampling(rows=64, receivers="any", uncond_crop_prob=0.0, text_dropout=0.0, **shares)
+    )
+    drawn = Counter(dataset.clips[clip].content for plan in batches.plans(0) for clip in plan.body.clip)
+    assert set(drawn) == {"walk", "drink"}
+    rows = [
+        (plan, row, dataset._composed(dataset._cut(plan.body), plan)[row])
+        for plan in batches.plans(0)
+        for row in np.flatnonzero(plan.donor.frames)
+    ]
+    assert rows
+    for plan, row, motion in rows:
+        contents = [dataset.clips[stretch.clip[row]].content for stretch in (plan.body, plan.donor)]
+        assert contents == [receiver, donor]
+        middle = plan.offset[row] + plan.donor.frames[row] // 2
+        assert abs(float(motion[middle, 0])) < 0.1  # the pelvis' height is the legs', and these are a walk's in both

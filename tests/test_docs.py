@@ -37,7 +37,7 @@ BROUGHT = {
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
 }
-"""What docs/site.py brings into the site, and from where."""
+"""What docs/hooks.py brings into the site, and from where."""
 
 
 def name(page: Path) -> str:
@@ -96,7 +96,7 @@ def test_the_navigation_has_every_page_once():
 
 
 def test_what_the_site_brings_from_elsewhere_is_known_here():
-    tree = ast.parse(text(DOCS / "site.py"))
+    tree = ast.parse(text(DOCS / "hooks.py"))
     strings = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     assert {"CONTRIBUTING.md", "CHANGELOG.md", "mdm_smpl_bandai", "tmr_bandai"} <= strings
 
@@ -223,6 +223,12 @@ def test_the_cells_of_a_page_run_one_after_the_other(page, tmp_path, monkeypatch
     namespace: dict = {"__name__": "__main__"}
     for number, block in enumerate(blocks(page, "python"), start=1):
         exec(compile(block, f"{name(page)}, cell {number}", "exec"), namespace)
+
+
+@pytest.mark.slow
+def test_every_figure_is_one_that_is_drawn_from_a_plan():
+    plans = runpy.run_path(str(DOCS / "figures.py"))["plans"]()
+    assert set(plans) == {path.stem for path in DOCS.glob("figures/*.png")}
 
 
 @pytest.mark.slow

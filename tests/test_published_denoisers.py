@@ -6,6 +6,8 @@ from torch import Tensor, nn
 
 from stmc.denoisers import Denoiser, MdmDecoder, MdmEncoder, MotionDiffuse, Network
 from stmc.denoisers.layers import DecoderLayer, PostNormLayer
+from stmc.denoisers.network import WIDEST
+from stmc.statistics import Statistics
 from stmc.tensors import mask
 
 SIZES = {"features": 7, "text_width": 5, "width": 16, "feedforward": 32, "layers": 2, "heads": 4}
@@ -189,3 +191,23 @@ def test_the_first_word_stands_for_the_text_and_the_others_have_no_order():
     answer = network(x, t, text)
     torch.testing.assert_close(network(x, t, text[:, [0, 4, 2, 1, 5, 3]]), answer, atol=1e-5, rtol=0)
     assert not torch.allclose(network(x, t, text[:, [1, 0, 2, 3, 4, 5]]), answer, atol=1e-4)
+
+
+@torch.no_grad()
+def test_weights_restated_for_other_statistics_say_the_same_motion(network):
+    x, t, text = inputs()
+    draw = torch.Generator().manual_seed(2)
+    old = Statistics(torch.randn(7, generator=draw), torch.rand(7, generator=draw) + 0.5)
+    new = Statistics(torch.randn(7, generator=draw), old.std * (1 + (WIDEST - 1) * torch.rand(7, generator=draw)))
+    before = old.restore(network(x, t, text))
+    network.restate(old, new)
+    torch.testing.assert_close(new.restore(network(new.normalise(old.restore(x)), t, text)), before, atol=1e-4, rtol=0)
+
+
+@torch.no_grad()
+def test_a_feature_divided_by_far_more_than_before_keeps_its_noise_small(network):
+    old = Statistics(torch.zeros(7), torch.full((7,), 1e-3))
+    first = network.get_submodule(network.ends[0])
+    before = first.weight.clone()
+    network.restate(old, Statistics(torch.zeros(7), torch.ones(7)))
+    torch.testing.assert_close(first.weight, WIDEST * before)

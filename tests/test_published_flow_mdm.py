@@ -131,6 +131,7 @@ def test_statistics_that_are_none_are_refused(tmp_path, value):
         read(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.golden
 @pytest.mark.skipif(not (GOLDEN / "flow").exists(), reason=f"no golden numbers at {GOLDEN / 'flow'} (set STMC_GOLDEN)")
 def test_every_name_of_the_published_checkpoints_has_its_place(tmp_path, subtests):

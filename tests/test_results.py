@@ -157,7 +157,7 @@ def test_records_are_read_as_they_were_written(tmp_path_factory, results):
             '{"method": "stmc", "seed": 0, "metrics": {}, "stepps": 3}',
             "unknown key 'stepps'; choose from method",
         ),
-        ('{"method": "stmc", "seed": true, "metrics": {}}', "seed: True is not int"),
+        ('{"method": "stmc", "seed": true, "metrics": {}}', "seed: true is not int"),
         ('{"method": "stmc", "seed": 0, "metrics": {"fid": "low"}}', "metrics.fid: 'low' is not int or float"),
         ('{"method": "stmc", "seed": 0, "metrics": {"fid": NaN}}', "metrics.fid: nan is not a finite number"),
         ('{"method": "stmc", "seed": 0, "metrics": {}, "steps": 1.5}', "steps=1.5: a whole number or null needed"),

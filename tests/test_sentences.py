@@ -31,7 +31,7 @@ SIDES = re.compile(r"\b(left|right|clockwise|counterclockwise)\b")
 
 
 def test_every_label_of_the_data_set_has_sentences():
-    assert set(CONTENTS) == set(LABELS)
+    assert set(CONTENTS) >= set(LABELS)
     assert set(STYLES) == set(MOODS)
     for name, record in CONTENTS.items():
         assert record.name == name
@@ -96,7 +96,7 @@ def test_parts_are_those_that_the_benchmark_gives_to_the_same_text():
 
 
 def test_only_contents_without_a_decisive_middle_are_cyclic():
-    cyclic = {name for name, record in CONTENTS.items() if record.cyclic}
+    cyclic = {name for name, record in CONTENTS.items() if record.cyclic and name in LABELS}
     walks = {"walk", "walk-left", "walk-right", "walk-back", "run", "dash"}
     assert cyclic == walks | {"wave-left-hand", "wave-right-hand", "wave-both-hands", "dance-short"}
 

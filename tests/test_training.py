@@ -167,9 +167,9 @@ def test_the_loss_falls_and_the_average_learns_too(tmp_path):
 
 
 def test_half_precision_learns_the_same_and_keeps_weights_in_full(tmp_path):
-    half = trainer(tmp_path / "half", steps=20, dropout=0.0)
+    half = trainer(tmp_path / "half", steps=8, dropout=0.0)
     half.run()
-    trainer(tmp_path / "full", steps=20, dropout=0.0, precision="fp32").run()
+    trainer(tmp_path / "full", steps=8, dropout=0.0, precision="fp32").run()
     assert {parameter.dtype for parameter in half.network.parameters()} == {torch.float32}
     for a, b in zip(rows(tmp_path / "half/train.csv"), rows(tmp_path / "full/train.csv"), strict=True):
         assert float(a["loss"]) == pytest.approx(float(b["loss"]), rel=0.03)

@@ -6,10 +6,11 @@ Each ability is a timeline and a yes-or-no question about one motion's geometry:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from stmc.metrics.kinematics import forward_speed, swings, turn, wrist_height
+from stmc.benchmarks.questions import Question
+from stmc.metrics.actions import mean_speed, waves
+from stmc.metrics.kinematics import forward_speed, turn, wrist_height
 from stmc.motion import Motion
 from stmc.timeline import Timeline
 
@@ -18,12 +19,6 @@ WALK, RAISE = (0.0, 8.0), (2.5, 5.5)
 
 SLACK = 0.75
 """Seconds by which a raised arm may come early or stay late: half a transition and the time an arm takes."""
-
-
-NEAR = 0.15
-"""Metres below the shoulder at which a wrist still counts as raised, where other parts may do something else."""
-
-Question = Callable[[Motion], bool]
 
 
 @dataclass(frozen=True)
@@ -36,20 +31,10 @@ class Ability:
     expected: float | int
 
 
-def mean_speed(motion: Motion) -> float:
-    """Metres per second along the heading, over the whole motion."""
-    return float(forward_speed(motion).mean())
-
-
 def raises(motion: Motion, left: bool, right: bool) -> bool:
     """Whether exactly the named wrists come above their shoulders at some time."""
     up = [bool((wrist_height(motion, side, "shoulder") > 0).any()) for side in ("left", "right")]
     return up == [left, right]
-
-
-def waves(motion: Motion, sides: Sequence[str]) -> bool:
-    """Whether the forearm of each of the `sides` swings at least three times while the wrist is above the elbow."""
-    return all(swings(motion, side) >= 3 for side in sides)
 
 
 def raises_while_walking(motion: Motion) -> bool:
@@ -63,33 +48,6 @@ def raises_while_walking(motion: Motion) -> bool:
     speed = forward_speed(motion)
     walking = all(0.5 <= float(part.mean()) <= 2 for part in (speed[:first], speed[first:last], speed[last:]))
     return timely and walking and not other
-
-
-def questions() -> Mapping[str, Question]:
-    """By the label of a content, whether a motion shows it, whatever its other body parts do: of those contents that
-    geometry can tell. A wrist that comes near the shoulder's height is raised, since some of the data set's actors
-    raise it no higher."""
-    sides = {"left": ("left",), "right": ("right",), "both": ("left", "right")}
-    return {
-        "walk": lambda motion: 0.4 <= mean_speed(motion) <= 2,
-        "walk-back": lambda motion: mean_speed(motion) < -0.2,
-        "run": lambda motion: mean_speed(motion) > 1.5,
-        "dash": lambda motion: mean_speed(motion) > 1.5,
-        "walk-turn-left": lambda motion: turn(motion) > math.pi / 4,
-        "walk-turn-right": lambda motion: turn(motion) < -math.pi / 4,
-        **{
-            f"raise-up-{side}-hand{'s' * (side == 'both')}": lambda motion, which=sides[side]: _lifts(motion, which)
-            for side in sides
-        },
-        **{
-            f"wave-{side}-hand{'s' * (side == 'both')}": lambda motion, which=sides[side]: waves(motion, which)
-            for side in sides
-        },
-    }
-
-
-def _lifts(motion: Motion, sides: Sequence[str]) -> bool:
-    return all(bool((wrist_height(motion, side, "shoulder") > -NEAR).any()) for side in sides)
 
 
 def abilities() -> tuple[Ability, ...]:

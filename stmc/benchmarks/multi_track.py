@@ -17,10 +17,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.benchmarks.ability import Question, questions
 from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atomic_prompts
 from stmc.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions, cache_reference_motions
 from stmc.benchmarks.protocol import Scores, TextEvaluator
+from stmc.benchmarks.questions import QUESTIONS, Question
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.realism import fid
@@ -172,11 +172,8 @@ def open_mtt(evaluator: TextEvaluator, cache: str | Path, first: int | None = No
     """
     folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), Cache.read(Path(cache).expanduser())
     atoms, asked = read_atomic_prompts(folder / "prompts.json"), Timeline.read_all(folder / "timelines.json")[:first]
-    reference_motions, random, others = (
-        cache_reference_motions(prepared, SmplRepresentation()),
-        np.random.default_rng(0),
-        [],
-    )
+    reference_motions = cache_reference_motions(prepared, SmplRepresentation())
+    random, others = np.random.default_rng(0), []
     for atom in atoms:
         clips = [clip for clip in prepared.clips if clip.split == "test" and _describes(prepared, atom.text, clip)]
         if not clips:
@@ -186,8 +183,7 @@ def open_mtt(evaluator: TextEvaluator, cache: str | Path, first: int | None = No
         drawn = [clips[index] for index in random.integers(len(clips), size=PER_TEXT)]
         others += [reference_motions(clip.name, 0.0, (clip.end - clip.start) / prepared.fps) for clip in drawn]
     contents = {clip.name: clip.content for clip in prepared.clips}
-    known = questions()
-    asked_of = {atom.text: known[contents[atom.clip]] for atom in atoms if contents[atom.clip] in known}
+    asked_of = {atom.text: QUESTIONS[contents[atom.clip]] for atom in atoms if contents[atom.clip] in QUESTIONS}
     return MultiTrack.of(asked, atoms, evaluator, reference_motions, others, questions=asked_of)
 
 

@@ -34,7 +34,8 @@ class Sampling:
     on the body of another row, as in a collage: an arm is raised while walking. With `receivers` "walking" its content
     is cyclic and claims legs alone; with "any" it claims other parts. Two of three last as long as the arm's clip and
     keep its text; the third is the whole walk, under its own text, and somewhere in it the arm is raised. (Networks
-    that never saw an arm raised on walking legs lower it in a collage.)
+    that never saw an arm raised on walking legs lower it in a collage.) A share `compose_legs_prob` of the rows that do
+    claim legs are legs under others' bodies, likewise: a man walks while he drinks.
     `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
     of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
     lengths, so more contents, in every batch.
@@ -50,6 +51,7 @@ class Sampling:
     crop_longest: float = 3.0
     text_dropout: float = 0.1
     compose_prob: float = 0.0
+    compose_legs_prob: float = 0.0
     receivers: Receivers = "walking"
     slowest: float = 1.0
     fastest: float = 1.0
@@ -61,12 +63,12 @@ class Sampling:
             raise ValueError(
                 f"rows {self.rows}, pool {self.pool}, pieces {self.pieces}: all at least 1, pieces <= rows"
             )
-        shares = (self.uncond_crop_prob, self.text_dropout, self.compose_prob)
-        if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in shares)):
-            raise ValueError(
-                f"trim {self.trim} must be in [0, 0.5), uncond_crop_prob {self.uncond_crop_prob}, text_dropout "
-                f"{self.text_dropout} and compose_prob {self.compose_prob} in [0, 1]"
-            )
+        shares = {
+            name: getattr(self, name)
+            for name in ("uncond_crop_prob", "text_dropout", "compose_prob", "compose_legs_prob")
+        }
+        if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in shares.values())):
+            raise ValueError(f"trim {self.trim} must be in [0, 0.5), {shares} in [0, 1]")
         if self.receivers not in get_args(Receivers):
             raise ValueError(f"unknown receivers {self.receivers!r}; choose from {', '.join(get_args(Receivers))}")
         if not 0 < self.slowest <= self.fastest:
@@ -122,20 +124,17 @@ class ClipBatches:
         """Puts some rows as donors on the bodies of others that last at least as long."""
         drawn, sentence = plan.body, plan.sentence
         claims = self.dataset.claims[drawn.clip]
-        moved = (random.random(len(claims)) < self.sampling.compose_prob) & claims.any(axis=1)
-        moved &= ~claims[:, self.dataset.legs]
+        composed = np.where(claims[:, self.dataset.legs], self.sampling.compose_legs_prob, self.sampling.compose_prob)
+        moved = (random.random(len(claims)) < composed) & claims.any(axis=1)
         cyclic = self._cyclic[drawn.clip]
         walking = cyclic & claims[:, self.dataset.legs] & (claims.sum(axis=1) == 1)
         others = claims.any(axis=1)
-        receiver, whole, offset = (
-            np.arange(len(claims)),
-            np.zeros(len(claims), dtype=bool),
-            np.zeros(len(claims), dtype=int),
-        )
+        receiver, whole = np.arange(len(claims)), np.zeros(len(claims), dtype=bool)
+        offset = np.zeros(len(claims), dtype=int)
         for row in np.flatnonzero(moved):
             room = drawn.frames - drawn.frames[row]
-            carrying = walking if self.sampling.receivers == "walking" else others & ~claims[:, claims[row]].any(axis=1)
-            receivers = np.flatnonzero(carrying & (room >= 0))
+            carrying = walking if self.sampling.receivers == "walking" else others
+            receivers = np.flatnonzero(carrying & ~claims[:, claims[row]].any(axis=1) & (room >= 0))
             if len(receivers):
                 receiver[row] = random.choice(receivers)
                 whole[row] = random.random() < WHOLE_RECEIVERS

@@ -40,9 +40,9 @@ class Dataset:
 
     `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
     sentences' words, unless they are given; `skeleton` is the cache's, if it has its own. Features that vary by less
-    than `floor` are divided by it (of one field of the layout each, or of all): a field of several data sets can be
-    constant in the largest. What is more than `limit` standard deviations from the mean is put there. Contents with
-    fewer than `min_clips` training clips have no texts: one clip of several actions teaches no word.
+    than their field's `floor` are divided by it: what hardly varies in most clips may in some. What is more than
+    `limit` standard deviations from the mean is put there. Contents with fewer than `min_clips` training clips have no
+    texts: one clip of several actions teaches no word.
     Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
     """
 
@@ -51,7 +51,7 @@ class Dataset:
         cache: Cache,
         encoder: TextEncoder,
         layout: Layout,
-        floor: float | Mapping[str, float] = FLOOR,
+        floor: Mapping[str, float] | None = None,
         min_clips: int = 5,
         limit: float = math.inf,
         text: Statistics | None = None,
@@ -78,8 +78,8 @@ class Dataset:
         moving = cache.features[frames]
         if (moving.amax(dim=0) == moving.amin(dim=0)).all():
             raise ValueError(f"every one of the {len(frames)} training frames is the same: there is nothing to learn")
-        self.motion = (cache.statistics or Statistics.of(moving, _floors(layout, floor))).to(device)
-        self._limit = limit
+        floors = torch.tensor(layout.filled(floor or {}, FLOOR))
+        self.motion, self._limit = (cache.statistics or Statistics.of(moving, floors)).to(device), limit
         self._embed(cache, encoder, text, device)
         # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]
@@ -213,14 +213,6 @@ class BatchPlan:
 
     def __getitem__(self, rows: np.ndarray) -> BatchPlan:
         return BatchPlan(self.body[rows], self.sentence[rows], self.donor[rows], self.offset[rows], self.other[rows])
-
-
-def _floors(layout: Layout, floor: float | Mapping[str, float]) -> Float[Tensor, " features"]:
-    by_field = floor if isinstance(floor, Mapping) else {}
-    floors = torch.full((layout.width,), FLOOR if by_field else floor)
-    for name, of_field in by_field.items():
-        floors[layout[name]] = of_field
-    return floors
 
 
 def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:

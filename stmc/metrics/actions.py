@@ -1,25 +1,19 @@
-"""Whether a motion shows an action, by geometry: no learned evaluator, no text encoder.
+"""What a body does, read off its joints: whether it jumps, sits down, leans, reaches or waves.
 
-A question for every content of open motion capture that joints can tell, whatever else the body does: seated is low, a
-jump leaves the floor and comes back. How often real motion passes (the ceiling) and how often motions of other contents
-do (chance) say what an answer is worth: see `rates`. Knows joints, metres and seconds; knows no data set and no model.
+Knows joints, metres and seconds; knows no data set, no text and no model.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.metrics.kinematics import forward_speed, joint, turn
+from stmc.metrics.kinematics import forward_speed, joint, swings, wrist_height
 from stmc.motion import Motion
-
-Question = Callable[[Motion], bool]
 
 SEATED, UPRIGHT = 0.62, 0.75
 """Metres: a pelvis below the one sits or squats, above the other it stands."""
@@ -28,26 +22,8 @@ OFF_THE_FLOOR, FLIGHT = 0.06, 0.12
 """A foot this far (metres) above the lowest point of both has left the floor; a body with both there for so many
 seconds has jumped."""
 
-
-@dataclass(frozen=True)
-class Rates:
-    """Shares of motions that pass a question: `ceiling` of those that show the action, `chance` of those that show any
-    other, each content counting the same."""
-
-    ceiling: float
-    chance: float
-
-
-def rates(question: Question, shown: Sequence[Motion], others: Mapping[str, Sequence[Motion]]) -> Rates:
-    """Of a content's own motions and of all other contents'. Raises `ValueError` where one of the two is empty."""
-    if not shown or not others:
-        raise ValueError("rates need motions of the content and of others")
-    passed = [_share(question, motions) for motions in others.values()]
-    return Rates(_share(question, shown), sum(passed) / len(passed))
-
-
-def _share(question: Question, motions: Sequence[Motion]) -> float:
-    return sum(map(question, motions)) / len(motions)
+NEAR = 0.15
+"""Metres below the shoulder at which a wrist still counts as raised, where other parts may do something else."""
 
 
 def pelvis_height(motion: Motion) -> Float[Tensor, " frames"]:
@@ -139,155 +115,29 @@ def torsion(motion: Motion) -> Float[Tensor, " frames"]:
     return torch.atan2(torch.sin(difference), torch.cos(difference))
 
 
-def _either(measure: Callable[[Motion, str], bool]) -> Question:
-    return lambda motion: any(measure(motion, side) for side in ("left", "right"))
-
-
-def _both(measure: Callable[[Motion, str], bool]) -> Question:
-    return lambda motion: all(measure(motion, side) for side in ("left", "right"))
-
-
-def _kicks(motion: Motion, side: str) -> bool:
-    return bool((joint(motion, f"{side}_ankle")[:, 2] > 0.6).any()) and _swings_leg(motion, side)
-
-
-def _swings_leg(motion: Motion, side: str) -> bool:
-    return bool((joint_speed(motion, f"{side}_ankle", beside="pelvis") > 4.0).any())
-
-
-def _punches(motion: Motion, side: str, often: int = 1) -> bool:
-    fast = joint_speed(motion, f"{side}_wrist", beside="neck") > 1.8
-    return len(stretches(fast)) >= often
-
-
-def _boxes(motion: Motion) -> bool:
-    thrown = sum(
-        len(stretches(joint_speed(motion, f"{side}_wrist", beside="neck") > 1.5)) for side in ("left", "right")
-    )
-    return thrown >= motion.duration / 1.5
-
-
-def _sips(motion: Motion, side: str) -> bool:
-    near = (joint(motion, f"{side}_wrist") - joint(motion, "head")).norm(dim=-1) < 0.28
-    return int(near.sum()) > 0.3 * motion.fps
-
-
-def _above_head(motion: Motion, side: str) -> Bool[Tensor, " frames"]:
-    return joint(motion, f"{side}_wrist")[:, 2] > joint(motion, "head")[:, 2] + 0.1
-
-
-def _circles(motion: Motion, side: str) -> bool:
+def forward_reach(motion: Motion, side: str) -> Float[Tensor, " frames"]:
+    """Metres by which a wrist is in front of its shoulder."""
     arm = joint(motion, f"{side}_wrist") - joint(motion, f"{side}_shoulder")
-    return cycles(arm[:, 2], 0.25) >= 2 and float(arm.norm(dim=-1).median()) > 0.38
+    return (arm * motion.facing.to(arm)).sum(dim=-1)
 
 
-def _knee_up(motion: Motion, side: str) -> bool:
-    return bool((joint(motion, f"{side}_knee")[:, 2] > motion.translation[:, 2] - 0.18).any())
+def thrusts(motion: Motion, side: str) -> int:
+    """How often a fist at the chest's height or above shoots forward to an almost straight arm."""
+    reach, few = forward_reach(motion, side), max(1, round(0.25 * motion.fps))
+    high = joint(motion, f"{side}_wrist")[few:, 2] > joint(motion, "spine3")[few:, 2] - 0.05
+    return len(stretches((reach[few:] - reach[:-few] > 0.22) & (reach[few:] > 0.36) & high))
 
 
-def _wipes(motion: Motion, side: str) -> bool:
-    raised = joint(motion, f"{side}_wrist")[:-1, 2] > joint(motion, f"{side}_shoulder")[:-1, 2] - 0.15
-    moving = joint_speed(motion, f"{side}_wrist", beside="neck") > 0.3
-    return float((raised & moving).float().mean()) > 0.35
-
-
-def _reaches(motion: Motion, side: str) -> bool:
-    return bool((joint(motion, f"{side}_wrist")[:, 2] > 1.6).any())
-
-
-def _one_legged(motion: Motion) -> float:
-    """The share of the frames with one foot 12 cm above the other."""
-    heights = toe_heights(motion)
-    return float(((heights[:, 0] - heights[:, 1]).abs() > 0.12).float().mean())
-
-
-def _hops(motion: Motion) -> bool:
-    return _one_legged(motion) > 0.5 and cycles(toe_heights(motion).amin(dim=1), 0.04) >= 2
-
-
-def _jumping_jacks(motion: Motion) -> bool:
-    apart = (joint(motion, "left_ankle") - joint(motion, "right_ankle")).norm(dim=-1)
-    hands = sum(joint(motion, f"{side}_wrist")[:, 2] for side in ("left", "right")) / 2
-    return cycles(hands, 0.5) >= 2 and cycles(apart, 0.2) >= 2
-
-
-def _touches_toes(motion: Motion, side: str) -> bool:
-    low = joint(motion, f"{side}_wrist")[:, 2] < 0.45
-    return bool((low & (pelvis_height(motion) > SEATED)).any())
-
-
-def _mops(motion: Motion) -> bool:
-    hands = [joint(motion, f"{side}_wrist") for side in ("left", "right")]
-    together = (hands[0] - hands[1]).norm(dim=-1) < 0.8
-    low = torch.stack([hand[:, 2] for hand in hands]).amin(dim=0) < 1.05
-    busy = max(float(joint_speed(motion, f"{side}_wrist", beside="pelvis").mean()) for side in ("left", "right"))
-    return float((together & low).float().mean()) > 0.7 and 0.25 < busy < 1.5 and way(motion) < 2.5
-
-
-def _picks_up(motion: Motion, side: str) -> bool:
-    height = joint(motion, f"{side}_wrist")[:, 2]
-    low = int(height.argmin())
-    return bool(height[low] < 0.55) and bool(height[low:].max() > 0.9)
-
-
-def _turns_over(motion: Motion) -> bool:
-    hands = min(float(joint(motion, f"{side}_wrist")[:, 2].min()) for side in ("left", "right"))
-    legs = max(float(joint(motion, f"{side}_ankle")[:, 2].max()) for side in ("left", "right"))
-    return hands < 0.35 and legs > 1.0
-
-
-def _treads(motion: Motion) -> bool:
-    lifted = sum(cycles(joint(motion, f"{side}_foot")[:, 2], 0.06) for side in ("left", "right"))
-    return lifted >= 2.0 * motion.duration and way(motion) < 0.6
-
-
-def _stops(motion: Motion) -> bool:
-    forward, few = forward_speed(motion), max(1, round(motion.fps / 5))
-    return float(forward[: len(forward) // 2].max()) > 1.8 and float(forward[-few:].mean()) < 0.8
-
-
-def _mean(motion: Motion) -> float:
+def mean_speed(motion: Motion) -> float:
+    """Metres per second along the heading, over the whole motion."""
     return float(forward_speed(motion).mean())
 
 
-ACTIONS: Mapping[str, Question] = MappingProxyType({
-    "stand": stays,
-    "sit": lambda motion: bool(pelvis_height(motion).median() < SEATED),
-    "sit-down": lambda motion: goes_low(motion, first=True, last=False),
-    "stand-up": lambda motion: goes_low(motion, first=False, last=True),
-    "squat": lambda motion: goes_low(motion, first=True, last=True),
-    "jump-up": lambda motion: jumps(motion) and way(motion) < 0.6,
-    "jump-forward": lambda motion: jumps(motion) and 0.3 < way(motion) < 2.5,
-    "jump-over": lambda motion: bool(flights(motion)) and _mean(motion) > 1.2,
-    "jump-and-grab": lambda motion: jumps(motion) and _either(_reaches)(motion),
-    "leap": lambda motion: bool(flights(motion)) and _mean(motion) > 1.2,
-    "hop": _hops,
-    "jumping-jack": _jumping_jacks,
-    "knee-raise": _both(_knee_up),
-    "jog-in-place": _treads,
-    "arm-circle": _both(_circles),
-    "twist": lambda motion: float(torsion(motion).max() - torsion(motion).min()) > math.radians(50),
-    "side-bend": lambda motion: bool((lean(motion)[:, 1].abs() > math.radians(15)).any()) and way(motion) < 0.5,
-    "toe-touch": _either(_touches_toes),
-    "scoop-up": _either(_picks_up),
-    "reach-up": _either(_reaches),
-    "kick": _either(_kicks),
-    "kick-ball": _either(_swings_leg),
-    "punch": _either(_punches),
-    "box": _boxes,
-    "drink": _either(_sips),
-    "wash-window": _either(_wipes),
-    "mop": _mops,
-    "balance": lambda motion: _one_legged(motion) > 0.5 and way(motion) < 0.4 and not flights(motion),
-    "cartwheel": _turns_over,
-    "duck": lambda motion: bool((joint(motion, "head")[:, 2] < 1.15).any()) and _mean(motion) > 1.0,
-    "turn-around": lambda motion: abs(turn(motion)) > math.radians(120),
-    "run-stop": _stops,
-    "run-turn-left": lambda motion: turn(motion) > math.radians(25) and _mean(motion) > 1.5,
-    "run-turn-right": lambda motion: turn(motion) < -math.radians(25) and _mean(motion) > 1.5,
-    "walk-veer-left": lambda motion: math.radians(12) < turn(motion) < math.radians(75) and 0.4 < _mean(motion) < 2,
-    "walk-veer-right": lambda motion: -math.radians(75) < turn(motion) < -math.radians(12) and 0.4 < _mean(motion) < 2,
-    "walk-slow": lambda motion: 0.3 < _mean(motion) < 1.1,
-    "shoot-ball": lambda motion: bool((_above_head(motion, "left") & _above_head(motion, "right")).any()),
-})  # fmt: skip
-"""By a content's name, for those that geometry can tell; others (a salsa, a laugh) need eyes or an evaluator."""
+def lifts(motion: Motion, sides: Sequence[str]) -> bool:
+    """Whether the wrist of each of the `sides` comes near its shoulder's height or above it at some time."""
+    return all(bool((wrist_height(motion, side, "shoulder") > -NEAR).any()) for side in sides)
+
+
+def waves(motion: Motion, sides: Sequence[str]) -> bool:
+    """Whether the forearm of each of the `sides` swings at least three times while the wrist is above the elbow."""
+    return all(swings(motion, side) >= 3 for side in sides)

@@ -70,6 +70,12 @@ class Layout:
         owners = [part_of[joint] for field in self.fields for joint in field.joints for _ in range(field.width)]
         return {part: tuple(column for column, owner in enumerate(owners) if owner is part) for part in BodyPart}
 
+    def filled(self, values: Mapping[str, float], otherwise: float) -> tuple[float, ...]:
+        """A number for every feature: its field's, or `otherwise`. Raises `ValueError` for fields that do not exist."""
+        if unknown := set(values) - set(self.slices):
+            raise ValueError(f"unknown fields {sorted(unknown)}; choose from {', '.join(self.slices)}")
+        return tuple(float(values.get(field.name, otherwise)) for field in self.fields for _ in range(field.size))
+
     def __getitem__(self, name: str) -> slice:
         """The slice of the field `name`; `KeyError` names the fields there are."""
         if name not in self.slices:

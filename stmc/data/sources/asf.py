@@ -12,7 +12,14 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.data.sources.bvh import Bvh
+from stmc.data.sources.bvh import MOST_VALUES, Bvh
+from stmc.untrusted import cut, shown
+
+MOST_WORDS, LONGEST_WORD = 4_000_000, 40
+"""Of a motion, and letters of each: twice what three minutes of 30 bones have at 120 frames per second."""
+
+LARGEST = 1e9
+"""No number of a body is as large, in whichever unit."""
 
 _ROOT = "root"
 
@@ -54,7 +61,7 @@ def parse_asf(text: str) -> Acclaim:
             continue
         for child in children:
             if parent not in places or child not in described or child in places:
-                raise AcclaimError(f"hierarchy: {parent!r} cannot carry {child!r}: unknown, or duplicated")
+                raise AcclaimError(f"hierarchy: {shown(parent)} cannot carry {shown(child)}: unknown, or duplicated")
             frame, channels, ends[child] = described[child]
             places[child] = len(bones)
             bones.append(Bone(child, places[parent], ends[parent], frame, channels))
@@ -65,13 +72,13 @@ def parse_amc(text: str, skeleton: Acclaim, fps: float | int) -> Bvh:
     """Parses the text of one AMC file, which does not say its frame rate.
 
     Joint i is where bone i begins, and turns by as much as the bone has turned from the rest pose. Raises
-    `AcclaimError` for frames that are not alike, bones that the skeleton lacks, and values that are not finite.
+    `AcclaimError` for frames that are not alike, bones that the skeleton lacks, values that are not finite, and more
+    than `MOST_VALUES` or `MOST_WORDS`.
     """
-    _, marked, body = text.partition(":DEGREES")
-    words = np.array(body.split())
-    if not marked or not len(words):
-        raise AcclaimError("no frames after ':DEGREES': the file is truncated or not an AMC file")
-    table = words.reshape(-1, _words_of_a_frame(words, skeleton))
+    words = _words(text)
+    table = words.reshape(-1, _words_of_a_frame(words))
+    if len(table) * len(skeleton) > MOST_VALUES:
+        raise AcclaimError(f"{len(table):,} frames of {len(skeleton):,} bones: more than {MOST_VALUES:,}, the limit")
     columns, names = _columns(table[0], skeleton)
     if not (table[:, names] == table[0, names]).all():
         frame = int((table[:, names] != table[0, names]).any(axis=1).argmax())
@@ -112,9 +119,9 @@ def _described(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[str,
                     raise ValueError(f"axis {' '.join(fields['axis'])} is not three angles and XYZ")
                 frame, direction = _vector(fields["axis"][:3]), _vector(fields["direction"])
                 channels = tuple(word.lower() for word in fields.get("dof", ()))
-                bones[name] = frame, channels, direction * float(fields["length"][0])
+                bones[name] = frame, channels, direction * _vector(fields["length"] * 3)
             except (KeyError, ValueError) as error:
-                raise AcclaimError(f"bonedata, bone {name}: {error}") from error
+                raise AcclaimError(f"bonedata, bone {shown(name)}: {cut(str(error), 100)}") from error
         else:
             fields[words[0]] = words[1:]
     return bones
@@ -122,12 +129,22 @@ def _described(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[str,
 
 def _vector(words: list[str]) -> np.ndarray:
     vector = np.array(words, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ValueError(f"{' '.join(words)!r} is not three finite numbers")
+    if vector.shape != (3,) or not (np.abs(vector) < LARGEST).all():
+        raise ValueError(f"{shown(' '.join(words))} is not the one or three numbers below {LARGEST:g} that are needed")
     return vector
 
 
-def _words_of_a_frame(words: np.ndarray, skeleton: Acclaim) -> int:
+def _words(text: str) -> np.ndarray:
+    _, marked, body = text.partition(":DEGREES")
+    words = body.split()
+    if not marked or not words:
+        raise AcclaimError("no frames after ':DEGREES': the file is truncated or not an AMC file")
+    if len(words) > MOST_WORDS or max(map(len, words)) > LONGEST_WORD:
+        raise AcclaimError(f"more than {MOST_WORDS:,} words, or one of more than {LONGEST_WORD} letters, the limits")
+    return np.array(words)
+
+
+def _words_of_a_frame(words: np.ndarray) -> int:
     """How many words each frame has: its number, and bones' names with their values."""
     again = np.flatnonzero(words == words[1]) if len(words) > 1 else np.zeros(0, dtype=int)
     width = int(again[1] - again[0]) if len(again) > 1 else len(words)
@@ -162,9 +179,8 @@ def _posed(
     positions = np.broadcast_to(np.stack([bone.offset for bone in skeleton]), (frames, len(skeleton), 3)).copy()
     rotations = np.broadcast_to(np.eye(3), (frames, len(skeleton), 3, 3)).copy()
     for index, bone in enumerate(skeleton):
-        values = {
-            channel: _numbers(table[:, place], bone.name) for channel, place in columns.get(bone.name, {}).items()
-        }
+        known = columns.get(bone.name, {}).items()
+        values = {channel: _numbers(table[:, place], bone.name) for channel, place in known}
         angles = np.stack([values.get(channel, np.zeros(frames)) for channel in ("rx", "ry", "rz")], axis=-1)
         axes = Rotation.from_euler("xyz", bone.frame, degrees=True).as_matrix()  # lower case: about fixed axes
         rotations[:, index] = axes @ Rotation.from_euler("xyz", angles, degrees=True).as_matrix() @ axes.T
@@ -178,7 +194,8 @@ def _numbers(words: np.ndarray, bone: str) -> np.ndarray:
     try:
         numbers = words.astype(np.float64)
     except ValueError as error:
-        raise AcclaimError(f"bone {bone!r}: {error}") from error
-    if not np.isfinite(numbers).all():
-        raise AcclaimError(f"bone {bone!r}: values must be finite; frame {int((~np.isfinite(numbers)).argmax()) + 1}")
+        raise AcclaimError(f"bone {shown(bone)}: {error}") from error
+    finite = np.abs(numbers) < LARGEST  # NaN is not
+    if not finite.all():
+        raise AcclaimError(f"bone {shown(bone)}: values must be below {LARGEST:g}; frame {int((~finite).argmax()) + 1}")
     return numbers

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import lzma
 import math
 import re
-import tarfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
 import torch
@@ -26,12 +23,13 @@ from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
+from stmc.data.sources.archives import read_texts
 from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe, mirrored_content
 from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
 from stmc.data.sources.segments import Segment, read_segments
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation
-from stmc.untrusted import UnreadableError, cut, read_bytes, shown
+from stmc.untrusted import UnreadableError, shown
 
 SOURCE_JOINTS: dict[str, str] = {
     "pelvis": "Hips", "spine1": "Spine", "spine3": "Chest", "neck": "Neck", "head": "Head",
@@ -44,15 +42,6 @@ SOURCE_JOINTS: dict[str, str] = {
 
 CLIPS = 3076
 """How many clips the published archive holds."""
-
-MOST_BYTES = 16 * 2**20
-"""Of one file; the largest of the data set is below 1 MB."""
-
-MOST_MEMBERS = 100_000
-"""Of an archive or a folder; the data set has some 3,100."""
-
-MOST_ARCHIVE = 16 * 2**30
-"""Bytes of all that an archive unpacks to; the data set's have some 1 GB."""
 
 FARTHEST = 1e4
 """Metres from the origin that no person goes in a clip, nor in a second: float32 then has a millimetre left."""
@@ -111,91 +100,22 @@ class ClipName:
         return cls(*match.groups())
 
 
-def read_sources(source: Path) -> Iterator[tuple[str, str | BvhError]]:
-    """Every clip's name and BVH text, from the published `.tar.xz` (never unpacked to disk) or an unpacked folder; of
-    what is not a regular file, or one of more than `MOST_BYTES`, the error in place of a text.
-
-    Raises `FileNotFoundError` where there is neither, and `ValueError` for a folder or an archive without BVH files,
-    for an archive that breaks off, and for more than `MOST_MEMBERS` or `MOST_ARCHIVE`.
-    """
-    source, found = Path(source), False
-    if not source.exists():
-        raise FileNotFoundError(f"{source} does not exist; it should be the dataset's .tar.xz or its unpacked folder")
-    for name, text in _archive(source) if source.is_file() else _folder(source):
-        found = True
+def read_sources(source: Path) -> Iterator[tuple[str, str | UnreadableError]]:
+    """Every clip's name and BVH text, or why it cannot be read. Raises as `read_texts`, and `ValueError` for a folder
+    or an archive without BVH files."""
+    name = None
+    for place, text in read_texts(Path(source), (".bvh",)):
+        name = place.stem
         yield name, text
-    if not found:
+    if name is None:
         raise ValueError(f"{source} holds no .bvh file; it should be the dataset's .tar.xz or its unpacked folder")
-
-
-def _archive(path: Path) -> Iterator[tuple[str, str | BvhError]]:
-    name, left = "its beginning", MOST_ARCHIVE
-    try:
-        with lzma.open(path) as file:  # unlike tarfile's own stream, it notices an end that comes too early
-            unpacked = _Metered(file)
-            with tarfile.open(fileobj=unpacked, mode="r|") as archive:
-                for number, member in enumerate(archive):
-                    left -= member.size
-                    if number >= MOST_MEMBERS or left < 0:
-                        limits = f"{MOST_MEMBERS:,} members or {MOST_ARCHIVE / 2**30:g} GiB"
-                        raise ValueError(f"{path} unpacks to more than {limits} (read up to {name})")
-                    archive.members.clear()  # tarfile keeps all it has seen
-                    unpacked.left = member.size + _HEADERS
-                    if member.name.endswith(".bvh"):
-                        name = cut(Path(member.name).stem)
-                        yield Path(member.name).stem, _member(archive, member)
-            unpacked.left = MOST_BYTES
-            while unpacked.read(2**20):
-                pass
-    except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
-        raise ValueError(f"{path} is no .tar.xz, or a half or damaged one (read up to {name}): {error}") from error
-
-
-def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> str | BvhError:
-    if not member.isreg():
-        return BvhError("a member of the archive that is not a regular file")
-    if member.size > MOST_BYTES:
-        return BvhError(f"{member.size:,} bytes, more than {MOST_BYTES / 2**20:g} MiB")
-    return archive.extractfile(member).read().decode("ascii", errors="replace")
-
-
-_HEADERS = 2**20
-"""Bytes that may stand between two members; tarfile reads them at once."""
-
-
-class _Metered:
-    """A file from which only so many bytes are `left` to be read, whatever its headers promise."""
-
-    def __init__(self, file: lzma.LZMAFile) -> None:
-        self._file = file
-        self.left = _HEADERS
-
-    def read(self, size: int) -> bytes:
-        content = self._file.read(size)
-        self.left -= len(content)
-        if self.left < 0:
-            raise tarfile.ReadError(f"headers of more than {_HEADERS / 2**20:g} MiB")
-        return content
-
-
-def _folder(path: Path) -> Iterator[tuple[str, str | BvhError]]:
-    files = sorted(islice(path.rglob("*.bvh"), MOST_MEMBERS + 1))
-    if len(files) > MOST_MEMBERS:
-        raise ValueError(f"{path} holds more than {MOST_MEMBERS:,} .bvh files, the limit")
-    for file in files:
-        try:
-            yield file.stem, read_bytes(file, MOST_BYTES).decode("ascii", errors="replace")
-        except UnreadableError as error:
-            yield file.stem, BvhError(str(error))
-        except OSError as error:  # a dangling link, no permission
-            yield file.stem, BvhError(f"cannot be read ({error.strerror})")
 
 
 def inputs(source: Path) -> list[Path]:
     """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
     code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
     code += ("data/sources/bandai", "data/sources/bvh", "data/cache", "data/sources/bandai_sentences", "untrusted")
-    code += ("data/sources/segments",)
+    code += ("data/sources/archives", "data/sources/segments")
     here = Path(__file__).parents[2]
     files = [here / f"{name}.py" for name in code]
     return [Path(source), *files, here / "assets/skeleton.json", here / "assets/segments.json"]
@@ -270,7 +190,7 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
     ):
         posed = Motion.posed(moved.rotations, moved.translation, fps, skeleton)
         cuts = read_segments("bandai").get(name, ())
-        unsaid = name in MISNAMED or content in {cut.content for cut in cuts}
+        unsaid = name in MISNAMED or content in {cut.content for cut in cuts}  # one of several actions
         clip = Clip(
             name=f"M/{name}" if mirrored else name,
             content=content,
@@ -313,8 +233,8 @@ def read_clips(source: Path, fps: float | int, workers: int) -> Iterator[tuple[s
     return in_parallel(((name, (_converted, name, text, fps)) for name, text in read_sources(source)), workers)
 
 
-def _converted(name: str, text: str | BvhError, fps: float | int) -> list[tuple[Clip, Tensor]]:
-    if isinstance(text, BvhError):
+def _converted(name: str, text: str | UnreadableError, fps: float | int) -> list[tuple[Clip, Tensor]]:
+    if isinstance(text, UnreadableError):
         raise text
     return convert(name, text, fps)
 

@@ -8,11 +8,9 @@ NSF EIA-0196217."
 
 from __future__ import annotations
 
-import lzma
-import tarfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import torch
 from einops import einsum
@@ -23,11 +21,13 @@ from torch.nn.functional import normalize
 
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton
+from stmc.data.sources.archives import read_texts
 from stmc.data.sources.asf import parse_amc, parse_asf
 from stmc.data.sources.bvh import Bvh, parse_bvh
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, shortest_arc
 from stmc.inverse_kinematics import joints_to_rotations
 from stmc.motion import Motion
+from stmc.untrusted import UnreadableError, cut
 
 _MIDLINE = ("pelvis", "spine1", "spine3", "neck", "head")
 _SIDED = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -77,11 +77,14 @@ LENT = {"13": "14"}
 ANYBODY = "16"
 """Whose skeleton a recording is read with where its subject's own is missing."""
 
+MOST_SKELETONS, LONGEST_SKELETON = 1000, 2**20
+"""Files and characters of each; the database has 112 of some 10,000. Longer ones are not taken for skeletons."""
+
 CONTACT = 0.03
 """The floor lies where the lower toe is in this share of the frames: deeper ones are noise."""
 
 SPIKE, SPIKE_FRAMES = 90.0, 15
-"""A bone that turns by more than so many degrees between frames, and back within so many frames, did not."""
+"""A bone that turns by more than so many degrees in a frame, and back within so many frames, did not."""
 
 LONGEST_LEAP = 0.6
 """Metres that no pelvis moves within a twentieth of a second: such a recording is damaged."""
@@ -103,52 +106,45 @@ class Source:
 
 
 def read_sources(source: Path) -> Iterator[Source | tuple[str, str]]:
-    """Every recording below a folder or in an archive, by name; for one that cannot be told, its name and the reason.
+    """Every recording below a folder or in an archive; for one that cannot be told, its name and the reason.
 
-    Raises `FileNotFoundError` where there is neither, and `ValueError` for one without recordings or a damaged archive.
+    One is in memory at a time: the whole database is several gigabytes. Raises as `read_texts`, and `ValueError` for a
+    place without recordings or with more than `MOST_SKELETONS`.
     """
-    source = Path(source)
-    if not source.exists():
-        raise FileNotFoundError(f"{source} does not exist; it should be a folder or a .tar.xz with .amc or .bvh files")
-    texts = dict(_archive(source) if source.is_file() else _folder(source))
-    skeletons = {place.stem: text for place, text in texts.items() if place.suffix == ".asf"}
-    recordings = sorted((place.stem, place) for place in texts if place.suffix in (".amc", ".bvh"))
-    if not recordings:
-        raise ValueError(f"{source} contains no .amc or .bvh file")
-    seen = set()
-    for name, place in recordings:
-        if name in seen:
+    source, seen = Path(source), set()
+    skeletons = _read_skeletons(source)
+    for place, text in read_texts(source, (".amc", ".bvh")):
+        name = place.stem
+        if isinstance(text, UnreadableError):
+            yield name, str(text)
+        elif name in seen:
             yield f"{name} ({place})", "a second recording of this name"
         elif place.suffix == ".bvh":
-            yield Source(name, texts[place])
+            yield Source(name, text)
         elif found := _skeleton_of(name, skeletons):
-            yield Source(name, texts[place], skeletons[found])
+            yield Source(name, text, skeletons[found])
         else:
             yield name, "no skeleton: neither its subject's .asf nor a known substitute is there"
         seen.add(name)
+    if not seen:
+        raise ValueError(f"{source} contains no .amc or .bvh file")
+
+
+def _read_skeletons(source: Path) -> dict[str, str]:
+    """The texts of all skeletons that can be read, by their subjects."""
+    skeletons: dict[str, str] = {}
+    for place, text in read_texts(source, (".asf",)):
+        if isinstance(text, str) and len(text) <= LONGEST_SKELETON:
+            skeletons[place.stem] = text
+        if len(skeletons) > MOST_SKELETONS:
+            raise ValueError(f"{source} holds more than {MOST_SKELETONS:,} .asf files, the limit")
+    return skeletons
 
 
 def _skeleton_of(name: str, skeletons: Mapping[str, str]) -> str | None:
     subject = name.partition("_")[0]
     choices = (subject, LENT.get(subject, ANYBODY), ANYBODY)
     return next((choice for choice in choices if choice in skeletons), None)
-
-
-def _folder(path: Path) -> Iterator[tuple[PurePosixPath, str]]:
-    for file in sorted(path.rglob("*")):
-        if file.suffix in (".asf", ".amc", ".bvh"):
-            yield PurePosixPath(file.relative_to(path).as_posix()), file.read_text("ascii", errors="replace")
-
-
-def _archive(path: Path) -> Iterator[tuple[PurePosixPath, str]]:
-    try:
-        with tarfile.open(path) as archive:
-            for member in archive:
-                place = PurePosixPath(member.name)
-                if member.isfile() and place.suffix in (".asf", ".amc", ".bvh"):
-                    yield place, archive.extractfile(member).read().decode("ascii", errors="replace")
-    except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
-        raise ValueError(f"{path} is not a .tar.xz, or it is truncated or damaged: {error}") from error
 
 
 def read(source: Source, skeleton: Skeleton, fps: float | int) -> Motion:
@@ -174,6 +170,8 @@ def retarget(recording: Bvh, skeleton: Skeleton, fps: float | int) -> Motion:
     up = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)  # y up → z up
     world = _world(up @ turned, index, rest, skeleton)
     own = sum(float((rest[f"left_{lower}"] - rest[f"left_{upper}"]).norm()) for upper, lower in _LEG)
+    if not own > 0:
+        raise CmuError("the skeleton's legs have no length")
     ours = sum(float(skeleton.offsets[JOINTS.index(f"left_{lower}")].norm()) for _, lower in _LEG)
     hips = (places[:, index["left_hip"]] + places[:, index["right_hip"]]) / 2
     steady = torch.from_numpy(median_filter(hips.numpy(), (5, 1), mode="nearest"))
@@ -192,9 +190,8 @@ def _format(recording: Bvh) -> Mapping[str, str]:
     for names in FORMATS:
         if set(names.values()) <= set(recording.names):
             return names
-    raise CmuError(
-        f"unknown skeleton with joints {', '.join(recording.names[:6])}, …; known: native, MotionBuilder, Daz"
-    )
+    joints = cut(", ".join(recording.names[:6]))
+    raise CmuError(f"unknown skeleton with joints {joints}, …; known are the native one, MotionBuilder's and Daz's")
 
 
 def _without_t_pose(recording: Bvh, names: Mapping[str, str]) -> Bvh:

@@ -1,11 +1,12 @@
 """CMU's motion capture database as one of those that scripts/prepare.py knows.
 
-Knows what preparing is and which segments of the recordings show what; how those are read and converted is `cmu`'s.
+Knows what preparing is and which segments of the recordings show what; how recordings are read and converted is
+`cmu`'s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from stmc.body_model import Skeleton
 from stmc.data.cache import Cache, Clip, assemble, fingerprint
-from stmc.data.preparation import LayoutError, Watch, code, in_parallel
+from stmc.data.preparation import Job, LayoutError, Watch, code, in_parallel
 from stmc.data.sources import cmu
 from stmc.data.sources.bandai_sentences import CONTENTS, describe, mirrored_content
 from stmc.data.sources.segments import Segment, read_segments, splits
@@ -24,8 +25,9 @@ from stmc.representation.smpl import SmplRepresentation
 STYLE = "normal"
 """Of all clips: CMU labels none."""
 
-_CODE = ("data/sources/*", "data/bvh", "data/cache", "data/sentences", "body", "body_model", "geometry", "motion")
-_CODE += ("inverse_kinematics", "representation/layout", "representation/smpl")
+_CODE = tuple(f"data/sources/{name}" for name in ("archives", "asf", "bandai_sentences", "bvh", "segments"))
+_CODE += ("data/sources/cmu*", "data/cache", "body", "body_model", "geometry", "inverse_kinematics", "motion")
+_CODE += ("representation/layout", "representation/smpl", "untrusted")
 
 Rows = list[tuple[Clip, Float[Tensor, "frames features"]]]
 
@@ -55,23 +57,26 @@ class CmuClips:
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`. Recordings without segments are left alone; others that cannot be used are named."""
-        wanted, skipped, sources = read_segments("cmu"), [], []
-        for source in cmu.read_sources(self._source):
-            if isinstance(source, tuple):
-                skipped.append(source)
-            elif source.name in wanted:
-                sources.append(source)
-        found = {source.name for source in sources} | {name.partition(" ")[0] for name, _ in skipped}
-        skipped += [(name, "not among the recordings") for name in wanted if name not in found]
-        jobs = ((source.name, (convert, source, self.fps)) for source in sources)
-        return gather(watch(in_parallel(jobs, workers), len(sources)), self.fps, skipped)
+        wanted, left_out = read_segments("cmu"), list[tuple[str, str]]()
+
+        def jobs() -> Iterator[tuple[str, Job]]:
+            for source in cmu.read_sources(self._source):
+                if isinstance(source, tuple):
+                    left_out.append(source)
+                elif source.name in wanted:
+                    yield source.name, (convert, source, self.fps)
+
+        converted = dict(watch(in_parallel(jobs(), workers), len(wanted)))
+        found = converted.keys() | {name for name, _ in left_out}
+        left_out += [(name, "not among the recordings") for name in wanted if name not in found]
+        return gather(converted, self.fps, left_out)
 
 
 def convert(source: cmu.Source, fps: float | int) -> Rows:
     """The segments of one recording and their mirror images as 205 features on the default skeleton.
 
     The recording is encoded as a whole, and heights are those above its own floor: a segment that does not touch the
-    ground (a sitter's feet may not) does not know where it is. Raises `ValueError` with what is wrong with it.
+    ground does not know where that is. Raises `ValueError` with what is wrong with the recording.
     """
     skeleton = Skeleton(Skeleton.default().offsets.double())
     motion = cmu.read(source, skeleton, fps)
@@ -87,33 +92,27 @@ def convert(source: cmu.Source, fps: float | int) -> Rows:
 
 
 def encoded(motion: Motion) -> Float[Tensor, "frames features"]:
-    """Its features, with the pelvis' height above the floor (z = 0) and not above the motion's lowest joint."""
+    """Its features, with the pelvis' height above the floor (z = 0) and not above the motion's lowest joint. Raises
+    `CmuError` where they are not finite."""
     representation = SmplRepresentation()
     features = representation.encode(motion)
     features[:, representation.layout["root_height"]] = motion.translation[:, 2:]
+    if not features.isfinite().all():
+        raise cmu.CmuError("its features are not all finite")
     return features.float()
 
 
-def gather(recordings: Iterable[tuple[str, Rows | str]], fps: float | int, skipped: list[tuple[str, str]]) -> Cache:
-    """The cache of all converted recordings, in the order of their names, without a fingerprint. Raises `ValueError`
-    where none is left."""
-    converted: dict[str, Rows] = {}
-    for name, rows in recordings:
-        if isinstance(rows, str):
-            skipped.append((name, rows))
-        else:
-            converted[name] = rows
+def gather(recordings: Mapping[str, Rows | str], fps: float | int, left_out: Sequence[tuple[str, str]] = ()) -> Cache:
+    """The cache of all converted recordings, in the order of their names, without a fingerprint; in the place of a
+    recording's rows may be the reason why there are none. Raises `ValueError` where none is left."""
+    skipped = [*left_out, *((name, rows) for name, rows in recordings.items() if isinstance(rows, str))]
+    converted = [rows for _, rows in sorted(recordings.items()) if not isinstance(rows, str)]
     if not converted:
         first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
         raise ValueError(f"no recording could be used, {len(skipped)} were skipped{first}")
-    clips, features = assemble(list(_in_order(converted)))
+    clips, features = assemble([row for rows in converted for row in rows])
     texts = {clip.texts: describe(clip.content, clip.style) for clip in clips}
     return Cache(fps, "smpl", features, clips, texts, tuple(skipped))
-
-
-def _in_order(converted: dict[str, Rows]) -> Iterator[tuple[Clip, Tensor]]:
-    for name in sorted(converted):
-        yield from converted[name]
 
 
 def _clip(segment: Segment, number: int, mirrored: bool) -> Clip:

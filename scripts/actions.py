@@ -1,0 +1,126 @@
+"""Asks a model for every action of its data that geometry can tell: `python scripts/actions.py model=RUN`."""
+
+import json
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from statistics import fmean, median
+from typing import get_args
+
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import stmc
+from stmc.benchmarks.questions import QUESTIONS, rates
+from stmc.commands import command
+from stmc.commands.shared import OnDevice
+from stmc.data.cache import Cache, read_caches
+from stmc.data.sources.bandai_sentences import CONTENTS
+from stmc.data.sources.segments import unseen
+from stmc.diffusion import NoiseScale
+from stmc.files import write_text, write_whole
+from stmc.model import Precision
+from stmc.motion import Motion
+from stmc.settings import SettingError, setting
+from stmc.timeline import Prompt, Timeline
+from stmc.viewing import pictures
+
+WINDOW = 4.0
+"""Seconds of a cyclic clip that are asked at once, and of a cyclic content that are sampled."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice):
+    model: str | None = setting(None, "run directory; null: the bundled model")
+    cache: tuple[str, ...] = setting(("cache/bandai", "cache/cmu"), "prepared data, for the contents and real motion")
+    contents: tuple[str, ...] = setting((), "what to ask for; none: all of the data that geometry can tell")
+    seen: bool = setting(False, "ask with sentences of the training, not with those that it left out")
+    sentences: int = setting(3, "of each content", at_least=1)
+    samples: int = setting(8, "motions of each sentence", at_least=1)
+    clips: int = setting(20, "real motions of each content", at_least=1)
+    seed: int = setting(0, "of the first motion", at_least=0)
+    guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
+    steps: int | None = setting(50, "of denoising, fast actions need many; null: as many as in training", at_least=1)
+    noise_scale: str = setting("std", "of DDPM's noise", choices=get_args(NoiseScale))
+    output: str = setting("outputs/actions", "folder of pictures and numbers")
+    precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+
+
+@command("actions", Settings, ("model", "output"))
+def main(config: DictConfig) -> None:
+    model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
+    real, results, console = recorded(read_caches(list(config.cache)), model, config.clips), {}, Console()
+    for name in track(chosen(config, set(real)), "Sampling", console=console):
+        seconds = min(WINDOW, median(motion.duration for motion in real[name]))
+        shares = {text: shown(config, model, name, text, seconds) for text in sentences(config, name)}
+        known = rates(QUESTIONS[name], real[name], {other: real[other] for other in real if other != name})
+        answers = {"shown": fmean(shares.values()), "ceiling": known.ceiling, "chance": known.chance}
+        results[name] = answers | {"sentences": shares}
+        write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
+    report(results, console)
+
+
+def chosen(config: DictConfig, recorded: set[str]) -> list[str]:
+    """The contents to ask for. Raises `SettingError` where real motion, a question or a sentence is missing."""
+    known = [name for name in QUESTIONS if name in recorded and unseen(name)]
+    if not known:
+        raise SettingError(f"cache={', '.join(config.cache)}: no content that geometry can tell")
+    if missing := [name for name in config.contents if name not in known]:
+        raise SettingError(f"contents={missing[0]}: choose from {', '.join(known)}")
+    return list(config.contents) or known
+
+
+def sentences(config: DictConfig, name: str) -> tuple[str, ...]:
+    """Sentences that no training sees; or, where asked for, those that it does."""
+    return (CONTENTS[name].sentences if config.seen else unseen(name))[: config.sentences]
+
+
+def shown(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: float) -> float:
+    """The share of the samples that show the content; a picture of the first is drawn."""
+    timeline = Timeline((Prompt(text, 0.0, round(seconds, 1), CONTENTS[name].parts),), name=f"{name}: {text}")
+    motions = model.generate(
+        [timeline] * config.samples,
+        seed=config.seed,
+        guidance=config.guidance,
+        steps=config.steps,
+        noise_scale=config.noise_scale,
+    )
+    figure = partial(pictures(motions[0], title=timeline.name).savefig, format="png", dpi=60)
+    write_whole(Path(config.output) / f"{name}_{text.replace(' ', '_')}.png", figure)
+    return fmean(map(QUESTIONS[name], motions))
+
+
+def recorded(cache: Cache, model: stmc.Model, most: int) -> dict[str, list[Motion]]:
+    """Up to `most` real motions of every content, spread over its clips; of cyclic clips, windows."""
+    places: dict[str, list[tuple[int, int]]] = {}
+    window = round(WINDOW * cache.fps)
+    for clip in cache.clips:
+        if cache.texts[clip.texts] and not clip.mirrored:
+            cut = clip.cyclic and clip.end - clip.start > window
+            starts = range(clip.start, clip.end - window + 1, 2 * window) if cut else (clip.start,)
+            ends = [(start, start + window if cut else clip.end) for start in starts]
+            places.setdefault(clip.content, []).extend(ends)
+    return {
+        content: [
+            model.representation.decode(cache.features[start:end], cache.fps, model.skeleton)
+            for start, end in found[:: max(1, len(found) // most)][:most]
+        ]
+        for content, found in places.items()
+    }
+
+
+def report(results: dict, console: Console) -> None:
+    """How often the samples show each content, beside how often real motion of it does, and real motion of others."""
+    table = Table("content", "shown", "real motion", "chance")
+    for name, row in results.items():
+        table.add_row(name, *(f"{row[column]:.0%}" for column in ("shown", "ceiling", "chance")))
+    means = [fmean(row[column] for row in results.values()) for column in ("shown", "ceiling", "chance")]
+    table.add_row("mean", *(f"{mean:.0%}" for mean in means))
+    console.print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

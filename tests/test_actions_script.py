@@ -1,0 +1,57 @@
+"""scripts/actions.py: a model asked for what geometry can tell, beside real motion."""
+
+import json
+
+import pytest
+import torch
+from scripting import loaded, run
+from tiny import tiny
+
+import stmc
+from stmc.data.cache import Cache, Clip
+from stmc.data.sources.bandai_sentences import CONTENTS, describe
+from stmc.data.sources.segments import unseen
+from stmc.representation import SmplRepresentation
+from stmc.settings import SettingError
+
+
+@pytest.fixture
+def caches(tmp_path):
+    """A data set of seated bodies, and one of standing ones."""
+    folders = []
+    for name, height in (("sit", 0.45), ("stand", 0.9)):
+        features = torch.zeros(100, SmplRepresentation.layout.width)
+        features[:, SmplRepresentation.layout["rotations"]] = torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(22)
+        features[:, 0] = height
+        clips = tuple(
+            Clip(f"{name}{start}", name, "normal", name, ("legs",), False, False, "train", start, start + 50)
+            for start in (0, 50)
+        )
+        Cache(20, "smpl", features, clips, {name: describe(name, "normal")}).write(tmp_path / name)
+        folders.append(str(tmp_path / name))
+    return folders
+
+
+def test_unseen_sentences_are_asked_beside_what_real_motion_and_chance_reach(caches, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stmc, "load", lambda *_, **__: tiny())
+    settings = (
+        f"cache=[{','.join(caches)}]",
+        "samples=2",
+        "steps=2",
+        "sentences=1",
+        f"output={tmp_path / 'out'}",
+        "contents=[sit]",
+    )
+    run("actions", "actions", *settings)
+    [(name, row)] = json.loads((tmp_path / "out" / "actions.json").read_text()).items()
+    assert (name, row["ceiling"], row["chance"]) == ("sit", 1.0, 0.0)
+    assert set(row["sentences"]) == {unseen("sit")[0]} and row["shown"] in (0.0, 0.5, 1.0)
+    assert len(list((tmp_path / "out").glob("*.png"))) == 1
+    assert "sit" in capsys.readouterr().out
+    with pytest.raises(SettingError, match="contents=dance: choose from stand, sit"):
+        run("actions", "actions", *settings[:-1], "contents=[dance]")
+
+
+def test_sentences_of_the_training_are_asked_where_wanted():
+    config = type("Config", (), {"seen": True, "sentences": 2})
+    assert loaded("actions").sentences(config, "sit") == CONTENTS["sit"].sentences[:2]
