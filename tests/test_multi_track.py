@@ -202,7 +202,7 @@ def test_the_open_benchmark_takes_its_real_motion_from_the_test_split(tmp_path, 
 
 
 def test_a_text_that_the_test_split_does_not_show_is_named(tmp_path, work, quick):
-    texts = [atom.text for atom in read_atoms(work / "assets" / "open_mtt" / "prompts.json")]
+    texts = [atom.text for atom in read_atomic_prompts(work / "assets" / "open_mtt" / "prompts.json")]
     prepared(texts[1:]).write(tmp_path / "cache")
     with pytest.raises(CacheError, match=f"no clip of the test split shows '{texts[0]}'"):
         open_mtt(AnyText(), tmp_path / "cache")

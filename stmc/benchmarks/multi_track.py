@@ -173,11 +173,8 @@ def open_mtt(evaluator: TextEvaluator, cache: str | Path, first: int | None = No
     """
     folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), Cache.read(Path(cache).expanduser())
     atoms, asked = read_atomic_prompts(folder / "prompts.json"), Timeline.read_all(folder / "timelines.json")[:first]
-    reference_motions, random, others = (
-        cache_reference_motions(prepared, SmplRepresentation()),
-        np.random.default_rng(0),
-        [],
-    )
+    reference_motions = cache_reference_motions(prepared, SmplRepresentation())
+    random, others = np.random.default_rng(0), []
     for atom in atoms:
         clips = [clip for clip in prepared.clips if clip.split == "test" and _describes(prepared, atom.text, clip)]
         if not clips:
