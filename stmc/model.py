@@ -157,7 +157,7 @@ class Model:
             >>> flow = stmc.denoisers.FlowMdm(205, 384, 60, width=16, layers=1)
             >>> model = replace(stmc.load(), denoiser=flow, text_encoder=stmc.text.MiniLM())
             >>> model.guided_sequences(model.plans([stmc.Timeline.parse("walk # 0 # 1")], overlap=0), guidance=2.5)
-            Guided(5 rows of up to 20 frames, guidance 2.5, 0.0% padding)
+            Guided(1 rows of up to 20 frames, guidance 2.5, 0.0% padding)
         """
         self._check_text(True)
         return guided_sequences(*self._asked(plans, guidance, ape_steps))

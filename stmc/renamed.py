@@ -22,6 +22,7 @@ RENAMED_SETTINGS: Mapping[str, str] = {
     "data.sampling.silent": "data.sampling.text_dropout",
     "data.sampling.crops": "data.sampling.uncond_crop_prob",
     "data.sampling.composed": "data.sampling.compose_prob",
+    "data.sampling.composed_legs": "data.sampling.compose_legs_prob",
     "data.sampling.hosts": "data.sampling.receivers",
     "data.derive": "data.auxiliary_loss",
     "objective.weights.feet": "objective.weights.foot_velocity",

@@ -433,8 +433,9 @@ def two_data_sets(tmp_path_factory) -> Dataset:
 )
 def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(two_data_sets, shares, donor, receiver):
     dataset = two_data_sets
-    sampling = Sampling(rows=64, receivers="any", uncond_crop_prob=0.0, text_dropout=0.0, **shares)
-    batches = ClipBatches(dataset, "train", sampling)
+    batches = ClipBatches(
+        dataset, "train", Sampling(rows=64, receivers="any", uncond_crop_prob=0.0, text_dropout=0.0, **shares)
+    )
     drawn = Counter(dataset.clips[clip].content for plan in batches.plans(0) for clip in plan.body.clip)
     assert set(drawn) == {"walk", "drink"}
     rows = [
@@ -444,7 +445,7 @@ def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(
     ]
     assert rows
     for plan, row, motion in rows:
-        contents = [dataset.clips[crops.clip[row]].content for crops in (plan.body, plan.donor)]
+        contents = [dataset.clips[stretch.clip[row]].content for stretch in (plan.body, plan.donor)]
         assert contents == [receiver, donor]
         middle = plan.offset[row] + plan.donor.frames[row] // 2
         assert abs(float(motion[middle, 0])) < 0.1  # the pelvis' height is the legs', and these are a walk's in both

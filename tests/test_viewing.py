@@ -179,7 +179,7 @@ def test_the_camera_sees_every_joint_of_every_frame(seconds):
 
 
 def test_the_figure_shows_every_prompt_in_its_colour_at_its_seconds_and_all_five_parts(timeline):
-    axes = plot_timeline(timeline, fps=20.0).axes[0]
+    axes = plot_timeline(timeline, fps=20.0, overlap=0.5).axes[0]
     bars = [patch for patch in axes.patches if isinstance(patch, FancyBboxPatch)]
     assert [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in bars] == [(0.0, 4.5), (2.0, 4.0)]
     assert tuple(to_hex(bar.get_facecolor()) for bar in bars) == palette(2)

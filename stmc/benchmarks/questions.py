@@ -1,4 +1,4 @@
-"""Whether a motion shows the content of a data set, by geometry: no learned judge, no text encoder.
+"""Whether a motion shows the content of a data set, by geometry: no learned evaluator, no text encoder.
 
 A question for every content of the open data that joints can tell, whatever else the body does: seated is low, a jump
 leaves the floor and comes back. How often real motion passes (the ceiling) and how often motions of other contents do

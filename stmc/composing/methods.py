@@ -93,7 +93,7 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
 def stitch(run: Run, plans: Sequence[Plan]) -> Features:
     """STMC by `plans`, from the run's `stitch_from` on."""
     predict, draw = run.collage(plans), run.noise(plans)
-    apart = int((run.sampling.stitch_from or 0) * len(run.times))
+    apart = run.steps_before(run.sampling.stitch_from)
     if not apart:
         return run.denoise(predict, draw(), draw)
     left = len(run.times) - apart
@@ -146,9 +146,9 @@ def two_takes(run: Run) -> Features:
     return run.denoise(inpaint(run.collage(takes, 0.0), content, kept), x, draw, steps)
 
 
-_FROM_THE_FIRST: Mapping[str, Any] = {"stitch_from": 0.0}
-_NEVER: Mapping[str, Any] = {"stitch_from": None}
-_WITHOUT_OVERLAP: Mapping[str, Any] = {"stitch_from": None, "overlap": None}
+_FROM_THE_FIRST: Mapping[str, Any] = {"stitch_from": 0.0, "guidance_from": 0.0}
+_NEVER: Mapping[str, Any] = {"stitch_from": None, "guidance_from": None}
+_WITHOUT_OVERLAP: Mapping[str, Any] = _NEVER | {"overlap": None}
 
 METHODS: Mapping[str, Method] = {
     "one_text": stitched(

@@ -27,16 +27,15 @@ class Sampling:
     """What a batch is made of; seconds, of the clips' own time.
 
     `rows` a batch on average, each content as often as its number of clips to the power of `balance` says (1: as in
-    the data; 0: all alike). A clip whose content is cyclic is cut to any crop of at least `shortest`, the
-    others lose at most `trim` of their length at either end; nothing is longer than `longest`. A share
-    `uncond_crop_prob` of the rows is cut anywhere out of any clip, `crop_shortest` to `crop_longest`, and has no
-    text: transitions. A share `text_dropout` of the others loses its text. Of the rows whose content claims no
-    legs, a share `compose_prob` is put on the body of another row, as in a collage: an arm is raised while walking.
-    With `receivers` "walking" its content is cyclic and claims legs alone; with "any" it claims other parts. Two of
-    three last as long as the arm's clip and keep its text; the third is the whole walk, under its own text, and
-    somewhere in it the arm is raised. (Networks that never saw an arm raised on walking legs lower it in a
-    collage.) A share `compose_legs_prob` of the rows that do claim legs are legs under others' bodies, likewise: a
-    man walks while he drinks.
+    the data; 0: all alike). A clip whose content is cyclic is cut to any crop of at least `shortest`, the others
+    lose at most `trim` of their length at either end; nothing is longer than `longest`. A share `uncond_crop_prob` of
+    the rows is cut anywhere out of any clip, `crop_shortest` to `crop_longest`, and has no text: transitions. A share
+    `text_dropout` of the others loses its text. Of the rows whose content claims no legs, a share `compose_prob` is put
+    on the body of another row, as in a collage: an arm is raised while walking. With `receivers` "walking" its content
+    is cyclic and claims legs alone; with "any" it claims other parts. Two of three last as long as the arm's clip and
+    keep its text; the third is the whole walk, under its own text, and somewhere in it the arm is raised. (Networks
+    that never saw an arm raised on walking legs lower it in a collage.) A share `compose_legs_prob` of the rows that do
+    claim legs are legs under others' bodies, likewise: a man walks while he drinks.
     `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
     of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
     lengths, so more contents, in every batch.
@@ -64,8 +63,10 @@ class Sampling:
             raise ValueError(
                 f"rows {self.rows}, pool {self.pool}, pieces {self.pieces}: all at least 1, pieces <= rows"
             )
-        names = "uncond_crop_prob", "text_dropout", "compose_prob", "compose_legs_prob"
-        shares = {name: getattr(self, name) for name in names}
+        shares = {
+            name: getattr(self, name)
+            for name in ("uncond_crop_prob", "text_dropout", "compose_prob", "compose_legs_prob")
+        }
         if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in shares.values())):
             raise ValueError(f"trim {self.trim} must be in [0, 0.5), {shares} in [0, 1]")
         if self.receivers not in get_args(Receivers):
