@@ -27,11 +27,11 @@ import psutil
 import tensorboard  # noqa: F401
 import torch.utils.tensorboard  # noqa: F401
 import transformers
-from mocap import bvh_text
-from scripting import ROOT
+from helpers.bandai_files import bvh_text
+from helpers.scripts import ROOT
+from helpers.tiny_model import tiny
 from test_multi_track import BUNDLED, evaluator, prepared
 from test_scripts import TIMELINES, clip
-from tiny import tiny
 
 import stmc
 from stmc.benchmarks import multi_track

@@ -4,8 +4,8 @@ import json
 
 import pytest
 import torch
-from scripting import loaded, run
-from tiny import tiny
+from helpers.scripts import loaded, run
+from helpers.tiny_model import tiny
 
 import stmc
 from stmc.data.cache import Cache, Clip

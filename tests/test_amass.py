@@ -8,8 +8,8 @@ import pytest
 import torch
 from conftest import checked, golden, golden_sets
 from einops import rearrange
-from pickled import run_code
-from studio import amass, recorded, smplh_arrays, smplx_arrays
+from helpers.smpl_pickles import run_code
+from helpers.source_folders import amass, recorded, smplh_arrays, smplx_arrays
 from torch.testing import assert_close
 
 from stmc.body import MIRROR, ROTATED

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from studio import PUBLISHED, Threads, amass, babel, published, recorded, smplh_arrays
+from helpers.source_folders import PUBLISHED, Threads, amass, babel, published, recorded, smplh_arrays
 from test_body_model import write_body
 from torch.testing import assert_close
 

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from studio import PUBLISHED, babel, published
+from helpers.source_folders import PUBLISHED, babel, published
 
 from stmc.data.preparation import LayoutError
 from stmc.data.sources.annotations import Segment, read_annotations, with_mirror_images

@@ -7,8 +7,8 @@ import zipfile
 
 import numpy as np
 import pytest
+from helpers.smpl_pickles import Foreign, python_2_pickle, run_code
 from numpy.core.multiarray import _reconstruct
-from pickled import Foreign, python_2_pickle, run_code
 from scipy import sparse
 
 from stmc.arrays import ArraysError, npz_names, read_npy, read_npz, read_pickle

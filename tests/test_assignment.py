@@ -4,9 +4,9 @@ import warnings
 from itertools import pairwise
 
 import pytest
+from helpers.strategies import quietly, timelines
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import quietly, timelines
 
 from stmc.body import BodyPart
 from stmc.planning import assign

@@ -5,12 +5,11 @@ import math
 import pytest
 import torch
 from conftest import golden, golden_sets
+from helpers.motions import walk, walking
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_motion import walk
 from torch import Tensor
 from torch.testing import assert_close
-from walker import walking
 
 from stmc.body import ROTATED, BodyPart
 from stmc.body_model import Skeleton

@@ -12,8 +12,8 @@ from importlib.resources import files
 import pytest
 import torch
 from conftest import data_file
-from mocap import UP, bvh_text, posed, skeleton, standing, tumbling
-from studio import Threads
+from helpers.bandai_files import UP, bvh_text, posed, skeleton, standing, tumbling
+from helpers.source_folders import Threads
 
 from stmc.body import JOINTS, MIRROR, PARENTS, ROTATED
 from stmc.body_model import Skeleton

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import smplx
 import torch
-from pickled import python_2_pickle, run_code
+from helpers.motions import walk
+from helpers.smpl_pickles import python_2_pickle, run_code
 from scipy import sparse
 from smplx.utils import Struct
-from test_motion import walk
 from torch.testing import assert_close
 
 from stmc.body import JOINTS, PARENTS

@@ -9,7 +9,7 @@ import warnings
 from itertools import pairwise
 
 import pytest
-from strategies import quietly
+from helpers.strategies import quietly
 
 from stmc.body import BodyPart
 from stmc.planning import assign, plan

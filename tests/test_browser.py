@@ -4,29 +4,29 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import chromium
 import numpy as np
 import pytest
-from walker import walking
+from helpers import browser
+from helpers.motions import walking
 
 from stmc.timeline import Timeline
 from stmc.viewing import render_html
 
 pytestmark = [
     pytest.mark.browser,
-    pytest.mark.skipif(chromium.PATH is None, reason="no chromium on the PATH (Debian: apt-get install chromium)"),
+    pytest.mark.skipif(browser.PATH is None, reason="no chromium on the PATH (Debian: apt-get install chromium)"),
 ]
 
 
 @pytest.fixture(scope="module")
-def tab(tmp_path_factory) -> Iterator[chromium.Tab]:
+def tab(tmp_path_factory) -> Iterator[browser.Tab]:
     """The page of someone who steps in place for 3 s and raises the right arm from 1 to 2 s, opened at 0.4 s."""
     timeline = Timeline.parse("step in place # 0 # 3 # legs\nraise the right arm # 1 # 2 # right arm")
     folder = tmp_path_factory.mktemp("page")
     path = folder / "motion.html"
     content = render_html(walking(seconds=3.0, speed=0.0, turn=0.0), timeline, title="steps", overlap=0.2)
     path.write_text(content, "utf-8")
-    with chromium.tab(folder / "profile", 700, 760) as opened:
+    with browser.tab(folder / "profile", 700, 760) as opened:
         opened.open(f"{path.as_uri()}#t=0.4")
         opened.wait("document.body.dataset.time == '0.400'")
         yield opened
@@ -50,10 +50,10 @@ def shots(tab) -> dict[float, Shot]:
     return {0.4: first, 1.5: settled(tab)}
 
 
-def settled(tab: chromium.Tab) -> Shot:
+def settled(tab: browser.Tab) -> Shot:
     """The page once it shows a body and stays the same for two seconds (the recording is paused; viser fades in)."""
     kept, since = cut(tab), time.monotonic()
-    patience = since + chromium.PATIENCE
+    patience = since + browser.PATIENCE
     while time.monotonic() < patience:
         time.sleep(0.2)
         shot = cut(tab)
@@ -64,7 +64,7 @@ def settled(tab: chromium.Tab) -> Shot:
     raise TimeoutError("the page never comes to rest, or never shows a body")
 
 
-def cut(tab: chromium.Tab) -> Shot:
+def cut(tab: browser.Tab) -> Shot:
     rows = ("#stmc-heading", "#root canvas", "#stmc-tracks")
     boxes = [tab.ask(f"document.querySelector('{row}').getBoundingClientRect().toJSON()") for row in rows]
     picture = tab.picture()
@@ -130,19 +130,19 @@ def test_the_cursor_follows_the_recording_once_the_space_bar_plays_it_on(tab, sh
 
 
 @pytest.fixture(scope="module")
-def phone(tmp_path_factory) -> Iterator[chromium.Tab]:
+def phone(tmp_path_factory) -> Iterator[browser.Tab]:
     """The page of someone who walks 6 m, in a window as wide as a phone, opened at 0.5 s."""
     folder = tmp_path_factory.mktemp("phone")
     path = folder / "motion.html"
     path.write_text(render_html(walking(seconds=5.0, speed=1.2, turn=0.0), Timeline.parse("walk # 0 # 5")), "utf-8")
-    with chromium.tab(folder / "profile", 500, 844) as opened:
+    with browser.tab(folder / "profile", 500, 844) as opened:
         opened.call("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=False)
         opened.open(f"{path.as_uri()}#t=0.5")
         opened.wait("document.body.dataset.time == '0.500'")
         yield opened
 
 
-def body_across(tab: chromium.Tab) -> tuple[float, float]:
+def body_across(tab: browser.Tab) -> tuple[float, float]:
     """Where the coloured columns of the scene begin and end, from -1 (left) to 1."""
     scene = settled(tab).scene
     columns = np.flatnonzero(silhouette(scene).sum(axis=0) > 8)  # not the thin path on the floor

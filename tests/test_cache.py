@@ -6,7 +6,7 @@ import os
 
 import pytest
 import torch
-from toys import cache as toy
+from helpers.toy_data import cache as toy
 
 from stmc.body_model import Skeleton
 from stmc.data.cache import FEATURES, TABLE, Cache, CacheError, Clip, assemble, fingerprint, fresh, read_caches

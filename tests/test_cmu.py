@@ -7,9 +7,9 @@ import tarfile
 
 import pytest
 import torch
-from actors import Actor, moving
 from conftest import data_file
-from studio import Threads
+from helpers.acclaim_files import Actor, moving
+from helpers.source_folders import Threads
 
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton

@@ -11,9 +11,9 @@ from shutil import copytree
 
 import pytest
 import torch
+from helpers.scripts import ROOT, configured, loaded
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
-from scripting import ROOT, configured, loaded
 
 import stmc
 from stmc.commands import Command, program

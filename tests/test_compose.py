@@ -5,9 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from mosaic import (
+from helpers.collages import (
     COLUMNS,
     GAP,
     STAND_NOD,
@@ -21,6 +19,8 @@ from mosaic import (
     small_network,
     timeline,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from torch import Tensor
 
 from stmc.body import BodyPart

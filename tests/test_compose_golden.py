@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import checked, golden, golden_sets
-from mosaic import FPS, last, padding_of, plans_of, timeline
+from helpers.collages import FPS, last, padding_of, plans_of, timeline
 from torch import Tensor
 
 from stmc.body import BodyPart

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from mocap import about, posed, skeleton
+from helpers.bandai_files import about, posed, skeleton
+from helpers.pose_evaluator import Oracle
+from helpers.scripts import configured, loaded
+from helpers.tiny_model import tiny
 from omegaconf import OmegaConf
-from oracle import Oracle
-from scripting import configured, loaded
-from tiny import tiny
 from torch import Tensor
 
 import stmc

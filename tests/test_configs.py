@@ -6,11 +6,11 @@ import logging.config
 
 import pytest
 import torch
+from helpers.motions import walk
+from helpers.scripts import ROOT, configured
+from helpers.toy_data import LetterCounts
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
-from scripting import ROOT, configured
-from test_motion import walk
-from toys import LetterCounts
 
 from stmc.data.cache import Cache, Clip
 from stmc.data.dataset import Dataset

@@ -6,9 +6,9 @@ from collections import Counter
 import numpy as np
 import pytest
 import torch
+from helpers.toy_data import FPS, LAYOUT, LetterCounts, cache
 from hypothesis import given
 from hypothesis import strategies as st
-from toys import FPS, LAYOUT, LetterCounts, cache
 
 from stmc.body import BodyPart
 from stmc.body_model import Skeleton

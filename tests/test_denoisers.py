@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import checked, golden, golden_sets
-from published import close_waves, interleaved, waves
+from helpers.published_networks import close_waves, interleaved, waves
 from torch import Tensor, nn
 
 from stmc.denoisers import Denoiser, MdmSmpl

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from scripting import ROOT
+from helpers.scripts import ROOT
 from test_architecture import TIERS
 
 import stmc

@@ -3,9 +3,8 @@
 import json
 
 import pytest
+from helpers.scripts import configured, loaded, script
 from hydra.utils import instantiate
-from scripting import configured, loaded
-from test_scripts import script
 from test_text import packaged
 
 from stmc.text import Cached, MiniLM

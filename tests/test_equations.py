@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-import equations
 import numpy as np
 import pytest
 import torch
-from equations import Weights
+from helpers import equations
+from helpers.equations import Weights
 from torch import Tensor, nn
 
 from stmc.denoisers import FlowMdm, MdmDecoder, MdmEncoder, MdmSmpl, MotionDiffuse

@@ -8,11 +8,11 @@ import math
 
 import pytest
 import torch
-from test_scripts import script
-from tiny import Hashes
+from helpers.motions import walking
+from helpers.scripts import script
+from helpers.tiny_model import Hashes
+from helpers.toy_data import LAYOUT, LetterCounts, cache
 from torch.nn.functional import normalize
-from toys import LAYOUT, LetterCounts, cache
-from walker import walking
 
 from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip

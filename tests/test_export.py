@@ -4,8 +4,8 @@ import re
 import numpy as np
 import pytest
 import torch
+from helpers.motions import walking
 from scipy.spatial.transform import Rotation
-from walker import walking
 
 from stmc.body import JOINTS, PARENTS, ROTATED
 from stmc.body_model import Skeleton

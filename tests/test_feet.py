@@ -2,9 +2,8 @@
 
 import pytest
 import torch
-from test_motion import walk
-from toys import LetterCounts
-from walker import walking
+from helpers.motions import walk, walking
+from helpers.toy_data import LetterCounts
 
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.dataset import Dataset

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 from conftest import GOLDEN, checked, golden, golden_sets
-from flow import close, entries, flow_mdm, parameters, segments
-from mosaic import plans_of, timeline
-from published import drawn, frames, watched
+from helpers.collages import plans_of, timeline
+from helpers.flow_mdm import close, entries, flow_mdm, parameters, segments
+from helpers.published_networks import drawn, frames, watched
 from torch import Tensor
 
 from stmc.body import BodyPart

@@ -1,17 +1,15 @@
 """Sampling, features, measures and losses against their papers' formulas, number by number: parity for everybody."""
 
-import equations
-import formulas
 import numpy as np
 import pytest
 import torch
-from appendix_b import by_the_rules
-from equations import Weights
-from mosaic import COLUMNS, plans_of, timeline
+from helpers import equations, formulas
+from helpers.appendix_b import by_the_rules
+from helpers.collages import COLUMNS, plans_of, timeline
+from helpers.equations import Weights
+from helpers.motions import walk, walking
 from test_equations import agree, drawn, filled
-from test_motion import walk
 from torch import Tensor
-from walker import walking
 
 from stmc.body import BodyPart
 from stmc.composing import NULL, collage, guided_crops, guided_sequences, weave

@@ -9,12 +9,12 @@ import textwrap
 import numpy as np
 import pytest
 import torch
+from helpers.motions import walking
+from helpers.scripts import script
+from helpers.tiny_model import Hashes, tiny
 from safetensors.torch import load_file, save_file
 from test_run import PARTS, edit, joints, loaded, run  # noqa: F401
-from test_scripts import script
 from test_text import RunsCode
-from tiny import Hashes, tiny
-from walker import walking
 
 import stmc
 from stmc.data.cache import Cache, Clip

@@ -5,13 +5,12 @@ import math
 
 import pytest
 import torch
+from helpers.motions import walk, walking
+from helpers.tiny_model import CONFIG, Hashes, tiny
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from test_motion import walk
 from test_representation import moved
-from tiny import CONFIG, Hashes, tiny
 from torch.testing import assert_close
-from walker import walking
 
 import stmc
 from stmc.body import JOINTS, PARENTS

@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 import torch
-from pickled import run_code
-from studio import Threads, humanml3d
+from helpers.smpl_pickles import run_code
+from helpers.source_folders import Threads, humanml3d
 from torch.testing import assert_close
 
 from stmc.data import preparation

@@ -5,12 +5,11 @@ import itertools
 import pytest
 import torch
 from conftest import data_file
+from helpers.bandai_files import about, posed, skeleton
+from helpers.motions import walk, walking
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mocap import about, posed, skeleton
-from test_motion import walk
 from torch.testing import assert_close
-from walker import walking
 
 import stmc
 from stmc.body import JOINTS, PARENTS

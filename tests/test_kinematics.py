@@ -5,7 +5,7 @@ import math
 
 import pytest
 import torch
-from mocap import about, posed, skeleton
+from helpers.bandai_files import about, posed, skeleton
 from torch import Tensor
 
 from stmc.benchmarks.ability import abilities, raises_while_walking

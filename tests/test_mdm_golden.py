@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import GOLDEN, checked, golden, golden_sets
-from published import (
+from helpers.published_networks import (
     close,
     close_waves,
     drawn,

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import pytest
 import torch
+from helpers.tiny_model import WIDTH, Hashes, tiny
 from test_model import GAP, NOD, THREE, WALK_WAVE, apart
-from tiny import WIDTH, Hashes, tiny
 from torch import Tensor
 
 import stmc

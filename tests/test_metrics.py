@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
+from helpers.motions import walking
 from hypothesis import given
 from hypothesis import strategies as st
-from walker import walking
 
 from stmc.body import MIRROR
 from stmc.metrics import matching, realism, retrieval, smoothness, timelines

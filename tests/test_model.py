@@ -7,9 +7,9 @@ from functools import partial
 
 import pytest
 import torch
+from helpers.strategies import quietly, timelines
+from helpers.tiny_model import Hashes, tiny
 from hypothesis import Phase, given, settings
-from strategies import quietly, timelines
-from tiny import Hashes, tiny
 
 import stmc
 from stmc.body import JOINTS, BodyPart

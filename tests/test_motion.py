@@ -7,24 +7,13 @@ from xml.etree import ElementTree
 import pytest
 import torch
 from conftest import golden, golden_sets
+from helpers.motions import STANDING, walk
 from torch.testing import assert_close
 
 from stmc.body import JOINTS, MIRROR
 from stmc.body_model import Skeleton
 from stmc.geometry import axis_angle_to_matrix, mirror_positions, rotation_z
 from stmc.motion import Motion
-
-STANDING = axis_angle_to_matrix(torch.tensor([math.pi / 2, 0.0, 0.0], dtype=torch.float64))
-"""Turns SMPL's rest pose (y up, facing z) to a z-up world: it faces -y with its left towards +x."""
-
-
-def walk(frames=12, fps=20.0, seed=0, dtype=torch.float64):
-    generator = torch.Generator().manual_seed(seed)
-    noise = torch.randn(frames, 22, 3, generator=generator, dtype=torch.float64).cumsum(dim=0) * 0.05
-    rotations = axis_angle_to_matrix(noise)
-    rotations[:, 0] = STANDING @ rotations[:, 0]
-    translation = torch.randn(frames, 3, generator=generator, dtype=torch.float64).cumsum(dim=0) * 0.03 + 1
-    return Motion.posed(rotations.to(dtype), translation.to(dtype), fps, Skeleton.default())
 
 
 def test_a_motion_knows_its_length_in_frames_and_seconds():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import checked, golden, golden_sets
-from published import close, close_waves, drawn, limit_at, motion_diffuse, watched, waves, words_of
+from helpers.published_networks import close, close_waves, drawn, limit_at, motion_diffuse, watched, waves, words_of
 from torch import Tensor
 
 from stmc.diffusion import Schedule, ddpm

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from helpers.bandai_files import about, posed
+from helpers.pose_evaluator import REPRESENTATION, Oracle
+from helpers.scripts import ROOT, configured, loaded, run
+from helpers.tiny_model import tiny
 from hydra.utils import instantiate
-from mocap import about, posed
-from oracle import REPRESENTATION, Oracle
-from scripting import ROOT, configured, loaded, run
 from test_evaluators import evaluator
-from tiny import tiny
 from torch import Tensor
 
 import stmc

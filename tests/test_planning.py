@@ -4,11 +4,11 @@ import re
 
 import numpy as np
 import pytest
-from appendix_b import by_the_rules
 from conftest import checked, golden, golden_sets
+from helpers.appendix_b import by_the_rules
+from helpers.strategies import quietly, timelines
 from hypothesis import example, given
 from hypothesis import strategies as st
-from strategies import quietly, timelines
 
 from stmc.body import BodyPart
 from stmc.planning import Crop, Plan, Tile, plan

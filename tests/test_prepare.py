@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripting import configured, loaded, run
-from studio import Threads, amass, babel, humanml3d, published
+from helpers.scripts import configured, loaded, run
+from helpers.source_folders import Threads, amass, babel, humanml3d, published
+from helpers.tiny_model import tiny
 from test_body_model import write_body
-from tiny import tiny
 
 import stmc
 from stmc.data import preparation

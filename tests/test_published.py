@@ -4,13 +4,12 @@ import json
 from functools import partial
 from pathlib import Path
 
-import checkpoints
 import numpy as np
 import pytest
 import torch
 from conftest import checked, golden, golden_sets
-from scripting import run
-from test_scripts import script
+from helpers import checkpoints
+from helpers.scripts import run, script
 from test_text import RunsCode
 
 import stmc

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 from conftest import data_file
+from helpers.scripts import configured, run
+from helpers.tiny_model import Hashes, tiny
 from scipy.spatial.transform import Rotation, Slerp
-from scripting import configured, run
 from test_evaluators import SIZES, drawn, evaluator, small
-from tiny import Hashes, tiny
 from torch.testing import assert_close
 
 import stmc

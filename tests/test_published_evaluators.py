@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from tiny import Hashes
-from walker import walking
+from helpers.motions import walking
+from helpers.tiny_model import Hashes
 
 from stmc.evaluators import GuoEvaluator, Tmr
 from stmc.published import CheckpointError, convert, read, read_guo

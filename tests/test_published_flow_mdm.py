@@ -3,13 +3,13 @@
 import json
 from pathlib import Path
 
-import checkpoints
 import numpy as np
 import pytest
 import torch
 from conftest import GOLDEN, checked
-from flow import entries, parameters
-from published import weight
+from helpers import checkpoints
+from helpers.flow_mdm import entries, parameters
+from helpers.published_networks import weight
 
 import stmc
 from stmc.denoisers import FlowMdm

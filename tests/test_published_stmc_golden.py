@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import checked, golden, golden_sets
-from published import close, drawn, frames, limit_at, mdm, motion_diffuse, words_of
+from helpers.published_networks import close, drawn, frames, limit_at, mdm, motion_diffuse, words_of
 from torch import Tensor
 
 from stmc.body import BodyPart

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from scripting import ROOT
+from helpers.scripts import ROOT
 
 from stmc.commands.dispatch import found
 from stmc.model import Model

@@ -6,9 +6,9 @@ import math
 import pytest
 import torch
 from conftest import checked, golden, golden_sets
+from helpers.motions import walk
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_motion import walk
 from torch.testing import assert_close
 
 from stmc.body import JOINTS, BodyPart

@@ -7,12 +7,12 @@ import pytest
 import roma
 import torch
 from conftest import golden, golden_sets
+from helpers.collages import COLUMNS, FPS, GAP, STAND_NOD, WALK_WAVE, Constant, embeddings, last, plans_of, timeline
+from helpers.published_networks import frames
+from helpers.strategies import quietly
+from helpers.strategies import timelines as any_timeline
 from hypothesis import given
 from hypothesis import strategies as st
-from mosaic import COLUMNS, FPS, GAP, STAND_NOD, WALK_WAVE, Constant, embeddings, last, plans_of, timeline
-from published import frames
-from strategies import quietly
-from strategies import timelines as any_timeline
 from torch import Tensor
 
 from stmc.body import BodyPart

@@ -7,10 +7,10 @@ import shutil
 
 import pytest
 import torch
+from helpers.tiny_model import CONFIG as PARTS
+from helpers.tiny_model import Hashes, tiny
 from omegaconf import OmegaConf
 from safetensors.torch import load_file, save_file
-from tiny import CONFIG as PARTS
-from tiny import Hashes, tiny
 
 import stmc
 from stmc.diffusion import ddim

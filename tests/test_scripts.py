@@ -3,21 +3,18 @@
 import csv
 import io
 import json
-import os
 import re
-import subprocess
-import sys
 from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from mocap import about, bvh_text, posed
-from scripting import ROOT, configured, loaded
-from scripting import run as in_this_process
-from studio import Threads
-from tiny import tiny
+from helpers.bandai_files import about, bvh_text, posed
+from helpers.scripts import configured, loaded, script
+from helpers.scripts import run as in_this_process
+from helpers.source_folders import Threads
+from helpers.tiny_model import tiny
 
 import stmc
 from stmc.data import preparation
@@ -30,18 +27,6 @@ raise the left arm # 0.5 # 1.5 # left arm
 
 raise the right arm # 0 # 1 # right arm
 """
-
-
-def script(name: str, *settings: object, folder: Path, check: bool = True) -> subprocess.CompletedProcess:
-    """Runs a script with its output in one stream, in a folder where it must leave nothing."""
-    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *map(str, settings)]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200"}
-    folder.mkdir(exist_ok=True)
-    done = subprocess.run(
-        command, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
-    )
-    assert not check or done.returncode == 0, done.stdout
-    return done
 
 
 def clip(content: str, number: int) -> stmc.Motion:

@@ -2,10 +2,10 @@
 
 import pytest
 import torch
+from helpers.collages import COLUMNS, GAP, STAND_NOD, WALK_WAVE, embeddings, last, plans_of, random_embeddings, timeline
+from helpers.strategies import quietly
+from helpers.strategies import timelines as any_timeline
 from hypothesis import given
-from mosaic import COLUMNS, GAP, STAND_NOD, WALK_WAVE, embeddings, last, plans_of, random_embeddings, timeline
-from strategies import quietly
-from strategies import timelines as any_timeline
 from torch import Tensor
 
 from stmc.body import BodyPart

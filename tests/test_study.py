@@ -12,11 +12,10 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 import torch
+from helpers.motions import walking
+from helpers.scripts import loaded, run, script
 from hypothesis import given
 from hypothesis import strategies as st
-from scripting import loaded, run
-from test_scripts import script
-from walker import walking
 
 import stmc
 from stmc.body import JOINTS, PARENTS

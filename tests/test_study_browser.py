@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
-import chromium
 import numpy as np
 import pytest
+from helpers import browser
+from helpers.motions import walking
 from test_study import pair
-from walker import walking
 
 from stmc.study import Aspect, Key, Kind, Question, Survey, Vote, analyse, design, read_answers, survey_page
 from stmc.study.clips import Clip
@@ -19,15 +19,15 @@ from stmc.timeline import Timeline
 
 pytestmark = [
     pytest.mark.browser,
-    pytest.mark.skipif(chromium.PATH is None, reason="no chromium on the PATH (Debian: apt-get install chromium)"),
+    pytest.mark.skipif(browser.PATH is None, reason="no chromium on the PATH (Debian: apt-get install chromium)"),
 ]
 WIDTH, HEIGHT = 1280, 640
 """What a browser leaves of a laptop's screen."""
 
 
 @pytest.fixture(scope="module")
-def tab(tmp_path_factory) -> Iterator[chromium.Tab]:
-    with chromium.tab(tmp_path_factory.mktemp("profile"), WIDTH, HEIGHT) as opened:
+def tab(tmp_path_factory) -> Iterator[browser.Tab]:
+    with browser.tab(tmp_path_factory.mktemp("profile"), WIDTH, HEIGHT) as opened:
         opened.call("Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False)
         yield opened
 
@@ -39,7 +39,7 @@ def study() -> tuple[Survey, Key]:
     return surveys[0], key
 
 
-def start(tab: chromium.Tab, folder: Path, survey: Survey) -> None:
+def start(tab: browser.Tab, folder: Path, survey: Survey) -> None:
     """Opens a survey's page, and its first question."""
     path = folder / "survey.html"
     path.write_text(survey_page(survey), "utf-8")
@@ -49,17 +49,17 @@ def start(tab: chromium.Tab, folder: Path, survey: Survey) -> None:
     tab.wait("document.body.dataset.time > 0")
 
 
-def click(tab: chromium.Tab, selector: str) -> None:
+def click(tab: browser.Tab, selector: str) -> None:
     box = tab.ask(f"document.querySelector('{selector}').getBoundingClientRect().toJSON()")
     tab.click((box["left"] + box["right"]) / 2, (box["top"] + box["bottom"]) / 2)
 
 
-def press(tab: chromium.Tab, key: str, text: str = "") -> None:
+def press(tab: browser.Tab, key: str, text: str = "") -> None:
     tab.call("Input.dispatchKeyEvent", type="keyDown", key=key, text=text or key if len(key) == 1 else text)
     tab.call("Input.dispatchKeyEvent", type="keyUp", key=key)
 
 
-def seek(tab: chromium.Tab, share: float) -> None:
+def seek(tab: browser.Tab, share: float) -> None:
     """Drags the slider to a share of the time."""
     tab.ask(
         f"(() => {{ const bar = document.getElementById('scrub'); bar.value = {share} * bar.max;"
@@ -67,18 +67,18 @@ def seek(tab: chromium.Tab, share: float) -> None:
     )
 
 
-def settle(tab: chromium.Tab, share: float) -> None:
+def settle(tab: browser.Tab, share: float) -> None:
     """Until a paused page shows that time."""
     tab.wait(f"Math.abs(document.body.dataset.time - {share} * document.getElementById('scrub').max) < 0.02")
 
 
-def pause(tab: chromium.Tab) -> None:
+def pause(tab: browser.Tab) -> None:
     if "Pause" in tab.ask("document.getElementById('play').textContent"):
         press(tab, " ")
         tab.wait("document.getElementById('play').textContent.includes('Play')")
 
 
-def panels(tab: chromium.Tab) -> list[np.ndarray]:
+def panels(tab: browser.Tab) -> list[np.ndarray]:
     """Both canvases as they are drawn, [height, width, 4] from 0 to 255."""
     code = """Array.from(document.querySelectorAll('canvas'), (canvas) => {
       const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
@@ -163,7 +163,7 @@ def test_the_timeline_is_legible_and_its_bar_moves_with_time(tab, tmp_path):
     tab.wait("Math.abs(document.body.dataset.time - 4.75) < 0.1")
 
 
-def answer(tab: chromium.Tab, survey: Survey, key: Key, number: int) -> None:
+def answer(tab: browser.Tab, survey: Survey, key: Key, number: int) -> None:
     """Answers one question with the keyboard alone: pairs by realism for the first method, honeypots rightly."""
     asked = survey.questions[number]
     entry = key.surveys[survey.id][asked.id]
@@ -196,7 +196,7 @@ def test_a_survey_is_answered_with_the_keyboard_outlives_a_closed_tab_and_its_fi
     click(tab, "#save")
     tab.wait("!document.getElementById('saved').hidden")
     path = tmp_path / tab.ask("document.getElementById('file').textContent")
-    patience = time.monotonic() + chromium.PATIENCE
+    patience = time.monotonic() + browser.PATIENCE
     while not (path.exists() and path.stat().st_size):
         assert time.monotonic() < patience, f"{path} was not saved"
         time.sleep(0.1)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 from conftest import data_file, golden, golden_sets
+from helpers.strategies import quietly, timelines
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import quietly, timelines
 
 from stmc.body import BodyPart
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning, one_text, single_track

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from helpers.toy_data import LAYOUT, LetterCounts, cache
 from jaxtyping import TypeCheckError
 from torch import nn
-from toys import LAYOUT, LetterCounts, cache
 
 from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.dataset import Dataset

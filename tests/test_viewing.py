@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.motions import walking
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.patches import FancyBboxPatch, Rectangle
 from test_body_model import write_body
-from walker import walking
 
 from stmc.body import JOINTS, BodyPart
 from stmc.body_model import Skeleton, load_body

@@ -1,5 +1,8 @@
-"""The scripts without a process each: as modules, with their configs."""
+"""The scripts, without a process each as modules with their configs, or in one of their own."""
 
+import os
+import subprocess
+import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -7,7 +10,7 @@ from types import ModuleType
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def loaded(script: str) -> ModuleType:
@@ -27,3 +30,15 @@ def configured(name: str, *overrides: object) -> DictConfig:
 def run(script: str, config_name: str, *overrides: object) -> None:
     """A script's main function, in this process."""
     loaded(script).main.function(configured(config_name, *overrides))
+
+
+def script(name: str, *settings: object, folder: Path, check: bool = True) -> subprocess.CompletedProcess:
+    """Runs a script with its output in one stream, in a folder where it must leave nothing."""
+    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *map(str, settings)]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "200"}
+    folder.mkdir(exist_ok=True)
+    done = subprocess.run(
+        command, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
+    )
+    assert not check or done.returncode == 0, done.stdout
+    return done

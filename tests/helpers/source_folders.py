@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from einops import rearrange
-from walker import walking
+from helpers.motions import walking
 
 from stmc.body_model import Skeleton
 from stmc.geometry import matrix_to_axis_angle

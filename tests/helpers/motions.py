@@ -9,6 +9,9 @@ from stmc.body_model import Skeleton
 from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle, rotation_z
 from stmc.motion import Motion
 
+STANDING = axis_angle_to_matrix(torch.tensor([math.pi / 2, 0.0, 0.0], dtype=torch.float64))
+"""Turns SMPL's rest pose (y up, facing z) to a z-up world: it faces -y with its left towards +x."""
+
 _UPRIGHT = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
 
 
@@ -46,3 +49,13 @@ def walking(seconds: float = 6.0, fps: float = 20.0, speed: float = 1.1, turn: f
     grounded = translation.clone()
     grounded[:, 2] = -motion.joints[:, :, 2].amin(dim=1) + 0.02
     return Motion.posed(rotations, grounded, fps, skeleton)
+
+
+def walk(frames=12, fps=20.0, seed=0, dtype=torch.float64) -> Motion:
+    """Anybody's pose and place at random, changing little from frame to frame."""
+    generator = torch.Generator().manual_seed(seed)
+    noise = torch.randn(frames, 22, 3, generator=generator, dtype=torch.float64).cumsum(dim=0) * 0.05
+    rotations = axis_angle_to_matrix(noise)
+    rotations[:, 0] = STANDING @ rotations[:, 0]
+    translation = torch.randn(frames, 3, generator=generator, dtype=torch.float64).cumsum(dim=0) * 0.03 + 1
+    return Motion.posed(rotations.to(dtype), translation.to(dtype), fps, Skeleton.default())

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from conftest import GOLDEN
-from published import weight
+from helpers.published_networks import weight
 from torch import Tensor
 
 from stmc.denoisers import FlowMdm
