@@ -26,7 +26,7 @@ from stmc.model import Precision
 from stmc.motion import Motion
 from stmc.settings import SettingError, setting
 from stmc.timeline import Prompt, Timeline
-from stmc.viewing import pictures
+from stmc.viewing import film_strip
 
 WINDOW = 4.0
 """Seconds of a cyclic clip that are asked at once, and of a cyclic content that are sampled."""
@@ -88,7 +88,7 @@ def shown(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: 
         steps=config.steps,
         noise_scale=config.noise_scale,
     )
-    figure = partial(pictures(motions[0], title=timeline.name).savefig, format="png", dpi=60)
+    figure = partial(film_strip(motions[0], title=timeline.name).savefig, format="png", dpi=60)
     write_whole(Path(config.output) / f"{name}_{text.replace(' ', '_')}.png", figure)
     return fmean(map(QUESTIONS[name], motions))
 
