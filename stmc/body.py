@@ -43,7 +43,14 @@ _READ_AS: dict[str, str] = {
 
 
 class BodyPart(StrEnum):
-    """One of the five parts that a prompt may claim (STMC, section 3.3). Together they own every joint exactly once."""
+    """One of the five parts that a prompt may claim (STMC, section 3.3). Together they own every joint exactly once.
+
+    Examples:
+        >>> [str(part) for part in stmc.BodyPart]
+        ['left arm', 'right arm', 'legs', 'head', 'spine']
+        >>> stmc.BodyPart.HEAD.joints
+        ('neck', 'head')
+    """
 
     LEFT_ARM = "left arm"
     RIGHT_ARM = "right arm"
@@ -62,6 +69,10 @@ class BodyPart(StrEnum):
         "left hand", are those of the part that they belong to, and "torso" is the spine.
 
         Raises `ValueError` naming the legal choices for anything else.
+
+        Examples:
+            >>> stmc.BodyPart.parse("Left_Hand")
+            <BodyPart.LEFT_ARM: 'left arm'>
         """
         name = " ".join(text.lower().replace("_", " ").replace("-", " ").split())
         name = _READ_AS.get(name, name)

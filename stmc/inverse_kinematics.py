@@ -35,6 +35,11 @@ def motion_of_joints(
     Joints stay where they are, and missing hands go on from the forearms; with a `skeleton` they are posed, so that
     bones have its lengths: the pelvis' path is scaled about the floor (the lowest joint), by how high the two bodies'
     pelvises stand. Raises `ValueError` for another number of joints, and for no frames.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.motion_of_joints(motion.joints[:, :22], fps=20)
+        Motion(20 frames at 20 fps, 1.00 s)
     """
     body = Skeleton.default() if skeleton is None else skeleton
     rotations = joints_to_rotations(joints, body)

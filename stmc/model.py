@@ -46,6 +46,11 @@ class Model:
     `sampling` is how the model is sampled unless told otherwise.
 
     In memory any function with the signature of a `Denoiser` is one, and so is one like `TextEncoder.encode`.
+
+    Examples:
+        >>> model = stmc.load()
+        >>> model.fps, model.schedule.steps, model.representation.width
+        (20, 100, 205)
     """
 
     denoiser: Denoiser
@@ -91,17 +96,34 @@ class Model:
         return own if ape_steps is not None else dataclasses.replace(own, ape_steps=None)
 
     def to(self, device: torch.device | str) -> Model:
-        """The model on another device. The denoiser is moved, not copied; one without weights stays as it is."""
+        """The model on another device. The denoiser is moved, not copied; one without weights stays as it is.
+
+        Examples:
+            >>> stmc.load().to("cpu").device
+            device(type='cpu')
+        """
         return dataclasses.replace(self, denoiser=self.denoiser.to(device)) if hasattr(self.denoiser, "to") else self
 
     def plans(self, timelines: Sequence[Timeline], overlap: float | int | None = None) -> list[Plan]:
         """The layouts of timelines in this model's frames; `overlap` in seconds, 2 l in the paper (None: the model's
-        own)."""
+        own).
+
+        Examples:
+            >>> [plan] = stmc.load().plans([stmc.Timeline.parse("walk # 0 # 1\\njump # 1 # 2")], overlap=0.5)
+            >>> [(crop.text, crop.frames) for crop in plan.crops]
+            [('walk', 25), ('jump', 25), (None, 10)]
+        """
         frames = self._frames(self.own_sampling.overlap if overlap is None else overlap)
         return [plan(timeline, fps=self.fps, overlap=frames, longest=self.longest) for timeline in timelines]
 
     def embed(self, texts: Sequence[str]) -> dict[str, Float[Tensor, "words width"]]:
-        """Normalised embeddings, each text encoded once."""
+        """Normalised embeddings, each text encoded once.
+
+        Examples:
+            >>> embeddings = stmc.load().embed(["walk", "jump", "walk"])
+            >>> [(text, words.shape[-1]) for text, words in embeddings.items()]
+            [('walk', 384), ('jump', 384)]
+        """
         distinct = list(dict.fromkeys(texts))
         words, lengths = getattr(self.text_encoder, "encode", self.text_encoder)(distinct)
         words = self.text_statistics.normalise(words.float().cpu())
@@ -111,7 +133,13 @@ class Model:
         self, plans: Sequence[Plan], guidance: float | int | None = None, ape_steps: float | int | None = None
     ) -> Guided:
         """A predictor of the plans' crops with classifier-free guidance (None: the model's own): see
-        `composing.guided_crops`. `ape_steps`: as of `Sampling`."""
+        `composing.guided_crops`. `ape_steps`: as of `Sampling`.
+
+        Examples:
+            >>> model = stmc.load()
+            >>> model.guided(model.plans([stmc.Timeline.parse("walk # 0 # 1")]), guidance=2.5)
+            Guided(1 rows of up to 20 frames, guidance 2.5, 0.0% padding)
+        """
         return guided_crops(
             *self._asked(plans, guidance, ape_steps),
             supports_padding=self.network.supports_padding,
@@ -122,14 +150,28 @@ class Model:
         self, plans: Sequence[Plan], guidance: float | int | None = None, ape_steps: float | int | None = None
     ) -> Guided:
         """A predictor of the body sequences of plans without overlap, with guidance: see
-        `composing.guided_sequences`. Raises `SettingError` for a denoiser that knows one text only."""
+        `composing.guided_sequences`. Raises `SettingError` for a denoiser that knows one text only.
+
+        Examples:
+            >>> from dataclasses import replace
+            >>> flow = stmc.denoisers.FlowMdm(205, 384, 60, width=16, layers=1)
+            >>> model = replace(stmc.load(), denoiser=flow, text_encoder=stmc.text.MiniLM())
+            >>> model.guided_sequences(model.plans([stmc.Timeline.parse("walk # 0 # 1")], overlap=0), guidance=2.5)
+            Guided(1 rows of up to 20 frames, guidance 2.5, 0.0% padding)
+        """
         self._check_text(True)
         return guided_sequences(*self._asked(plans, guidance, ape_steps))
 
     @takes(Sampling)
     def settings(self, method: str | Method | Rule = "stmc", **settings: Any) -> Sampling:
         """What `generate` samples with when it is given these: the method's and the model's own where they are open,
-        None for what does not apply. Raises `SettingError` as `generate` does."""
+        None for what does not apply. Raises `SettingError` as `generate` does.
+
+        Examples:
+            >>> settings = stmc.load().settings("sinc", steps=50)
+            >>> settings.steps, settings.overlap
+            (50, None)
+        """
         asked, method, own = record_of(Sampling, settings), find_method(method), self.own_sampling
         refuse(asked, method, own)
         found = settled(asked, method, own)
@@ -143,15 +185,13 @@ class Model:
     def generate(
         self,
         timelines: str | Timeline | Sequence[str | Timeline],
-        seed: Any = 0,
+        seed: int | Iterable[int] = 0,
         method: str | Method | Rule = "stmc",
         progress: Progress | None = None,
         joints_from: JointsFrom = "skeleton",
         **settings: Any,
     ) -> list[Motion]:
         """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
-
-            [motion] = model.generate("walk forwards # 0 # 6 # legs\\nwave # 2 # 5 # right arm", seed=1, steps=50)
 
         Args:
             timelines: One or several, each also as the text of a file: see `Timeline.parse`.
@@ -168,6 +208,11 @@ class Model:
         Raises:
             SettingError: For settings that do not fit, or that the method, the sampler or the model does not have.
             TimelineError: For a timeline that cannot be read or planned.
+
+        Examples:
+            >>> model = stmc.load()
+            >>> model.generate("walk forwards # 0 # 2 # legs\\nwave # 0.5 # 1.5 # right arm", seed=1, steps=2)
+            [Motion(40 frames at 20 fps, 2.00 s)]
         """
         method = find_method(method)
         sampling = self.settings(method, **settings)
@@ -193,6 +238,10 @@ class Model:
 
         Joints are those of the model's "skeleton", whose bones keep their lengths; or the positions that are part of
         the "features" (of HumanML3D's, what `recover_from_ric` gives), which STMC's tables were made from.
+
+        Examples:
+            >>> stmc.load().decode(torch.zeros(2, 40, 205), lengths=[20, 40])
+            [Motion(20 frames at 20 fps, 1.00 s), Motion(40 frames at 20 fps, 2.00 s)]
         """
         skeleton = self.skeleton if joints_from == "skeleton" else None
         raw = self.motion_statistics.restore(features.float().cpu())

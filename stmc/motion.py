@@ -44,6 +44,13 @@ class Motion:
 
     Raises `ValueError` for wrong shapes, no frames, values that are not finite, matrices that are not rotations, or a
     frame rate that is not positive.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> motion
+        Motion(20 frames at 20 fps, 1.00 s)
+        >>> motion.rotations.shape, motion.translation.shape, motion.joints.shape
+        (torch.Size([20, 22, 3, 3]), torch.Size([20, 3]), torch.Size([20, 24, 3]))
     """
 
     rotations: Float[Tensor, "frames 22 3 3"]
@@ -68,7 +75,13 @@ class Motion:
         fps: float | int,
         skeleton: Posable,
     ) -> Motion:
-        """The motion of `skeleton` with these local rotations and pelvis positions."""
+        """The motion of `skeleton` with these local rotations and pelvis positions.
+
+        Examples:
+            >>> rotations, translation = torch.eye(3).repeat(20, 22, 1, 1), torch.zeros(20, 3)
+            >>> stmc.Motion.posed(rotations, translation, fps=20, skeleton=stmc.Skeleton.default())
+            Motion(20 frames at 20 fps, 1.00 s)
+        """
         return cls(rotations, translation, skeleton.pose(rotations, translation), fps)
 
     def __repr__(self) -> str:
@@ -103,7 +116,13 @@ class Motion:
         return torch.stack([torch.sin(angle), -torch.cos(angle), torch.zeros_like(angle)], dim=-1)
 
     def mirrored(self) -> Motion:
-        """The mirror image in the plane x = 0: left and right change places. Twice is the motion itself."""
+        """The mirror image in the plane x = 0: left and right change places. Twice is the motion itself.
+
+        Examples:
+            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+            >>> torch.equal(motion.mirrored().translation[:, 0], -motion.translation[:, 0])
+            True
+        """
         return Motion(
             mirror_rotations(self.rotations, MIRROR[:ROTATED]),
             self.translation * self.translation.new_tensor([-1.0, 1.0, 1.0]),
@@ -118,6 +137,11 @@ class Motion:
 
         Joints and rotations are resampled each for itself, so the bones of fast movements may shorten a little: pose
         the skeleton again (`Motion.posed`) where that matters. Raises `ValueError` where not one frame remains.
+
+        Examples:
+            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+            >>> motion.resampled(fps=30)
+            Motion(30 frames at 30 fps, 1.00 s)
         """
         _check_fps(fps)
         if fps == self.fps:
@@ -131,14 +155,26 @@ class Motion:
         )
 
     def trimmed(self, start: int, end: int) -> Motion:
-        """Frames `[start, end)`, in place in the world. Raises `ValueError` unless `0 <= start < end <= frames`."""
+        """Frames `[start, end)`, in place in the world. Raises `ValueError` unless `0 <= start < end <= frames`.
+
+        Examples:
+            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+            >>> motion.trimmed(5, 15)
+            Motion(10 frames at 20 fps, 0.50 s)
+        """
         if not 0 <= start < end <= self.frames:
             raise ValueError(f"cannot trim {self.frames} frames to [{start}, {end}): need 0 <= start < end <= frames")
         values = (self.rotations, self.translation, self.joints)
         return Motion(*(value[start:end] for value in values), self.fps, self.overlap)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Motion:
-        """The motion on another device or in another floating dtype."""
+        """The motion on another device or in another floating dtype.
+
+        Examples:
+            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+            >>> motion.to(dtype=torch.float64).joints.dtype
+            torch.float64
+        """
         values = (self.rotations, self.translation, self.joints)
         return Motion(*(value.to(device=device, dtype=dtype) for value in values), self.fps, self.overlap)
 

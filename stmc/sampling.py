@@ -20,6 +20,10 @@ class Sampling:
 
     Raises:
         SettingError: For a value of another type or out of range.
+
+    Examples:
+        >>> dict(stmc.Sampling(steps=50, guidance=2.5).given)
+        {'steps': 50, 'guidance': 2.5}
     """
 
     steps: int | None = setting(None, "steps of denoising; null: as many as in training", at_least=1)
@@ -32,6 +36,9 @@ class Sampling:
         choices=get_args(NoiseScale),
     )
     guidance: float | int | None = setting(None, "weight of the texts: 0 ignores them, 1 is as trained")
+    guidance_from: float | int | None = setting(
+        None, "start of the guidance; texts count as trained before it", unit="share of steps", at_least=0, below=1
+    )
     overlap: float | int | None = setting(None, "length of a transition between prompts", unit="s", at_least=0)
     stitch_from: float | int | None = setting(
         None, "start of the composition; crops are denoised alone before it", unit="share of steps", at_least=0, below=1
@@ -44,7 +51,12 @@ class Sampling:
         check(self)
 
     def over(self, other: Sampling) -> Sampling:
-        """These settings and, where they leave one open, the `other`'s."""
+        """These settings and, where they leave one open, the `other`'s.
+
+        Examples:
+            >>> dict(stmc.Sampling(steps=50).over(stmc.Sampling(steps=100, overlap=0.5)).given)
+            {'steps': 50, 'overlap': 0.5}
+        """
         return replace(other, **self.given)
 
     @property
@@ -57,5 +69,7 @@ class Sampling:
 INDEPENDENT = "independent"
 """The method that samples every prompt as a motion of its own: what composing could at best keep (appendix E)."""
 
-DEFAULT = Sampling(sampler="ddpm", noise_scale="variance", guidance=2.5, overlap=0.5, stitch_from=0.0)
+DEFAULT = Sampling(
+    sampler="ddpm", noise_scale="variance", guidance=2.5, guidance_from=0.0, overlap=0.5, stitch_from=0.0
+)
 """What neither the caller nor the method nor the model decides; the steps are then the schedule's."""

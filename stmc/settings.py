@@ -18,6 +18,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from stmc.untrusted import shown
 
 Record = TypeVar("Record")
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 _LIMITS: Mapping[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "at_least": ("at least", lambda value, limit: value >= limit),
@@ -98,11 +99,11 @@ def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
     return kind(**values)
 
 
-def takes(kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def takes(kind: type) -> Callable[[Function], Function]:
     """Of a function with `**settings`: its signature shows the settings of the record `kind` instead, for help and
     completion. The function makes the record itself, with `record_of`."""
 
-    def shows(function: Callable[..., Any]) -> Callable[..., Any]:
+    def shows(function: Function) -> Function:
         signature = inspect.signature(function)
         own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
         settings = [

@@ -271,3 +271,14 @@ def test_every_ability_asks_for_its_text_on_the_parts_it_is_about():
         assert arms == named, name
         assert timeline.duration <= 10
     assert all(0.85 <= ability.expected <= 1 for ability in abilities())
+
+
+def test_the_hand_step_is_the_furthest_that_a_wrist_moves_in_a_frame_beside_the_pelvis():
+    motion = moving(duration=1.0, speed=1.5)
+    assert kinematics.hand_step(motion) == pytest.approx(0, abs=1e-6)
+    joints = motion.joints.clone()
+    joints[10:, JOINTS.index("left_wrist"), 2] += 0.3
+    joints[20:, JOINTS.index("right_wrist"), 0] -= 0.4
+    joints[25, JOINTS.index("head")] += 1.0
+    assert kinematics.hand_step(dataclasses.replace(motion, joints=joints)) == pytest.approx(0.4, abs=1e-6)
+    assert kinematics.hand_step(motion.trimmed(3, 4)) == 0

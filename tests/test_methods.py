@@ -12,9 +12,10 @@ from test_model import GAP, NOD, THREE, WALK_WAVE, apart
 from torch import Tensor
 
 import stmc
-from stmc.composing import find_method
+from stmc.body import BodyPart
+from stmc.composing import Run, find_method
 from stmc.denoisers import FlowMdm
-from stmc.diffusion import ddim, ddpm, dpm_solver
+from stmc.diffusion import Schedule, ddim, ddpm, dpm_solver
 from stmc.geometry import matrix_to_rows
 from stmc.model import Model
 from stmc.planning import cross_fade
@@ -136,13 +137,60 @@ def test_a_method_is_any_function_of_a_run(flow):
     assert apart(first, flow.generate(WALK_WAVE, seed=7, method=still)[0]) == 0
 
 
+FIXED_BY_THE_PAPER = {"stitch_from": 0.0, "guidance_from": 0.0, "noise_scale": "variance"}
+
+
 def test_the_paper_s_algorithm_is_hard_edges_from_the_first_step_on_and_its_noise_whatever_the_model_says(flow):
-    own = dataclasses.replace(flow, sampling=Sampling(stitch_from=0.5, noise_scale="std", guidance=2.5))
+    sampling = Sampling(stitch_from=0.5, noise_scale="std", guidance=2.5, guidance_from=0.5)
+    own = dataclasses.replace(flow, sampling=sampling)
     [paper] = own.generate(WALK_WAVE, steps=4, method="stmc_paper")
-    [spelled] = own.generate(WALK_WAVE, steps=4, method=stmc.stitched(), stitch_from=0.0, noise_scale="variance")
+    [spelled] = own.generate(WALK_WAVE, steps=4, method=stmc.stitched(), **FIXED_BY_THE_PAPER)
     assert apart(paper, spelled) == 0
     with pytest.raises(SettingError, match=r"stitch_from=0\.2: STMC \(paper\) fixes it at 0\.0"):
         own.generate(WALK_WAVE, method="stmc_paper", stitch_from=0.2)
+
+
+def arms(guidance: float, guidance_from: float) -> tuple[Tensor, Schedule]:
+    """What two arms, of a prompt that wants 1 and one that wants -1, are when composition begins, after 4 of 8 steps;
+    and the schedule of the steps."""
+    wanted = {"raise": 1.0, "lower": -1.0, "": 0.0}
+
+    def encode(texts: Sequence[str]) -> tuple[Tensor, Tensor]:
+        return torch.tensor([wanted[text] for text in texts])[:, None, None], torch.ones(len(texts), dtype=torch.long)
+
+    def wish(x: Tensor, t: Tensor, text: Tensor, text_mask: Tensor | None, mask: Tensor | None) -> Tensor:
+        return text[:, :1].expand_as(x)
+
+    def begun(run: Run) -> Tensor:
+        x = run.begun_independently(run.steps_before(0.5))
+        found.append((x[0, :, list(run.columns[BodyPart.RIGHT_ARM])], run.schedule.respaced(run.times)))
+        return x
+
+    plain, found = Statistics(torch.zeros(1), torch.ones(1)), []
+    model = dataclasses.replace(tiny(), denoiser=wish, text_encoder=encode, text_statistics=plain)
+    timeline = "raise # 0 # 2 # right arm\nlower # 2 # 4 # right arm"
+    model.generate(
+        timeline, method=stmc.Method(begun, ""), sampler=ddim, steps=8, guidance=guidance, guidance_from=guidance_from
+    )
+    return found[0]
+
+
+def test_arms_whose_texts_want_them_apart_are_composed_as_far_apart_as_the_texts_say_and_no_further():
+    """Guided from the first step on they are `guidance` times as far; DDIM's steps are affine in what is predicted."""
+    plain, schedule = arms(1.0, 0.0)
+    signal, noise = schedule.alpha_bar.sqrt(), (1 - schedule.alpha_bar).sqrt()
+    gain = float(signal[3] - noise[3] * signal[7] / noise[7])
+    more = (arms(2.5, 0.0)[0] - plain).mean(dim=1)
+    torch.testing.assert_close(more, torch.tensor([1.5 * gain] * 40 + [-1.5 * gain] * 40), atol=1e-4, rtol=0)
+    torch.testing.assert_close(arms(2.5, 0.5)[0], plain, atol=1e-5, rtol=0)
+    part = (arms(2.5, 0.25)[0] - plain).mean(dim=1)
+    assert (part[:40] > 0.1).all() and (part[:40] < more[:40] - 0.1).all()
+
+
+@pytest.mark.parametrize("guidance", [0.0, 1.0])
+def test_guidance_that_exaggerates_nothing_may_begin_at_any_time(flow, guidance):
+    made = [flow.generate(WALK_WAVE, steps=4, guidance=guidance, guidance_from=start)[0] for start in (0.0, 0.5)]
+    assert apart(*made) == 0
 
 
 def test_a_dotted_name_is_imported_of_trusted_packages_alone(tmp_path, monkeypatch):

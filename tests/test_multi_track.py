@@ -107,6 +107,15 @@ def test_the_transition_distance_is_that_of_the_jump_between_two_poses():
     assert scores["transition"] == pytest.approx(expected / 2, rel=1e-4)  # the second one's prompts change elsewhere
 
 
+def test_hand_steps_are_those_of_the_furthest_jump_of_a_wrist():
+    poses = [(motion.joints[0, 20:22] - motion.joints[0, 0]) for motion in map(still, ("raise the left arm", "bow"))]
+    expected = 100 * float((poses[0] - poses[1]).norm(dim=-1).max())
+    scores = benchmark().measured("stmc", [SHOWN[0], still("bow", 120)], seed=0).metrics
+    assert scores["hand_step"] == pytest.approx(expected, rel=1e-4)
+    assert scores["hand_step_99"] == pytest.approx(0.99 * expected, rel=1e-4)  # between the two motions' own
+    assert benchmark().real(0).metrics["hand_step"] == pytest.approx(0, abs=1e-3)
+
+
 def test_the_jerk_around_transitions_is_that_of_the_jump_beside_real_motions():
     steps = still("bow", 1).joints[0, :22] - still("raise the left arm", 1).joints[0, :22]
     jump = float(steps.abs().sum(dim=-1).amax())

@@ -22,7 +22,7 @@ from stmc.benchmarks.ground_truth import ReferenceMotions, amass_reference_motio
 from stmc.benchmarks.protocol import Scores, TextEvaluator
 from stmc.benchmarks.questions import QUESTIONS, Question
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.metrics.kinematics import window_jerk
+from stmc.metrics.kinematics import hand_step, window_jerk
 from stmc.metrics.realism import fid
 from stmc.metrics.smoothness import quarter_points, transition_window
 from stmc.metrics.timelines import DEFINED, PUBLISHED, Formulas, GroundTruth, Span, measured_points, semantics
@@ -95,9 +95,10 @@ class MultiTrack:
         return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """See `formulas`; "shown" is the share, in percent, of the crops with a question that answer it. The
-        peak jerk, the area under the jerk and the curve "jerk" are of windows around the transitions, compared with
-        those around the quarters of real motion.
+        """See `formulas`; "shown" is the share, in percent, of the crops with a question that answer it. The hand
+        steps are the largest that any motion has, and the 99th percentile of theirs. The peak jerk, the area under the
+        jerk and the curve "jerk" are of windows around the transitions, compared with those around the quarters of real
+        motion.
 
         One text stands for its whole motion, which is measured as every prompt's, as in the paper; "independent"
         motions have no transitions and are not whole, so only their crops are measured.
@@ -108,7 +109,7 @@ class MultiTrack:
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
         if method == INDEPENDENT:
             return Scores(metrics)
-        metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition}
+        metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition} | _hand_steps(motions)
         points = [measured_points(each, len(motion)) for each, motion in zip(spans, motions, strict=True)]
         return self._with_jerk(Scores(metrics), self._jerks(motions, points))
 
@@ -123,7 +124,7 @@ class MultiTrack:
         whole = [[(0, len(motion), number)] for number, motion in enumerate(self.reference_motions)]
         metrics = self._shown(self.reference_motions, whole) | asdict(found)
         distance = self.formulas.real_transition(self.reference_motions, self.evaluator)
-        metrics |= {"fid": least, "fid_plus": least, "transition": distance}
+        metrics |= {"fid": least, "fid_plus": least, "transition": distance} | _hand_steps(self.reference_motions)
         return self._with_jerk(Scores(metrics), self._real_jerks)
 
     @cached_property
@@ -202,6 +203,12 @@ def published_mtt(
     reference_motions = amass_reference_motions(amass, evaluator.fps, body)
     asked = Timeline.read_all(folder / "MTT.txt")[:first]
     return MultiTrack.of(asked, atoms, evaluator, reference_motions, formulas=PUBLISHED, joints_from=joints_from)
+
+
+def _hand_steps(motions: Sequence[Motion]) -> dict[str, float]:
+    """Of each motion's own largest: the largest, and the 99th percentile; in centimetres."""
+    steps = [100 * hand_step(motion) for motion in motions]
+    return {"hand_step": max(steps), "hand_step_99": float(np.quantile(steps, 0.99))}
 
 
 def _describes(cache: Cache, text: str, clip: Clip) -> bool:

@@ -77,6 +77,13 @@ def guided_crops(
     `fixed_length`: every crop has as many frames, whatever its own length (see `Network`), and all are predicted.
 
     Raises `ValueError` for a text without an embedding.
+
+    Examples:
+        >>> plans = [stmc.plan(stmc.Timeline.parse("walk # 0 # 2"), fps=20, overlap=10)]
+        >>> embeddings = {"": torch.zeros(1, 384), "walk": torch.ones(1, 384)}
+        >>> crops = stmc.guided_crops(lambda x, *others: x, stmc.Schedule.cosine(100), plans, embeddings)
+        >>> crops(torch.zeros(1, 40, 205), 99).shape
+        torch.Size([1, 40, 205])
     """
     check_embeddings(plans, embeddings)
     crops = (crop for plan in plans for crop in plan.crops)

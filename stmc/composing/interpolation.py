@@ -29,6 +29,13 @@ def smooth_seams(
     The line runs over `overlap` frames around the change, half of them on each side, within the timeline, from the
     value of its first frame to that of its last. Lines start from the values before smoothing; where two of one part
     meet, the later wins. The `plans` are those without overlap (`ValueError` for others).
+
+    Examples:
+        >>> plan = stmc.plan(stmc.Timeline.parse("walk # 0 # 1\\njump # 1 # 2"), fps=20, overlap=0)
+        >>> columns = {part: [column] for column, part in enumerate(stmc.BodyPart)}
+        >>> features = torch.cat([torch.zeros(1, 20, 5), torch.ones(1, 20, 5)], dim=1)
+        >>> stmc.smooth_seams(features, [plan], columns, overlap=5)[0, 18:23, 0].tolist()
+        [0.0, 0.25, 0.5, 0.75, 1.0]
     """
     smooth = features.clone()
     for i, plan in enumerate(plans):

@@ -45,6 +45,11 @@ class Method:
     the method's name in tables, with what it sees of a timeline: `tracks` and `crops`, "Single" or "Multi" each.
     `baseline` replaces each timeline beforehand. `fixed` are the settings that the method decides, whatever the model
     says; None: it has no such setting. `per_frame_text`: it needs a denoiser that knows a text for every frame.
+
+    Examples:
+        >>> still = stmc.Method(lambda run: torch.zeros(1, 20, 205), "Still")
+        >>> stmc.load().generate("walk # 0 # 1", method=still)
+        [Motion(20 frames at 20 fps, 1.00 s)]
     """
 
     sample: Callable[[Run], Features]
@@ -72,6 +77,11 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
         model.generate(timeline, method=stmc.stitched(my_rule), stitch_from=0.2)
 
     `more`: as of `Method`; the label is the rule's own name unless said.
+
+    Examples:
+        >>> method = stmc.stitched(stmc.planning.cross_fade, label="Cross-faded")
+        >>> stmc.load().generate("walk # 0 # 1\\njump # 1 # 2", method=method, stitch_from=0.5, steps=2)
+        [Motion(40 frames at 20 fps, 2.00 s)]
     """
 
     def sample(run: Run) -> Features:
@@ -83,7 +93,7 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
 def stitch(run: Run, plans: Sequence[Plan]) -> Features:
     """STMC by `plans`, from the run's `stitch_from` on."""
     predict, draw = run.collage(plans), run.noise(plans)
-    apart = int((run.sampling.stitch_from or 0) * len(run.times))
+    apart = run.steps_before(run.sampling.stitch_from)
     if not apart:
         return run.denoise(predict, draw(), draw)
     left = len(run.times) - apart
@@ -136,9 +146,9 @@ def two_takes(run: Run) -> Features:
     return run.denoise(inpaint(run.collage(takes, 0.0), content, kept), x, draw, steps)
 
 
-_FROM_THE_FIRST: Mapping[str, Any] = {"stitch_from": 0.0}
-_NEVER: Mapping[str, Any] = {"stitch_from": None}
-_WITHOUT_OVERLAP: Mapping[str, Any] = {"stitch_from": None, "overlap": None}
+_FROM_THE_FIRST: Mapping[str, Any] = {"stitch_from": 0.0, "guidance_from": 0.0}
+_NEVER: Mapping[str, Any] = {"stitch_from": None, "guidance_from": None}
+_WITHOUT_OVERLAP: Mapping[str, Any] = _NEVER | {"overlap": None}
 
 METHODS: Mapping[str, Method] = {
     "one_text": stitched(
@@ -176,6 +186,10 @@ def find_method(method: str | Method | Rule, trusted: Iterable[str] = ()) -> Met
 
     Raises:
         SettingError: For an unknown name, and a package that is not trusted or has no such thing.
+
+    Examples:
+        >>> stmc.find_method("one_text").tracks
+        'Single'
     """
     if isinstance(method, str):
         method = METHODS.get(method) or _imported(method, tuple(trusted))

@@ -56,6 +56,13 @@ def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, fixed_len
     for each plan, padded to the longest; beyond a timeline's end the result is zero. `columns` must own every feature
     exactly once (`ValueError`). With a `fixed_length` each crop goes on for as many frames: the timelines have
     `canvas_lengths(plans, fixed_length)` frames, and what the denoiser predicts behind a crop's end is dropped.
+
+    Examples:
+        >>> plan = stmc.plan(stmc.Timeline.parse("walk # 0 # 2\\njump # 2 # 4"), fps=20, overlap=10)
+        >>> columns = {part: [column] for column, part in enumerate(stmc.BodyPart)}
+        >>> predict = stmc.collage(lambda crops, t: torch.ones_like(crops), [plan], columns)
+        >>> predict(torch.zeros(1, 80, 5), 0).unique()
+        tensor([1.])
     """
     cut, stitch = _Cut(plans, fixed_length), _Stitch(plans, columns)
     longest, behind = max(crop_lengths(plans)), fixed_length or 0
@@ -69,6 +76,13 @@ def sinc(
 
     The `plans` are those without overlap, so that every body part of every frame comes from one crop. What the crops
     have beyond the longest one's end is dropped.
+
+    Examples:
+        >>> plan = stmc.plan(stmc.Timeline.parse("walk # 0 # 1\\njump # 1 # 2"), fps=20, overlap=0)
+        >>> columns = {part: [column] for column, part in enumerate(stmc.BodyPart)}
+        >>> crops = torch.stack([torch.zeros(20, 5), torch.ones(20, 5)])
+        >>> stmc.sinc(crops, [plan], columns)[0, 18:22, 0]
+        tensor([0., 0., 1., 1.])
     """
     return _Stitch(plans, columns)(crops[:, : max(crop_lengths(plans))])
 

@@ -22,6 +22,11 @@ class Noise:
     `lengths` are frames. A sample's stream is determined by its seed, its length and `features` alone; frames beyond
     its length are zero. Numbers are drawn in float32 and then given `device` and `dtype`, so that every device gets the
     same ones. Raises `ValueError` for negative seeds and for as many seeds as there are not lengths.
+
+    Examples:
+        >>> draw = stmc.Noise(seeds=[0, 1], lengths=[30, 40], features=205)
+        >>> draw().shape
+        torch.Size([2, 40, 205])
     """
 
     def __init__(

@@ -27,7 +27,12 @@ MOST_STEPS = 10_000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Schedule:
-    """A noise schedule: `alpha_bar[t]` is the share of the clean sample's variance that is left at step t."""
+    """A noise schedule: `alpha_bar[t]` is the share of the clean sample's variance that is left at step t.
+
+    Examples:
+        >>> stmc.Schedule(torch.tensor([0.9, 0.5, 0.1], dtype=torch.float64))
+        Schedule(3 steps, alpha_bar 0.9 to 0.1)
+    """
 
     alpha_bar: Float64[Tensor, " _"]
 
@@ -41,7 +46,12 @@ class Schedule:
 
     @classmethod
     def cosine(cls, steps: int, s: float = 0.008) -> Schedule:
-        """The schedule of Nichol and Dhariwal (2021), which MDM-SMPL uses with 100 steps; no beta exceeds 0.999."""
+        """The schedule of Nichol and Dhariwal (2021), which MDM-SMPL uses with 100 steps; no beta exceeds 0.999.
+
+        Examples:
+            >>> stmc.Schedule.cosine(100).steps
+            100
+        """
         _check_steps(steps)
 
         def left(u: float) -> float:
@@ -51,7 +61,12 @@ class Schedule:
 
     @classmethod
     def linear(cls, steps: int) -> Schedule:
-        """The schedule of Ho et al. (2020), 1e-4 to 0.02 for 1000 steps, rescaled to other numbers of steps."""
+        """The schedule of Ho et al. (2020), 1e-4 to 0.02 for 1000 steps, rescaled to other numbers of steps.
+
+        Examples:
+            >>> round(float(stmc.Schedule.linear(1000).beta[-1]), 4)
+            0.02
+        """
         _check_steps(steps)
         scale = 1000 / steps
         return cls._from_betas(torch.linspace(1e-4 * scale, 0.02 * scale, steps, dtype=torch.float64).tolist())
@@ -79,6 +94,10 @@ class Schedule:
         """`steps` of this schedule's steps in rising order, evenly spaced and with both ends; all of them for None.
 
         Raises `ValueError` for less than one or more than there are.
+
+        Examples:
+            >>> stmc.Schedule.cosine(100).spaced(4)
+            (0, 33, 66, 99)
         """
         if steps is None:
             return tuple(range(self.steps))
@@ -89,20 +108,37 @@ class Schedule:
         return tuple(round(i * (self.steps - 1) / (steps - 1)) for i in range(steps))
 
     def respaced(self, times: tuple[int, ...]) -> Schedule:
-        """The schedule that visits only the steps `times` (rising): its step i has the noise of step times[i]."""
+        """The schedule that visits only the steps `times` (rising): its step i has the noise of step times[i].
+
+        Examples:
+            >>> stmc.Schedule.cosine(100).respaced((0, 33, 66, 99)).steps
+            4
+        """
         return Schedule(self.alpha_bar[list(times)])
 
     def q_sample(
         self, x0: Float[Tensor, "batch ..."], t: Steps, noise: Float[Tensor, "batch ..."]
     ) -> Float[Tensor, "batch ..."]:
-        """x_t of clean samples `x0` with standard normal `noise`: Eq. 1, reparameterised."""
+        """x_t of clean samples `x0` with standard normal `noise`: Eq. 1, reparameterised.
+
+        Examples:
+            >>> schedule = stmc.Schedule(torch.tensor([0.64, 0.36], dtype=torch.float64))
+            >>> schedule.q_sample(torch.ones(1, 3), 1, noise=torch.zeros(1, 3))
+            tensor([[0.6000, 0.6000, 0.6000]])
+        """
         alpha_bar = self.alpha_bar
         return _at(alpha_bar.sqrt(), t, x0) * x0 + _at((1 - alpha_bar).sqrt(), t, x0) * noise
 
     def posterior(
         self, x0: Float[Tensor, "batch ..."], x: Float[Tensor, "batch ..."], t: Steps
     ) -> tuple[Float[Tensor, "batch ..."], Tensor]:
-        """Mean and variance of x_{t-1} given x_t and x_0 (Eq. 2 to 4); at step 0 they are `x0` itself and 0."""
+        """Mean and variance of x_{t-1} given x_t and x_0 (Eq. 2 to 4); at step 0 they are `x0` itself and 0.
+
+        Examples:
+            >>> mean, variance = stmc.Schedule.cosine(100).posterior(torch.ones(1, 3), torch.zeros(1, 3), 0)
+            >>> mean, float(variance)
+            (tensor([[1., 1., 1.]]), 0.0)
+        """
         before, beta, noise = self.alpha_bar_before, self.beta, 1 - self.alpha_bar
         clean_share = _at(beta * before.sqrt() / noise, t, x)
         noisy_share = _at((1 - before) * (1 - beta).sqrt() / noise, t, x)
@@ -111,7 +147,13 @@ class Schedule:
     def to_x0(
         self, output: Float[Tensor, "batch ..."], x: Float[Tensor, "batch ..."], t: Steps, prediction: Prediction
     ) -> Float[Tensor, "batch ..."]:
-        """The clean sample that a network's `output` for the noisy `x` stands for."""
+        """The clean sample that a network's `output` for the noisy `x` stands for.
+
+        Examples:
+            >>> schedule = stmc.Schedule(torch.tensor([0.64, 0.36], dtype=torch.float64))
+            >>> schedule.to_x0(output=torch.zeros(1, 3), x=torch.full((1, 3), 0.9), t=1, prediction="eps")
+            tensor([[1.5000, 1.5000, 1.5000]])
+        """
         if prediction == "x0":
             return output
         noisy_share, output_share = self._x0_shares(prediction)
@@ -123,6 +165,11 @@ class Schedule:
         """The output that stands for the clean sample `x0` of the noisy `x`: the inverse of `to_x0`.
 
         With x = q_sample(x0, t, noise) it is a network's target in training; for "eps" it is the noise.
+
+        Examples:
+            >>> schedule = stmc.Schedule(torch.tensor([0.64, 0.36], dtype=torch.float64))
+            >>> schedule.from_x0(x0=torch.zeros(1, 3), x=torch.full((1, 3), 1.2), t=1, prediction="eps")
+            tensor([[1.5000, 1.5000, 1.5000]])
         """
         if prediction == "x0":
             return x0

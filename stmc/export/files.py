@@ -19,6 +19,10 @@ def write(motion: Motion, path: str | Path, skeleton: Skeleton | None = None, fp
     `skeleton`: the body to write, by default the one the motion moves (its own bones; the bundled rest pelvis).
     `fps`: the file's frame rate, by default the motion's own; rotations are resampled on the sphere. Folders are made;
     a file already there is replaced once the new one is whole. Another suffix is a `ValueError`.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.write(motion, "walk.bvh", fps=30)
     """
     path = Path(path)
     save = _WRITERS.get(path.suffix.lower())
@@ -40,6 +44,12 @@ def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
 
     Where the file has no joints, `skeleton` is posed (by default the bundled one). Raises `ValueError` for another
     suffix and for what is missing inside.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.write(motion, "walk.npz")
+        >>> stmc.read("walk.npz")
+        Motion(20 frames at 20 fps, 1.00 s)
     """
     path = Path(path)
     if path.suffix.lower() != ".npz":

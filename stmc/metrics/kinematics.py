@@ -71,6 +71,14 @@ def swings(motion: Motion, side: str, extent: float | int = 0.05) -> int:
     return count
 
 
+def hand_step(motion: Motion) -> float:
+    """The furthest that a wrist moves, relative to the pelvis, from one frame to the next; metres *per frame*, so those
+    of different frame rates do not compare. 0 for a single frame."""
+    wrists = torch.stack([joint(motion, f"{side}_wrist") for side in ("left", "right")], dim=1)
+    steps = (wrists - joint(motion, "pelvis")[:, None]).diff(dim=0).norm(dim=-1)
+    return float(steps.max()) if len(steps) else 0.0
+
+
 def foot_sliding(motion: Motion) -> float:
     """Mean horizontal way of a foot joint per frame of contact, in metres; NaN where no foot ever stands.
 

@@ -24,6 +24,11 @@ def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ..
 
     Warns:
         TimelineWarning: One, for prompts that last no frame and so own nothing.
+
+    Examples:
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> stmc.assign(timeline, fps=20)[stmc.BodyPart.RIGHT_ARM]
+        ((0, 0, 20), (1, 20, 60), (0, 60, 80))
     """
     spans = timeline.spans(fps)
     frames = timeline.frames(fps)

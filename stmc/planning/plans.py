@@ -65,6 +65,20 @@ class Plan:
     Raises:
         ValueError: Unless every tile lies within its crop and the timeline, and the weights sum to 1 at every
             (frame, body part). Then combining predictions of x0, of the noise or of the score is the same.
+
+    Examples:
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> print(stmc.plan(timeline, fps=20, overlap=10))
+        plan: 80 frames, 4 crops
+        a          [walk··························································]  0 to 80
+        b                      [wave··································]              15 to 65
+        c                      [······]                                              15 to 25
+        d                                                      [······]              55 to 65
+        left arm   aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa
+        right arm  aaaaaaaaaaaa~~~~~~~~bbbbbbbbbbbbbbbbbbbbbbbb~~~~~~~~aaaaaaaaaaaa
+        legs       aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa
+        head       aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa
+        spine      aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa
     """
 
     frames: int
@@ -117,6 +131,11 @@ def plan(timeline: Timeline, fps: int | float, overlap: int, longest: int | None
     Raises:
         TimelineError: If the timeline lasts no frame, or more than `stmc.timeline.prompts.MOST_FRAMES`.
         ValueError: If the overlap is negative, or `longest` leaves no room for a piece and its overlap.
+
+    Examples:
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 2\\njump # 2 # 4")
+        >>> [(crop.text, crop.start, crop.end) for crop in stmc.plan(timeline, fps=20, overlap=10).crops]
+        [('walk', 0, 45), ('jump', 35, 80), (None, 35, 45)]
     """
     owners, spans, frames = assign(timeline, fps), timeline.spans(fps), timeline.frames(fps)
     _check(frames, overlap, longest)

@@ -49,6 +49,8 @@ MEASURES = (
     Measure("fid", "FID (crops)", "lower", 3),
     Measure("fid_plus", "FID+", "lower", 3),
     Measure("transition", "Transition distance", "lower", 1, "cm"),
+    Measure("hand_step", "Largest hand step", "real", 1, "cm"),
+    Measure("hand_step_99", "Hand step (99 % of motions)", "real", 1, "cm"),
     Measure("r_precision", "R-prec", "higher", 3),
     Measure("subsequence_fid", "FID (subsequences)", "lower", 3),
     Measure("subsequence_diversity", "Div (subsequences)", "real", 2),

@@ -88,6 +88,11 @@ def load(
 
     Raises `RunError` for a missing or damaged file, for weights that do not fit, for parts that do not fit each other,
     and for a config that asks for anything but this library's classes; `ValueError` for an unknown device or precision.
+
+    Examples:
+        >>> model = stmc.load()
+        >>> model.generate("walk # 0 # 1", seed=1, steps=1)
+        [Motion(20 frames at 20 fps, 1.00 s)]
     """
     if precision not in get_args(Precision):
         raise ValueError(f"unknown precision {shown(precision)}; choose from {', '.join(get_args(Precision))}")
@@ -113,7 +118,12 @@ def load_evaluator(
     folder: str | Path | None = None, device: torch.device | str = "cpu", trusted: Sequence[str] = ()
 ) -> Evaluator:
     """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to; without `folder`, the
-    bundled one. `trusted` and errors are those of `load`."""
+    bundled one. `trusted` and errors are those of `load`.
+
+    Examples:
+        >>> stmc.load_evaluator().texts(["walk", "jump"]).shape
+        torch.Size([2, 128])
+    """
     place = found_device(device)
     folder = bundled(BUNDLED_EVALUATOR) if folder is None else Path(folder).expanduser()
     config = _config(folder, EVALUATOR_PARTS)
@@ -164,6 +174,11 @@ def save(
     Every file is complete or absent: each is written under a temporary name first, the config last. Raises `RunError`,
     and writes nothing, for what `load` would refuse (see `check`), and for weights that `dtype` cannot hold. `trusted`
     names the packages of your own that `model.config` names classes of; whoever loads the model has to name them too.
+
+    Examples:
+        >>> folder = stmc.save(stmc.load(), "my_model", card="What it was trained on.")
+        >>> sorted(path.name for path in folder.iterdir())
+        ['README.md', 'config.yaml', 'statistics.safetensors', 'weights.safetensors']
     """
     return _written(Path(folder).expanduser(), model, check(model, trusted), card, dtype)
 

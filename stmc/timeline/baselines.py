@@ -18,6 +18,11 @@ def one_text(timeline: Timeline, longest_seconds: int | float) -> Timeline:
 
     The prompts of a track are joined by " and then ", tracks by " while ". It lasts from 0 to the timeline's end, but
     no longer than the model's longest motion, `longest_seconds`.
+
+    Examples:
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> [prompt.text for prompt in stmc.one_text(timeline, longest_seconds=10).prompts]
+        ['walk while wave']
     """
     text = " while ".join(" and then ".join(prompt.text for prompt in track) for track in timeline.tracks)
     end = min(timeline.duration, longest_seconds)
@@ -32,6 +37,11 @@ def single_track(timeline: Timeline, fps: int | float) -> Timeline:
 
     Raises:
         TimelineError: If no prompt lasts a frame, or the texts together are longer than `MOST_CHARACTERS`.
+
+    Examples:
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> [prompt.text for prompt in stmc.single_track(timeline, fps=20).prompts]
+        ['walk', 'walk while wave', 'walk']
     """
     spans = timeline.spans(fps)
     seconds = _seconds_of_frames(timeline, spans)

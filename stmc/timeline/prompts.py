@@ -50,6 +50,11 @@ class Prompt:
     Raises:
         TimelineError: For an empty or too long text, one with a lone surrogate, times that are not finite, negative,
             too late or not in order, or an unknown part.
+
+    Examples:
+        >>> prompt = stmc.Prompt("wave", 0, 2.5, ["right arm"])
+        >>> prompt.text, prompt.end, sorted(prompt.parts)
+        ('wave', 2.5, [<BodyPart.RIGHT_ARM: 'right arm'>])
     """
 
     text: str
@@ -119,6 +124,15 @@ class Timeline:
 
     Warns:
         TimelineWarning: One, for body parts that two prompts claim at once, saying who gets them in SINC's order.
+
+    Examples:
+        >>> print(stmc.Timeline([stmc.Prompt("walk", 0, 4), stmc.Prompt("wave", 1, 3, ["right arm"])]))
+        timeline: 4 s, 2 prompts
+        0 s      0.5       1        1.5       2        2.5       3        3.5       4
+        [1 walk····································································]
+                           [2 wave······························]
+        1  walk  0 to 4 s  whole body
+        2  wave  1 to 3 s  right arm
     """
 
     prompts: Sequence[Prompt]
@@ -152,17 +166,33 @@ class Timeline:
 
         Raises `TimelineError` naming the line for what it cannot mean, and for more than one timeline (a blank line
         starts the next): see `parse_all`.
+
+        Examples:
+            >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+            >>> [prompt.text for prompt in timeline.prompts]
+            ['walk', 'wave']
         """
         return _only(cls.parse_all(text), "the text")
 
     @classmethod
     def parse_all(cls, text: str) -> list[Timeline]:
-        """All timelines of a text, with blank lines between them. Errors as `parse`."""
+        """All timelines of a text, with blank lines between them. Errors as `parse`.
+
+        Examples:
+            >>> len(stmc.Timeline.parse_all("walk # 0 # 4\\n\\nwave # 0 # 2\\nnod # 2 # 3"))
+            2
+        """
         return [_from_draft(draft) for draft in files.parse_text(text)]
 
     @classmethod
     def read(cls, path: str | Path) -> Timeline:
-        """The one timeline of a `.json` or `.txt` file. Errors as `read_all`, and for more than one timeline."""
+        """The one timeline of a `.json` or `.txt` file. Errors as `read_all`, and for more than one timeline.
+
+        Examples:
+            >>> stmc.Timeline.parse("walk # 0 # 4").write("walk.txt")
+            >>> stmc.Timeline.read("walk.txt").duration
+            4.0
+        """
         return _only(cls.read_all(path), files.named(path))
 
     @classmethod
@@ -173,6 +203,11 @@ class Timeline:
         ["legs"]}, …], …]}`; name and body_parts may be absent. Text is read as by `parse_all`.
 
         Raises `TimelineError` naming the line (text) or the path within the document (JSON), the value and the choices.
+
+        Examples:
+            >>> stmc.Timeline.write_all(stmc.Timeline.parse_all("walk # 0 # 4\\n\\nwave # 0 # 2"), "two.json")
+            >>> [timeline.duration for timeline in stmc.Timeline.read_all("two.json")]
+            [4.0, 2.0]
         """
         return [_from_draft(draft, f"{files.named(path)}, ") for draft in files.read(Path(path))]
 
@@ -182,11 +217,20 @@ class Timeline:
 
         JSON keeps names, tracks and order, text the order only. Raises `TimelineError` where text cannot hold a prompt
         (a `#` in it), before anything is written.
+
+        Examples:
+            >>> stmc.Timeline.write_all([stmc.Timeline.parse("walk # 0 # 4")], "walk.txt")
+            >>> print(open("walk.txt").read().strip())
+            walk # 0.0 # 4.0
         """
         files.write([_draft(timeline) for timeline in timelines], Path(path))
 
     def write(self, path: str | Path) -> None:
-        """Write this timeline alone: see `write_all`."""
+        """Write this timeline alone: see `write_all`.
+
+        Examples:
+            >>> stmc.Timeline.parse("walk # 0 # 4").write("walk.json")
+        """
         self.write_all([self], path)
 
     @property
@@ -206,6 +250,11 @@ class Timeline:
         """Each prompt's (start, end) in frames, half-open: `int(fps * seconds)`. A very short prompt may have none.
 
         Raises `TimelineError` for a timeline of more than `MOST_FRAMES`.
+
+        Examples:
+            >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+            >>> timeline.spans(fps=20)
+            ((0, 80), (20, 60))
         """
         if not (fps > 0 and fps < math.inf):
             raise ValueError(f"fps {fps} must be a positive number of frames per second")
@@ -220,11 +269,21 @@ class Timeline:
         return f"timeline {shown(self.name)}, {self.places[0]}" if self.name else self.places[0]
 
     def frames(self, fps: int | float) -> int:
-        """How many frames the timeline lasts, from second 0 on."""
+        """How many frames the timeline lasts, from second 0 on.
+
+        Examples:
+            >>> stmc.Timeline.parse("walk # 0 # 4").frames(fps=20)
+            80
+        """
         return max(end for _, end in self.spans(fps))
 
     def shifted(self) -> Timeline:
-        """The same timeline with its first start at 0, as the published code reads every file."""
+        """The same timeline with its first start at 0, as the published code reads every file.
+
+        Examples:
+            >>> stmc.Timeline.parse("walk # 1 # 4").shifted().duration
+            3.0
+        """
         first = min(prompt.start for prompt in self.prompts)
         moved = [replace(prompt, start=prompt.start - first, end=prompt.end - first) for prompt in self.prompts]
         return replace(self, prompts=tuple(moved)) if first else self

@@ -25,6 +25,10 @@ def plot_plan(
 
     `fps` makes seconds of frames; `width` in inches. The figure is not known to pyplot: save it, or
     show it in a notebook.
+
+    Examples:
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> stmc.plot_plan(stmc.plan(timeline, fps=20, overlap=10), fps=20).savefig("plan.svg")
     """
     weights = {part: _weights(plan, part) for part in (BodyPart if parts is None else parts)}
     alike = _alike(weights) if parts is None else {part: str(part) for part in weights}

@@ -40,6 +40,10 @@ def film_strip(
     All pictures have one scale and one camera direction, and follow the pelvis over a floor of half-metre tiles, on
     which an arrow shows where the pelvis faces. Colours are those of `worn`; transitions last
     `overlap` seconds, if not told otherwise those that the motion was sampled with. The figure is not known to pyplot.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.film_strip(motion, frames=2).savefig("walk.png")
     """
     if frames < 1:
         raise ValueError(f"frames must be 1 or more, not {frames}")

@@ -26,6 +26,10 @@ def plot_timeline(
 
     `fps` decides where frames cut the spans; `overlap` (seconds) is how long transitions will be, which are hatched;
     `width` in inches. The figure is not known to pyplot: save it, or show it in a notebook.
+
+    Examples:
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> stmc.plot_timeline(timeline, fps=20, overlap=0.5).savefig("timeline.svg")
     """
     rows = len(timeline.tracks) * _TRACK + 5 * _PART + 0.35
     plot = Figure(figsize=(width, _ROW_INCHES * rows + 0.85), layout="constrained")

@@ -44,6 +44,12 @@ def render_html(
     button says which, and the page follows by itself where the body would be too small to see.
 
     The body is a mannequin with the motion's own bones, or the mesh of `body`.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> html = stmc.render_html(motion, title="A walk")
+        >>> "<title>A walk</title>" in html
+        True
     """
     title = title or (timeline.name if timeline is not None else "")
     overlap = transition(motion, overlap)
@@ -72,7 +78,12 @@ def view(
     body: Body | None = None,
     height: int = 640,
 ) -> None:
-    """Show the page of `render_html`: below the notebook's cell (`height` pixels tall), or in the web browser."""
+    """Show the page of `render_html`: below the notebook's cell (`height` pixels tall), or in the web browser.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.view(motion, title="A walk")
+    """
     content = render_html(motion, timeline, title, overlap, body)
     if _in_notebook():
         from IPython.display import HTML, display
