@@ -14,6 +14,7 @@ from stmc.viewing import render_html
 
 pytestmark = [
     pytest.mark.browser,
+    pytest.mark.slow,
     pytest.mark.skipif(browser.PATH is None, reason="no chromium on the PATH (Debian: apt-get install chromium)"),
 ]
 
@@ -149,7 +150,6 @@ def body_across(tab: browser.Tab) -> tuple[float, float]:
     return tuple(2 * columns[[0, -1]] / scene.shape[1] - 1)
 
 
-@pytest.mark.slow
 def test_a_narrow_window_shows_all_of_the_page_and_the_button_decides_whether_the_camera_follows(phone):
     assert phone.ask("document.documentElement.scrollWidth") <= 390
     pressed = "document.getElementById('stmc-follow').getAttribute('aria-pressed')"

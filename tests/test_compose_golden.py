@@ -138,6 +138,7 @@ def a_complete_run_of_stmc_is_that_of_the_published_code(folder):
 
 @pytest.mark.golden
 @pytest.mark.parametrize("folder", golden_sets("stmc"))
+@pytest.mark.slow
 def test_the_method_stmc_paper_is_the_published_code_s(folder, monkeypatch):
     golden_run = GoldenRun(folder)
     draw, shape = golden_run.draw(), golden_run.data["noise_shape_stmc"]
@@ -201,6 +202,7 @@ def text_to_motion_is_that_of_the_published_code(folder):
 
 @pytest.mark.golden
 @pytest.mark.parametrize("folder", golden_sets("stmc"))
+@pytest.mark.slow
 def test_runs_are_those_of_the_published_code(folder, subtests):
     checks = (
         a_complete_run_of_stmc_is_that_of_the_published_code,

@@ -260,6 +260,7 @@ def fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folder):
 
 @SETS
 @pytest.mark.filterwarnings("ignore:The given NumPy array is not writable")
+@pytest.mark.slow
 def test_mdm_is_sampled_as_by_the_published_code(folder, subtests):
     checked(
         subtests,

@@ -17,7 +17,7 @@ from stmc.composing import Run, find_method
 from stmc.denoisers import FlowMdm
 from stmc.diffusion import Schedule, ddim, ddpm, dpm_solver
 from stmc.geometry import matrix_to_rows
-from stmc.model import Model
+from stmc.model import Model, _seeds
 from stmc.planning import cross_fade
 from stmc.sampling import Sampling
 from stmc.settings import SettingError, about
@@ -286,8 +286,6 @@ def test_the_share_of_absolute_steps_is_the_sampling_s_and_leaves_the_network_al
         {"stitch_from": 0.2, "method": "sinc_lerp"},
         {"seed": -1},
         {"seed": True},
-        {"seed": 1.5},
-        {"seed": "x"},
         {"seed": [0, -1]},
         {"stepps": 3},
         {"method": "magic"},
@@ -297,6 +295,12 @@ def test_whatever_does_not_fit_is_one_short_sentence(settings):
     with pytest.raises(SettingError) as caught:
         tiny().generate(NOD, **settings)
     assert len(str(caught.value)) < 300 and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", [1.5, "x", None, [0.5], {}])
+def test_seeds_that_are_no_whole_numbers_are_refused_in_a_sentence(seed):
+    with pytest.raises(SettingError, match="seed"):
+        _seeds(seed, 1)
 
 
 def test_a_timeline_may_be_its_text():

@@ -16,7 +16,7 @@ import stmc
 from stmc.diffusion import ddim
 from stmc.model import Model
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, RunError, bundled
-from stmc.sampling import Sampling
+from stmc.sampling import DEFAULT, Sampling
 from stmc.text import MiniLM
 from stmc.timeline import Timeline
 
@@ -91,7 +91,7 @@ def test_how_it_is_sampled_comes_with_the_model_and_older_runs_have_the_usual_on
     assert stmc.load(own).sampling == back.sampling, "keys of earlier versions"
     edit(run, guidance=None, noise_scale=None, stitch_from=None)
     usual = stmc.load(run)
-    assert usual.own_sampling == Sampling(100, "ddpm", "variance", 2.5, 0.5, 0.0)
+    assert usual.own_sampling == DEFAULT.over(Sampling(steps=100))
 
 
 def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, run, tmp_path):

@@ -19,6 +19,7 @@ from stmc.timeline import Timeline
 
 pytestmark = [
     pytest.mark.browser,
+    pytest.mark.slow,
     pytest.mark.skipif(browser.PATH is None, reason="no chromium on the PATH (Debian: apt-get install chromium)"),
 ]
 WIDTH, HEIGHT = 1280, 640

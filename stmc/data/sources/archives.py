@@ -61,7 +61,7 @@ def _archive(path: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath
 
 def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> str | UnreadableError:
     if not member.isreg():
-        return UnreadableError("a member of the archive that is no regular file")
+        return UnreadableError("a member of the archive that is not a regular file")
     if member.size > MOST_BYTES:
         return UnreadableError(f"{member.size:,} bytes, more than {MOST_BYTES / 2**20:g} MiB")
     return archive.extractfile(member).read().decode("ascii", errors="replace")
