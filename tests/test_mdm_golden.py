@@ -23,7 +23,7 @@ from stmc.denoisers import MdmDecoder, MdmEncoder, MotionDiffuse
 from stmc.diffusion import Schedule, ddpm, guide
 from stmc.tensors import mask
 
-pytestmark = pytest.mark.golden
+pytestmark = [pytest.mark.golden, pytest.mark.slow]  # networks of the published sizes
 SETS = pytest.mark.parametrize("folder", golden_sets("mdm"))
 NAMES = ["mdm_trans_enc", "mdm_trans_dec_clip", "mdm_trans_dec_clip_emb", "mdm_trans_dec_bert", "motiondiffuse_t2m"]
 
@@ -260,7 +260,6 @@ def fifty_steps_of_ancestral_sampling_are_those_of_the_published_code(folder):
 
 @SETS
 @pytest.mark.filterwarnings("ignore:The given NumPy array is not writable")
-@pytest.mark.slow
 def test_mdm_is_sampled_as_by_the_published_code(folder, subtests):
     checked(
         subtests,

@@ -10,7 +10,7 @@ from torch import Tensor
 from stmc.diffusion import Schedule, ddpm
 from stmc.tensors import mask
 
-pytestmark = pytest.mark.golden
+pytestmark = [pytest.mark.golden, pytest.mark.slow]  # networks of the published sizes
 SETS = pytest.mark.parametrize("folder", golden_sets("mdm"))
 
 

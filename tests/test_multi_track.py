@@ -259,6 +259,7 @@ def quick(monkeypatch, work) -> None:
     monkeypatch.setattr("stmc.benchmarks.multi_track.files", lambda package: work)
 
 
+@pytest.mark.slow
 def test_the_script_compares_goes_on_and_refuses_what_does_not_compare(work, quick):
     output = f"output={work / 'out'}"
     few = (
