@@ -193,3 +193,12 @@ def test_what_type_checkers_are_told_is_what_there_is():
     homes = {alias.name: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
     assert imported == {name for name in dir(stmc) if not name.startswith("__")}
     assert {name: homes[name] for name in stmc.__all__} == stmc._HOMES
+
+
+def test_sampling_needs_nothing_that_only_training_installs():
+    """Neither the scripts that sample nor the packages behind them import accelerate or tensorboard."""
+    code = (
+        "import sys; sys.modules |= dict.fromkeys(('accelerate', 'tensorboard', 'smplx')); sys.path.insert(0, 'scripts');"
+        "import sample, evaluate, stmc; stmc.load; stmc.load_evaluator; stmc.benchmarks"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=REPOSITORY)

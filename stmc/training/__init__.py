@@ -1,27 +1,35 @@
-"""Training: what a network learns from (STMC, section 3.4 and Eq. 5), the loop, and files that survive a kill."""
+"""Training: what a network learns from (STMC, section 3.4 and Eq. 5), the loop, and files that survive a kill.
+
+The loop is imported when it is first used: it needs accelerate, which only those who train install.
+"""
+
+from importlib import import_module
+from typing import Any
 
 from stmc.training.checkpoint import CheckpointError, Checkpoints
-from stmc.training.device import find_accelerator
 from stmc.training.ema import Ema
-from stmc.training.loop import Batches, Callback, Settings, Trainer
 from stmc.training.loss import Batch, Denoising, Objective, draw_noise, squared_errors
 from stmc.training.pairs import Pairs
 from stmc.training.resuming import SettingsChanged
 
+_LATER = {"Batches": "loop", "Callback": "loop", "Settings": "loop", "Trainer": "loop", "find_accelerator": "device"}
+
 __all__ = [
     "Batch",
-    "Batches",
-    "Callback",
     "CheckpointError",
     "Checkpoints",
     "Denoising",
     "Ema",
     "Objective",
     "Pairs",
-    "Settings",
     "SettingsChanged",
-    "Trainer",
     "draw_noise",
-    "find_accelerator",
     "squared_errors",
+    *_LATER,
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module 'stmc.training' has no attribute {name!r}")
+    return getattr(import_module(f"stmc.training.{_LATER[name]}"), name)
