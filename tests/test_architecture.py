@@ -198,7 +198,9 @@ def test_what_type_checkers_are_told_is_what_there_is():
 def test_sampling_needs_nothing_that_only_training_installs():
     """Neither the scripts that sample nor the packages behind them import accelerate or tensorboard."""
     code = (
-        "import sys; sys.modules |= dict.fromkeys(('accelerate', 'tensorboard', 'smplx')); sys.path.insert(0, 'scripts');"
-        "import sample, evaluate, stmc; stmc.load; stmc.load_evaluator; stmc.benchmarks"
+        "import sys; sys.path.insert(0, 'scripts')\n"
+        "sys.modules |= dict.fromkeys(('accelerate', 'tensorboard', 'smplx'))\n"
+        "import sample, evaluate, stmc\n"
+        "stmc.load, stmc.load_evaluator, stmc.benchmarks"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=REPOSITORY)

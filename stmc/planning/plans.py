@@ -108,7 +108,7 @@ class Plan:
 
     def __str__(self) -> str:
         """The plan as lines of text: its crops to scale, and which of them each body part follows."""
-        return draw(self)
+        return draw(self.frames, self.crops, self.tiles)
 
 
 def plan(timeline: Timeline, fps: int | float, overlap: int, longest: int | None = None) -> Plan:
