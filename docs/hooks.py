@@ -7,13 +7,13 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-CARDS = ("mdm_smpl_bandai", "tmr_bandai")
+CARDS = ("mdm_smpl_wide", "tmr_wide")
 PAGES = {f"cards/{name}.md": f"stmc/assets/{name}/README.md" for name in CARDS} | {
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
 }
 """Where a page stands in the site, and where in the repository."""
-PICTURES = {"cards/example.png": "stmc/assets/mdm_smpl_bandai/example.png"}
+PICTURES = {"cards/example.png": "stmc/assets/mdm_smpl_wide/example.png"}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

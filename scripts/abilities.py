@@ -17,7 +17,7 @@ import stmc
 from stmc.benchmarks.ability import abilities
 from stmc.commands import command
 from stmc.commands.shared import OnDevice
-from stmc.data.cache import Cache
+from stmc.data.cache import Cache, read_caches
 from stmc.diffusion import NoiseScale
 from stmc.files import write_text, write_whole
 from stmc.metrics import kinematics
@@ -36,7 +36,7 @@ class Settings(OnDevice):
     overlap: float | int = setting(0.5, "how long transitions are", unit="s", at_least=0)
     steps: int | None = setting(None, "of denoising; null: as many as in training", at_least=1)
     noise_scales: tuple[str, ...] = setting(("std", "variance"), "of DDPM's noise", choices=get_args(NoiseScale))
-    cache: str | None = setting(None, "prepared data, to measure the test split's foot sliding beside the model's")
+    cache: tuple[str, ...] = setting((), "prepared data, to measure the test split's foot sliding beside the model's")
     output: str = setting("outputs/abilities", "folder of pictures and numbers")
     precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
 
@@ -63,7 +63,7 @@ def main(config: DictConfig) -> None:
                 write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)
                 progress.advance(task)
     if config.cache:
-        results["real"] = real(Cache.read(Path(config.cache)), model)
+        results["real"] = real(read_caches(list(config.cache)), model)
     write_text(folder / "abilities.json", json.dumps(results, indent=1) + "\n")
     report(results, config.noise_scales)
 

@@ -1,14 +1,18 @@
 """Asks a model for every action of its data that geometry can tell: `python scripts/actions.py model=RUN`."""
 
 import json
+import math
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from statistics import fmean, median
 from typing import get_args
 
 from omegaconf import DictConfig
+from PIL import Image
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -22,6 +26,7 @@ from stmc.data.sources.bandai_sentences import CONTENTS
 from stmc.data.sources.segments import unseen
 from stmc.diffusion import NoiseScale
 from stmc.files import write_text, write_whole
+from stmc.metrics.kinematics import foot_sliding, hand_step
 from stmc.model import Precision
 from stmc.motion import Motion
 from stmc.settings import SettingError, setting
@@ -55,10 +60,14 @@ def main(config: DictConfig) -> None:
     real, results, console = recorded(read_caches(list(config.cache)), model, config.clips), {}, Console()
     for name in track(chosen(config, set(real)), "Sampling", console=console):
         seconds = min(WINDOW, median(motion.duration for motion in real[name]))
-        shares = {text: shown(config, model, name, text, seconds) for text in sentences(config, name)}
+        motions = {text: asked(config, model, name, text, seconds) for text in sentences(config, name)}
+        shares = {text: fmean(map(QUESTIONS[name], several)) for text, several in motions.items()}
         known = rates(QUESTIONS[name], real[name], {other: real[other] for other in real if other != name})
         answers = {"shown": fmean(shares.values()), "ceiling": known.ceiling, "chance": known.chance}
-        results[name] = answers | {"sentences": shares}
+        sampled = [motion for several in motions.values() for motion in several]
+        plausible = {"sampled": plausibility(sampled), "real": plausibility(real[name])}
+        results[name] = answers | plausible | {"sentences": shares}
+        draw(folder / f"{name}.png", {f"{name}, recorded": real[name][0]} | {t: m[0] for t, m in motions.items()})
         write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
     report(results, console)
 
@@ -78,19 +87,41 @@ def sentences(config: DictConfig, name: str) -> tuple[str, ...]:
     return (CONTENTS[name].sentences if config.seen else unseen(name))[: config.sentences]
 
 
-def shown(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: float) -> float:
-    """The share of the samples that show the content; a picture of the first is drawn."""
+def asked(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: float) -> list[Motion]:
+    """The samples of a sentence on the content's body parts."""
     timeline = Timeline((Prompt(text, 0.0, round(seconds, 1), CONTENTS[name].parts),), name=f"{name}: {text}")
-    motions = model.generate(
+    return model.generate(
         [timeline] * config.samples,
         seed=config.seed,
         guidance=config.guidance,
         steps=config.steps,
         noise_scale=config.noise_scale,
     )
-    figure = partial(film_strip(motions[0], title=timeline.name).savefig, format="png", dpi=60)
-    write_whole(Path(config.output) / f"{name}_{text.replace(' ', '_')}.png", figure)
-    return fmean(map(QUESTIONS[name], motions))
+
+
+def plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:
+    """How far feet slide in a frame of contact (mean) and hands jump in a frame (most of all), in centimetres."""
+    slides = [100 * foot_sliding(motion) for motion in motions]
+    stands = [slide for slide in slides if not math.isnan(slide)]
+    return {
+        "sliding_cm": fmean(stands) if stands else None,
+        "hand_step_cm": max(100 * hand_step(motion) for motion in motions),
+    }
+
+
+def draw(path: Path, motions: Mapping[str, Motion]) -> None:
+    """Film strips of some motions, one below the other, each under its name."""
+    strips = []
+    for name, motion in motions.items():
+        drawn = BytesIO()
+        film_strip(motion, title=name).savefig(drawn, format="png", dpi=60)
+        strips.append(Image.open(drawn))
+    page = Image.new("RGB", (max(strip.width for strip in strips), sum(strip.height for strip in strips)), "white")
+    top = 0
+    for strip in strips:
+        page.paste(strip, (0, top))
+        top += strip.height
+    write_whole(path, partial(page.save, format="png"))
 
 
 def recorded(cache: Cache, model: stmc.Model, most: int) -> dict[str, list[Motion]]:
@@ -113,13 +144,20 @@ def recorded(cache: Cache, model: stmc.Model, most: int) -> dict[str, list[Motio
 
 
 def report(results: dict, console: Console) -> None:
-    """How often the samples show each content, beside how often real motion of it does, and real motion of others."""
-    table = Table("content", "shown", "real motion", "chance")
+    """How often the samples show each content, beside how often real motion of it does, and real motion of others; how
+    far feet slide in them, and in real motion."""
+    table = Table("content", "success", "real motion", "chance", "slide, cm", "real motion")
     for name, row in results.items():
-        table.add_row(name, *(f"{row[column]:.0%}" for column in ("shown", "ceiling", "chance")))
+        slides = [row[whose]["sliding_cm"] for whose in ("sampled", "real")]
+        cells = ["" if slide is None else f"{slide:.1f}" for slide in slides]
+        table.add_row(name, *(f"{row[column]:.0%}" for column in ("shown", "ceiling", "chance")), *cells)
     means = [fmean(row[column] for row in results.values()) for column in ("shown", "ceiling", "chance")]
     table.add_row("mean", *(f"{mean:.0%}" for mean in means))
     console.print(table)
+    for whose in ("sampled", "real"):
+        console.print(
+            f"largest hand step, {whose}: {max(row[whose]['hand_step_cm'] for row in results.values()):.0f} cm"
+        )
 
 
 if __name__ == "__main__":

@@ -6,15 +6,16 @@ of them were made with), and every experiment's table as text and LaTeX, and its
 
 import itertools
 import json
+import math
 import platform
 import re
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
-from shutil import rmtree
 from typing import get_args
 
 import torch
@@ -22,14 +23,14 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from safetensors.torch import load_file, save_file
 
 import stmc
 from stmc.benchmarks import Benchmark
+from stmc.benchmarks.samples import Samples
 from stmc.commands import command
-from stmc.commands.shared import OnDevice, Threaded
+from stmc.commands.shared import OnDevice, Sharded, Threaded
 from stmc.composing import find_method, settled
-from stmc.files import remove_leftovers, write_text, write_whole
+from stmc.files import locked, write_text, write_whole
 from stmc.model import Precision
 from stmc.results import Result, read_results, write_results
 from stmc.results.naming import REAL
@@ -37,10 +38,11 @@ from stmc.results.records import SETTINGS, Setting
 from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
 from stmc.sampling import Sampling
 from stmc.settings import record_of, setting
+from stmc.shards import Incomplete, Shard, listed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(OnDevice, Threaded):
+class Settings(OnDevice, Threaded, Sharded):
     models: Mapping = setting({"MDM-SMPL": None}, "names for the tables: run directories (null: the bundled model)")
     evaluator: str | None = setting(None, "run directory; null: the bundled one")
     output: str = setting(
@@ -53,34 +55,49 @@ class Settings(OnDevice, Threaded):
         (), "packages of your own that models are made of, or methods named of, as in mylab.rules.mine"
     )
 
+    def __post_init__(self) -> None:
+        Shard.asked(self.shard)
+
+
+PATIENCE = math.inf
+"""Seconds to wait for another process that measures: it ends."""
+
 
 @command("evaluate", Settings, ("output",))
 def main(config: DictConfig) -> None:
     """Runs whatever is not in the output yet, then writes the tables and the figure of all that was asked for."""
-    console, folder = Console(), Path(config.output).expanduser()
+    console, folder, shard = Console(), Path(config.output).expanduser(), Shard.asked(config.shard)
     if config.threads:
         torch.set_num_threads(config.threads)
-    evaluator = stmc.load_evaluator(config.evaluator, device=config.device, trusted=config.trusted)
     models = {
         name: stmc.load(place, device=config.device, precision=config.precision, trusted=config.trusted)
         for name, place in config.models.items()
     }
     settings = list(dict.fromkeys(chosen(config.experiment, models, tuple(config.trusted))))
-    benchmark = instantiate(config.benchmark)(evaluator=evaluator)
-    remove_leftovers(folder)
-    results = begun(folder, about(config))
+    benchmark = prepared(config)
+    with locked(folder, PATIENCE):
+        begin(folder, about(config))
+    runs = [Run(benchmark, models.get(each.denoiser), each, seed, folder) for seed in config.seeds for each in settings]
     with Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TimeRemainingColumn(), console=console,
+        TimeRemainingColumn(), console=console, disable=shard.number not in (1, None),
     ) as progress:  # fmt: skip
-        runs = [(setting, seed) for seed in config.seeds for setting in settings]
         task = progress.add_task("Runs", total=len(runs))
-        for setting, seed in runs:
-            if not any(result.setting == setting and result.seed == seed for result in results):
-                results.append(run(benchmark, models, setting, seed, config, progress))
-                write_results(results, folder / "results.jsonl")
+        for run in runs:
+            if (run.setting, run.seed) not in recorded(folder):
+                sample(run, shard, config, progress)
+                if not run.samples.missing(run.order):  # or else others need not wait
+                    measure(run)
             progress.advance(task)
-    report([result for result in results if (result.setting, result.seed) in runs], config, console)
+    conclude(runs, shard, config, console)
+
+
+def prepared(config: DictConfig) -> Benchmark:
+    """The benchmark, judged by `config.evaluator` unless it brings an evaluator of its own."""
+    benchmark = instantiate(config.benchmark)
+    if "evaluator" in config.benchmark:
+        return benchmark()
+    return benchmark(evaluator=stmc.load_evaluator(config.evaluator, device=config.device, trusted=config.trusted))
 
 
 def chosen(experiment: DictConfig, models: dict[str, stmc.Model], trusted: tuple[str, ...]) -> Iterator[Setting]:
@@ -99,17 +116,19 @@ def chosen(experiment: DictConfig, models: dict[str, stmc.Model], trusted: tuple
 
 def about(config: DictConfig) -> dict:
     """What every run of an output shares, beside its settings."""
+    own = "evaluator" in config.benchmark
     return {
         "models": {name: fingerprint(place) for name, place in config.models.items()},
-        "evaluator": fingerprint(config.evaluator or bundled(BUNDLED_EVALUATOR)),
+        "evaluator": None if own else fingerprint(config.evaluator or bundled(BUNDLED_EVALUATOR)),
         "benchmark": OmegaConf.to_container(config.benchmark, resolve=True),
         "precision": config.precision,
         "versions": {"stmc": stmc.__version__, "torch": torch.__version__, "python": platform.python_version()},
     }
 
 
-def begun(folder: Path, told: dict) -> list[Result]:
-    """The results that are there. Raises `ValueError` where they were made with something else: they do not compare."""
+def begin(folder: Path, told: dict) -> None:
+    """Keeps what the results are made with. Raises `ValueError` where they were made with something else: they do not
+    compare."""
     path = folder / "about.json"
     if path.exists():
         before = json.loads(path.read_text(encoding="utf-8"))
@@ -122,79 +141,114 @@ def begun(folder: Path, told: dict) -> list[Result]:
             raise ValueError(f"{folder} holds results with another {different[0]} ({path}); choose another output")
         told = told | {"models": before["models"] | told["models"]}
     write_text(path, json.dumps(told, indent=1) + "\n")
-    return read_results(folder / "results.jsonl") if (folder / "results.jsonl").exists() else []
 
 
-def run(
-    benchmark: Benchmark,
-    models: dict[str, stmc.Model],
-    setting: Setting,
-    seed: int,
-    config: DictConfig,
-    progress: Progress,
-) -> Result:
-    """One record: sampled and measured. Seconds per motion are recorded on an accelerator alone: those of a CPU say
-    more of its other work."""
-    if setting.method == REAL:
-        scores, seconds = benchmark.real(seed), {}
-    else:
-        motions, seconds = sampled(benchmark, models[setting.denoiser], setting, seed, config, progress)
-        scores = benchmark.measured(setting.method, motions, seed)
-        rmtree(unfinished(setting, seed, config))
-    return Result(seed=seed, metrics=scores.metrics | seconds, curves=scores.curves, **vars(setting))
+@dataclass(frozen=True)
+class Run:
+    """What becomes one record: a setting with a seed. Real motion has no model, and nothing to sample."""
+
+    benchmark: Benchmark
+    model: stmc.Model | None
+    setting: Setting
+    seed: int
+    folder: Path
+
+    @cached_property
+    def timelines(self) -> list[stmc.Timeline]:
+        return [] if self.model is None else self.benchmark.timelines(self.setting.method)
+
+    @cached_property
+    def order(self) -> list[int]:
+        """The numbers of the timelines, the longest first: shares are alike, and memory runs out early."""
+        return sorted(range(len(self.timelines)), key=lambda number: -self.timelines[number].duration)
+
+    @property
+    def samples(self) -> Samples:
+        """Where the motions wait for the others."""
+        name = "_".join(str(self.setting.value(name)) for name in SETTINGS) + f"_{self.seed}"
+        place = self.folder / "unfinished" / re.sub(r"[^\w.-]+", "_", name)
+        return Samples(place, 0 if self.model is None else self.model.fps)
 
 
-def sampled(
-    benchmark: Benchmark,
-    model: stmc.Model,
-    setting: Setting,
-    seed: int,
-    config: DictConfig,
-    progress: Progress,
-) -> tuple[list[stmc.Motion], dict[str, float]]:
-    """A motion for each of the benchmark's timelines, and on an accelerator the seconds that one took, of those that
-    were not there yet."""
-    timelines = benchmark.timelines(setting.method)
-    order = sorted(range(len(timelines)), key=lambda number: -timelines[number].duration)
-    parts = unfinished(setting, seed, config)
-    motions, spent, made = {}, 0.0, 0
-    task = progress.add_task(f"{setting.denoiser}, {setting.method}, seed {seed}", total=len(order))
-    for start in range(0, len(order), config.batch):
-        numbers = order[start : start + config.batch]
-        path = parts / f"{config.batch}_{start}.safetensors"
-        if not path.exists():
-            seeds = [seed * len(timelines) + number for number in numbers]
-            began = time.perf_counter()
-            chosen = [timelines[number] for number in numbers]
-            method = find_method(setting.method, config.trusted)
-            batch = model.generate(
-                chosen, seed=seeds, method=method, joints_from=benchmark.joints_from, **setting.sampling.given
-            )
-            spent, made = spent + time.perf_counter() - began, made + len(batch)
-            write_whole(path, partial(save_file, packed(batch)))
-        motions |= dict(zip(numbers, unpacked(load_file(path), model.fps), strict=True))
-        progress.advance(task, len(numbers))
+def recorded(folder: Path) -> dict[tuple[Setting, int], Result]:
+    """The records that are there by now, whoever made them."""
+    path = folder / "results.jsonl"
+    return {(each.setting, each.seed): each for each in read_results(path)} if path.exists() else {}
+
+
+def sample(run: Run, shard: Shard, config: DictConfig, progress: Progress) -> None:
+    """Makes the share's motions that are not there yet. In bf16 a motion depends, a bit, on its batch, so there a batch
+    is made whole although only some of its motions are missing."""
+    own = shard.of(run.order)
+    missing = set(run.samples.missing(own))
+    task = progress.add_task(f"{run.setting.denoiser}, {run.setting.method}, seed {run.seed}", total=len(own))
+    for start in range(0, len(own), config.batch):
+        batch = own[start : start + config.batch]
+        lacking = [number for number in batch if number in missing]
+        made = batch if lacking and config.precision == "bf16" else lacking
+        if made:
+            motions, seconds = generated(run, made, config)
+            for number, motion in zip(made, motions, strict=True):
+                if number in missing:
+                    run.samples.write(number, motion, seconds)
+        progress.advance(task, len(batch))
     progress.remove_task(task)
-    timed = made and model.device.type != "cpu"
-    return [motions[number] for number in range(len(timelines))], {"seconds": spent / made} if timed else {}
 
 
-def unfinished(setting: Setting, seed: int, config: DictConfig) -> Path:
-    """Where the motions of a run wait for the others."""
-    name = "_".join(str(setting.value(name)) for name in SETTINGS) + f"_{seed}"
-    return Path(config.output).expanduser() / "unfinished" / re.sub(r"[^\w.-]+", "_", name)
+def generated(run: Run, numbers: list[int], config: DictConfig) -> tuple[list[stmc.Motion], float | None]:
+    """The motions, each with its own seed, and on an accelerator the seconds that one took: those of a CPU say more of
+    its other work."""
+    began = time.perf_counter()
+    motions = run.model.generate(
+        [run.timelines[number] for number in numbers],
+        seed=[run.seed * len(run.timelines) + number for number in numbers],
+        method=find_method(run.setting.method, config.trusted),
+        joints_from=run.benchmark.joints_from,
+        **run.setting.sampling.given,
+    )
+    return motions, None if run.model.device.type == "cpu" else (time.perf_counter() - began) / len(motions)
 
 
-PACKED = ("rotations", "translation", "joints")
+def measure(run: Run) -> list[int]:
+    """Adds the run's record where all motions are there, whoever made them, and nobody else has. Returns the numbers of
+    those that are not."""
+    with locked(run.folder, PATIENCE):
+        results = recorded(run.folder)
+        if (run.setting, run.seed) in results:
+            return []
+        if missing := run.samples.missing(run.order):
+            return missing
+        write_results([*results.values(), measured(run)], run.folder / "results.jsonl")
+        run.samples.remove()
+        return []
 
 
-def packed(motions: list[stmc.Motion]) -> dict[str, torch.Tensor]:
-    return {f"{n}.{name}": getattr(each, name).contiguous() for n, each in enumerate(motions) for name in PACKED}
+def measured(run: Run) -> Result:
+    motions, seconds = [], []
+    for number in range(len(run.timelines)):
+        motion, spent = run.samples.read(number)
+        motions.append(motion)
+        seconds += [] if spent is None else [spent]
+    real = run.setting.method == REAL
+    scores = run.benchmark.real(run.seed) if real else run.benchmark.measured(run.setting.method, motions, run.seed)
+    times = {"seconds": math.fsum(seconds) / len(seconds)} if seconds else {}
+    found = scores._replace(metrics=scores.metrics | times)
+    return Result(seed=run.seed, **found._asdict(), **vars(run.setting))
 
 
-def unpacked(values: dict[str, torch.Tensor], fps: float) -> list[stmc.Motion]:
-    count = len(values) // len(PACKED)
-    return [stmc.Motion(*(values[f"{number}.{name}"] for name in PACKED), fps) for number in range(count)]
+def conclude(runs: list[Run], shard: Shard, config: DictConfig, console: Console) -> None:
+    """The tables once everything is there; else what is missing. Raises `Incomplete` where nothing else was asked."""
+    missing: Counter[Shard] = Counter()
+    for run in runs:
+        missing.update(shard.lacking(run.order, measure(run)))
+    if not missing:
+        results = recorded(runs[0].folder)
+        report([results[run.setting, run.seed] for run in runs], config, console)
+        return
+    told = f"{config.output}: motions are missing of {listed(missing)}"
+    if shard.number is None:
+        raise Incomplete(f"{told}; ask for these, or without shard= for all that is missing")
+    console.print(f"share {shard} is made; {told}", markup=False, soft_wrap=True)
 
 
 def report(results: list[Result], config: DictConfig, console: Console) -> None:

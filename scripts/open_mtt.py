@@ -1,113 +1,166 @@
-"""Makes the open benchmark anew: `python scripts/open_mtt.py cache=cache/bandai evaluator=runs/tmr`.
+"""Makes the open benchmark anew: `python scripts/open_mtt.py cache=[cache/bandai,cache/cmu]`.
 
-Every content of the test split is an atomic prompt; a content in a style is one where the evaluator tells the style
-while other body parts do something else. That is judged by compositions of *validation* clips, so that nothing is
-chosen by what the test split looks like.
+Every content that held-out recordings show is an atomic prompt; those that none shows are named and left out. Then says
+how well an evaluator finds each prompt's text among all: in held-out clips alone, and in compositions of two of them.
 """
 
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
+from rich.table import Table
 
 import stmc
-from stmc.benchmarks.atomic_prompts import AtomicPrompt, sample_timelines, write_atomic_prompts
+from stmc.benchmarks.atomic_prompts import (
+    LONGEST,
+    MEAN,
+    SHORTEST,
+    AtomicPrompt,
+    sample_timelines,
+    write_atomic_prompts,
+)
 from stmc.body import BodyPart
 from stmc.commands import command
-from stmc.data.cache import Cache, Clip
-from stmc.data.sources.bandai_sentences import CONTENTS, STYLES
+from stmc.data.cache import HELD_OUT, Cache, Clip, read_caches
+from stmc.data.sources.bandai_sentences import CONTENTS
 from stmc.evaluators import Evaluator
 from stmc.metrics.retrieval import cosines, ranks
 from stmc.representation import SmplRepresentation
 from stmc.settings import setting
 
 PLAIN = "normal"
-PARTNERS = 8
-"""Compositions of each validation clip."""
-Atom = tuple[str, str]
-"""Content and style."""
+MOST_CLIPS, PARTNERS = 12, 4
+"""Clips of each prompt that the evaluator is asked about, and compositions of each of them."""
+
+BRIEF = 1.5
+"""Seconds: clips shorter than this are ground truth only where there is no other."""
+
+ONCE, AT_LEAST = 1.5, 4.0
+"""What happens once may be asked for this many times as long as the longest clip of it, and for so many seconds."""
+
+WORST = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    cache: str = setting("cache/bandai", "prepared data")
+    cache: tuple[str, ...] = setting(("cache/bandai", "cache/cmu"), "prepared data")
     evaluator: str | None = setting(None, "run directory; null: the bundled one")
     output: str = setting("stmc/assets/open_mtt", "folder of the prompts and timelines")
-    min_accuracy: float | int = setting(
-        0.6, "share of a style's compositions in which the evaluator must tell it from others", at_least=0, at_most=1
-    )
     count: int = setting(500, "timelines", at_least=1)
     seed: int = setting(0, "of the timelines", at_least=0)
+
+
+class Found(NamedTuple):
+    """Of a prompt's motions: the places of its text among all (0 is best), and which texts stood first."""
+
+    places: tuple[int, ...]
+    first: tuple[str, ...]
+
+    def recall(self, count: int) -> float:
+        return fmean(place < count for place in self.places)
 
 
 @command("open_mtt", Settings)
 def main(config: DictConfig) -> None:
     console, folder = Console(), Path(config.output)
-    cache = Cache.read(Path(config.cache).expanduser())
-    evaluator = stmc.load_evaluator(config.evaluator)
-    heard = found(cache, evaluator, possible(cache))
-    chosen = [atom for atom, share in heard.items() if atom[1] == PLAIN or share >= config.min_accuracy]
-    atoms = [prompt(cache, atom) for atom in chosen]
-    timelines = sample_timelines(atoms, config.count, config.seed)
-    random = np.random.default_rng(0)
-    places = [standing(cache, evaluator, "test", atom, chosen, random) for atom in chosen]
-    write_atomic_prompts(atoms, folder / "prompts.json")
+    cache = read_caches(list(config.cache))
+    prompts = atomic_prompts(cache)
+    timelines = sample_timelines(prompts, config.count, np.random.default_rng(config.seed))
+    write_atomic_prompts(prompts, folder / "prompts.json")
     stmc.Timeline.write_all(timelines, folder / "timelines.json")
-    for (content, style), share in heard.items():
-        console.print(f"{share:4.0%} {text((content, style))}{'' if (content, style) in chosen else ' (left out)'}")
-    shares = [100 * float(np.mean([float((each < count).double().mean()) for each in places])) for count in (1, 3)]
-    console.print(f"compositions of test clips, mean of all prompts: R@1 {shares[0]:.1f}%, R@3 {shares[1]:.1f}%")
-    console.print(f"{len(atoms)} atomic prompts, {len(timelines)} timelines in {folder.resolve()}")
+    console.print(f"{len(prompts)} atomic prompts, {len(timelines)} timelines in {folder.resolve()}")
+    console.print(f"no held-out clip shows {', '.join(left_out(cache, prompts)) or 'nothing'}")
+    evaluator = stmc.load_evaluator(config.evaluator)
+    report(console, prompts, found(evaluator, prompts, alone(cache, prompts)), "alone")
+    report(
+        console, prompts, found(evaluator, prompts, composed(cache, prompts)), "with another clip on other body parts"
+    )
 
 
-def possible(cache: Cache) -> list[Atom]:
-    """The contents of the test split, each plain and in every style of which it has at least two clips; of contents
-    that are told in the same words the first by name."""
-    clips = [clip for clip in cache.clips if clip.split == "test" and not clip.mirrored]
-    names = sorted({clip.content for clip in clips}, reverse=True)
-    contents = {text((name, PLAIN)): name for name in names}.values()
-    styled = [(clip.content, clip.style) for clip in clips if clip.style != PLAIN]
-    often = [atom for atom in sorted(set(styled)) if styled.count(atom) > 1]
-    return [(content, PLAIN) for content in reversed(contents)] + often
+def atomic_prompts(cache: Cache) -> list[AtomicPrompt]:
+    """One for every content that an unmirrored held-out clip shows, told by its first sentence; of contents that are
+    told in the same words one."""
+    clips = [clip for clip in cache.clips if clip.split in HELD_OUT and not clip.mirrored and cache.texts[clip.texts]]
+    shown = sorted({clip.content for clip in clips})
+    texts = {CONTENTS[name].sentences[0]: name for name in reversed(shown)}
+    return [prompt(cache, text, name) for text, name in sorted(texts.items(), key=lambda item: item[1])]
 
 
-def text(atom: Atom) -> str:
-    content, style = atom
-    sentence = CONTENTS[content].sentences[0]
-    return sentence if style == PLAIN else f"{sentence} {STYLES[style][0]}"
+def prompt(cache: Cache, text: str, name: str) -> AtomicPrompt:
+    """A content with its ground truth: of the held-out clips that its text describes, neither brief nor of the
+    validation split nor in a style if that can be, the one that lasts about as long as prompts do."""
+
+    def seconds(clip: Clip) -> float:
+        return (clip.end - clip.start) / cache.fps
+
+    clip = min(
+        (clip for clip in cache.held_out(text) if not clip.mirrored and clip.content == name),
+        key=lambda clip: (
+            seconds(clip) < BRIEF,
+            HELD_OUT.index(clip.split),
+            clip.style != PLAIN,
+            abs(seconds(clip) - MEAN),
+            clip.name,
+        ),
+    )
+    content, own = CONTENTS[name], [each for each in cache.clips if each.content == name]
+    once = min(LONGEST, round(max(AT_LEAST, ONCE * max(map(seconds, own))), 1))
+    end = min(seconds(clip), LONGEST) if content.cyclic else seconds(clip)
+    longest = LONGEST if content.cyclic else once
+    return AtomicPrompt(text, content.parts, clip.name, 0.0, end, SHORTEST, longest, content.cyclic)
 
 
-def found(cache: Cache, evaluator: Evaluator, atoms: list[Atom]) -> dict[Atom, float]:
-    """Of each atom, the share of the compositions with its validation clips in which its text is the best among those
-    of its content; 1 where the content has no other."""
-    heard, random = {}, np.random.default_rng(0)
-    for atom in atoms:
-        rivals = [other for other in atoms if other[0] == atom[0]]
-        places = standing(cache, evaluator, "val", atom, rivals, random) if len(rivals) > 1 else torch.zeros(1)
-        heard[atom] = float((places < 1).double().mean()) if len(places) else 0.0
-    return heard
+def left_out(cache: Cache, prompts: list[AtomicPrompt]) -> list[str]:
+    """The contents of the cache whose text is none of the prompts'."""
+    texts = {prompt.text for prompt in prompts}
+    names = {clip.content for clip in cache.clips if cache.texts[clip.texts]}
+    return sorted(name for name in names if CONTENTS[name].sentences[0] not in texts)
 
 
-def standing(
-    cache: Cache, evaluator: Evaluator, split: str, atom: Atom, rivals: list[Atom], random: np.random.Generator
-) -> torch.Tensor:
-    """Where the atom's text stands (0 is best) among its rivals' for each composition with one of its clips."""
-    clips = [clip for clip in cache.clips if clip.split == split and clip.parts]
-    own = [clip for clip in clips if (clip.content, clip.style) == atom]
-    partners = [clip for clip in clips if not set(clip.parts) & CONTENTS[atom[0]].parts]
-    composed = [
-        composition(cache, clip, partners[partner])
-        for clip in own
-        for partner in random.integers(len(partners), size=PARTNERS)
-    ]
-    if not composed:
-        return torch.zeros(0)
-    scores = cosines(evaluator.motions(composed), evaluator.texts([text(rival) for rival in rivals]))
-    return ranks(scores, torch.tensor([[rival == atom for rival in rivals]]).expand(len(composed), -1))
+def own_clips(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[Clip]]:
+    """Of each text, held-out clips that it describes, mirror images too."""
+    rng, chosen = np.random.default_rng(0), {}
+    for prompt in prompts:
+        clips = cache.held_out(prompt.text)
+        chosen[prompt.text] = [clips[index] for index in rng.permutation(len(clips))[:MOST_CLIPS]]
+    return chosen
+
+
+def alone(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[torch.Tensor]]:
+    """Of each text, the features of held-out clips that it describes."""
+    longest = int(LONGEST * cache.fps)
+    return {
+        text: [cache.features[clip.start : clip.end][:longest] for clip in clips]
+        for text, clips in own_clips(cache, prompts).items()
+    }
+
+
+def composed(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[torch.Tensor]]:
+    """Of each text, the features of held-out clips that it describes with the body parts of clips of other texts, drawn
+    evenly among those that leave its parts alone; none where it claims the whole body."""
+    rng, chosen = np.random.default_rng(0), own_clips(cache, prompts)
+    motions: dict[str, list[torch.Tensor]] = {prompt.text: [] for prompt in prompts}
+    for prompt in prompts:
+        others = [other.text for other in prompts if not other.parts & prompt.parts]
+        for clip in chosen[prompt.text] if others else ():
+            for text in rng.choice(others, size=PARTNERS):
+                partner = chosen[text][rng.integers(len(chosen[text]))]
+                if whole(prompt, clip, partner):
+                    motions[prompt.text].append(composition(cache, clip, partner)[: int(LONGEST * cache.fps)])
+    return motions
+
+
+def whole(prompt: AtomicPrompt, clip: Clip, partner: Clip) -> bool:
+    """Whether a composition of the two shows the prompt: not half of it, where it happens once."""
+    lasts, others = clip.end - clip.start, partner.end - partner.start
+    return prompt.cyclic or BodyPart.LEGS in prompt.parts or others >= lasts
 
 
 def composition(cache: Cache, clip: Clip, partner: Clip) -> torch.Tensor:
@@ -121,11 +174,36 @@ def composition(cache: Cache, clip: Clip, partner: Clip) -> torch.Tensor:
     return body
 
 
-def prompt(cache: Cache, atom: Atom) -> AtomicPrompt:
-    """The atom with its ground truth: its first clip of the test split."""
-    own = (clip for clip in cache.clips if clip.split == "test" and not clip.mirrored)
-    clip = min((each for each in own if (each.content, each.style) == atom), key=lambda each: each.name)
-    return AtomicPrompt(text(atom), CONTENTS[atom[0]].parts, clip.name, 0.0, (clip.end - clip.start) / cache.fps)
+def found(
+    evaluator: Evaluator, prompts: list[AtomicPrompt], motions: dict[str, list[torch.Tensor]]
+) -> dict[str, Found]:
+    """How an evaluator ranks the prompts' texts for the motions of each of them that has any."""
+    texts = [prompt.text for prompt in prompts]
+    rows = [(number, motion) for number, text in enumerate(texts) for motion in motions[text]]
+    scores = cosines(evaluator.motions([motion for _, motion in rows]), evaluator.texts(texts))
+    right = torch.tensor([number for number, _ in rows])
+    places = ranks(scores, right[:, None] == torch.arange(len(texts)))
+    first = [texts[index] for index in scores.argmax(dim=1).tolist()]
+    return {
+        text: Found(
+            tuple(places[right == number].tolist()),
+            tuple(best for best, (own, _) in zip(first, rows, strict=True) if own == number),
+        )
+        for number, text in enumerate(texts)
+        if motions[text]
+    }
+
+
+def report(console: Console, prompts: list[AtomicPrompt], results: dict[str, Found], how: str) -> None:
+    """The mean over prompts, chance, and the prompts that are found least often with what they are taken for."""
+    means = [100 * fmean(each.recall(count) for each in results.values()) for count in (1, 3)]
+    chance = [100 * count / len(prompts) for count in (1, 3)]
+    title = f"{how}, {len(results)} prompts: R@1 {means[0]:.1f}% (chance {chance[0]:.1f}), "
+    table = Table("the worst", "R@1", "R@3", "taken for", title=f"{title}R@3 {means[1]:.1f}% ({chance[1]:.1f})")
+    for text, each in sorted(results.items(), key=lambda item: (item[1].recall(3), item[1].recall(1)))[:WORST]:
+        mistaken = Counter(best for best in each.first if best != text).most_common(2)
+        table.add_row(text, f"{each.recall(1):.0%}", f"{each.recall(3):.0%}", ", ".join(best for best, _ in mistaken))
+    console.print(table)
 
 
 if __name__ == "__main__":

@@ -6,10 +6,12 @@
 Asked again, it makes only what is not there yet, or was made otherwise.
 """
 
+import hashlib
 import json
 import sys
 import time
-from collections.abc import Iterable, Iterator
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -18,25 +20,31 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, ListConfig
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import stmc
 from stmc.commands import command
-from stmc.commands.shared import OnDevice
+from stmc.commands.shared import OnDevice, Sharded
 from stmc.composing import METHODS, find_method
 from stmc.filenames import distinct
 from stmc.files import probe, remove_leftovers, write_text
 from stmc.model import Precision
 from stmc.run import fingerprint
 from stmc.sampling import INDEPENDENT, Sampling
-from stmc.settings import SettingError, about, record_of, setting
+from stmc.settings import SettingError, about, record_of, setting, shown
+from stmc.shards import Incomplete, Shard, listed
 from stmc.tensors import found_device
+from stmc.timeline import UnknownPromptWarning, advise
+from stmc.viewing.film import FILMS, ffmpeg
+from stmc.vocabulary import Recognition
 
 FORMATS = ("npz", "bvh", "html")
+"""Those that are written if nobody says which."""
+CHOICES = (*FORMATS, "glb", "csv", "xml", "webp", "gif", "mp4")
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
-DECIDING = ("method", "precision", "fps", *about(Sampling))
+DECIDING = ("method", "precision", "fps", "clean_feet", "change", *about(Sampling))
 """The settings that decide what a motion becomes, beside its seed, model and timeline."""
 TOGETHER = {"cpu": 8, "cuda": 64}
 """Timelines at a time: a GPU is faster with many; a CPU is not, and what is done should be on the disk soon."""
@@ -45,7 +53,7 @@ SILENCE = 30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(Sampling, OnDevice):
+class Settings(Sampling, OnDevice, Sharded):
     timeline: str | None = setting(
         None, "a .json or .txt of one timeline or many, or a timeline itself; null: the bundled example"
     )
@@ -55,17 +63,23 @@ class Settings(Sampling, OnDevice):
         "stmc",
         f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",
     )
+    keep: str | None = setting(None, "a motion, .npz, that results are but for `change` and what is behind its end")
+    change: tuple[str, ...] = setting((), "what is made anew of it: start # end # body parts, in seconds, each")
+    constraints: str | None = setting(None, "a .json of paths, headings, keyframes, hands and feet for every timeline")
     samples: int = setting(1, "motions of each timeline, with seeds from `seed` on", at_least=1, at_most=100_000)
     seed: int = setting(0, "of the first motion of each timeline", at_least=0)
-    formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=FORMATS)
+    formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=CHOICES)
+    clean_feet: bool = setting(False, "hold the feet while they stand, and above the floor")
     fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
     precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
     batch: int | None = setting(None, "timelines at a time; null: 8 on a CPU, 64 on a GPU", at_least=1)
     trusted: tuple[str, ...] = setting((), "packages of your own that the model is made of, or `method` named of")
+    suggest_parts: bool = setting(False, "prompts that list no body parts get suggested ones, which are shown")
     json: bool = setting(False, "a line of JSON on stdout for each motion, and everything else on stderr")
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        Shard.asked(self.shard)
         find_method(self.method, self.trusted)
 
 
@@ -81,36 +95,60 @@ class Job(NamedTuple):
 def main(config: DictConfig) -> None:
     console, folder = Console(stderr=config.json, soft_wrap=True, highlight=False), Path(config.output).expanduser()
     check(config)
-    made_by, wanted = fingerprint(config.model), jobs(config)
+    made_by, shard, everything = fingerprint(config.model), Shard.asked(config.shard), jobs(config, console)
+    wanted = everything if shard.number is None else shard.of(everything)
     missing = {job.name for job in wanted if not finished(job, config, made_by)}
+    if missing and shard.number is None:
+        lacking = shard.lacking([job.name for job in everything], missing)
+        raise Incomplete(f"{config.output}: motions are missing of {listed(lacking)}")
     if not missing:
-        console.print(f"every motion is in {folder.resolve()} already", markup=False)
+        console.print(f"every motion{of_share(shard)} is in {folder.resolve()} already", markup=False)
         return
     model = stmc.load(config.model, device=config.device, precision=config.precision, trusted=config.trusted)
     settings = model.settings(find_method(config.method, config.trusted), **sampling(config))
     model.plans([job.timeline for job in wanted], settings.overlap)  # what cannot be planned fails now
+    unknown = model.unknown([job.timeline for job in wanted if job.name in missing])
+    for prompt in unknown:
+        advise(prompt.advice, UnknownPromptWarning)
+    warnings.simplefilter("ignore", UnknownPromptWarning)  # `generate` would tell again
     probe(folder)
     remove_leftovers(folder)
     size = config.batch or TOGETHER.get(model.device.type, 1)
     with told(console) as progress:
         task = progress.add_task("Motions", total=len(missing))
         for number, (job, motion) in enumerate(sampled(model, wanted, missing, size, config, progress), start=1):
-            paths = save(motion, job, config, made_by)
+            paths = save(motion, job, config, made_by, unknown)
             tell(job, motion, paths, f"{number} of {len(missing)}", config.json, progress.console)
             progress.advance(task)
-    console.print(f"motions in {folder.resolve()}: open an .html in a browser, a .bvh in Blender", markup=False)
+    console.print(
+        f"motions{of_share(shard)} in {folder.resolve()}: open an .html in a browser, a .bvh or .glb in Blender",
+        markup=False,
+    )
+
+
+def of_share(shard: Shard) -> str:
+    return "" if shard.count == 1 or shard.number is None else f" of share {shard}"
 
 
 def check(config: DictConfig) -> None:
     """Refuses what settings cannot be together."""
     if not config.formats:
-        raise SettingError(f"formats=[]: choose from {', '.join(FORMATS)}")
+        raise SettingError(f"formats=[]: choose from {', '.join(CHOICES)}")
     found_device(config.device)
+    if "mp4" in config.formats:
+        try:
+            ffmpeg()
+        except ModuleNotFoundError as error:
+            raise SettingError(f"formats=mp4: {error}") from None
+    beside(config)  # what cannot be read fails now
 
 
-def jobs(config: DictConfig) -> list[Job]:
+def jobs(config: DictConfig, console: Console) -> list[Job]:
     """Every motion that is asked for; the longest first, so that memory runs out early."""
     timelines, stem = asked(config.timeline)
+    if config.suggest_parts:
+        tell_parts(timelines, console)
+        timelines = [stmc.with_suggested_parts(each) for each in timelines]
     names = distinct((timeline.name or (stem if len(timelines) == 1 else "") for timeline in timelines), stem)
     seeds = range(config.seed, config.seed + config.samples)
     made = [Job(f"{name}_{seed}", each, seed) for name, each in zip(names, timelines, strict=True) for seed in seeds]
@@ -121,15 +159,36 @@ def asked(timeline: str | None) -> tuple[list[stmc.Timeline], str]:
     """The timelines of a file, or the one that was typed; and what those without a name are called."""
     if timeline is not None and "#" in timeline and not Path(timeline).expanduser().exists():
         return [stmc.Timeline.parse(timeline.replace("\\n", "\n"))], "timeline"
-    path = Path(timeline or str(files("stmc") / "assets/timelines/walk_and_wave.json")).expanduser()
+    path = Path(timeline or str(files("stmc") / "assets/timelines/walk_jump_sit.json")).expanduser()
     return list(stmc.Timeline.read_all(path)), path.stem
+
+
+def tell_parts(timelines: list[stmc.Timeline], console: Console) -> None:
+    """The body parts of every prompt that listed none, each text once."""
+    for text in dict.fromkeys(prompt.text for each in timelines for prompt in each.prompts if not prompt.parts):
+        console.print(f"suggested for {shown(text)}: {stmc.suggest_parts(text)}", markup=False)
 
 
 def record(job: Job, config: DictConfig, made_by: str) -> dict:
     """What a motion depends on, but for settings that are left open."""
     prompts = [[prompt.text, prompt.start, prompt.end, sorted(prompt.parts)] for prompt in job.timeline.prompts]
-    settings = {key: config[key] for key in DECIDING if config[key] is not None} | {"seed": job.seed, "model": made_by}
-    return settings | {"prompts": prompts, "version": stmc.__version__}
+    said = {key: plain(config[key]) for key in DECIDING}
+    said = {key: value for key, value in said.items() if value is not None and value is not False and value != []}
+    files = {key: digest(config[key]) for key in ("keep", "constraints") if config[key] is not None}
+    return said | files | {"seed": job.seed, "model": made_by, "prompts": prompts, "version": stmc.__version__}
+
+
+def digest(path: str) -> str:
+    """What tells a file from another one. Raises `SettingError` where there is none."""
+    try:
+        return hashlib.sha256(Path(path).expanduser().read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise SettingError(f"{path}: {error.strerror}") from None
+
+
+def plain(value: Any) -> Any:
+    """A setting as JSON has it."""
+    return list(value) if isinstance(value, ListConfig) else value
 
 
 def finished(job: Job, config: DictConfig, made_by: str) -> bool:
@@ -176,10 +235,20 @@ def generate(model: stmc.Model, batch: list[Job], config: DictConfig, progress: 
             seed=[job.seed for job in batch],
             method=find_method(config.method, config.trusted),
             progress=partial(followed, progress=progress, task=task, of=len(batch)),
+            **beside(config),
             **sampling(config),
         )
     finally:
         progress.remove_task(task)
+
+
+def beside(config: DictConfig) -> dict[str, Any]:
+    """What is asked for beside the timelines, as `Model.generate` takes it."""
+    return {
+        "keep": None if config.keep is None else stmc.read(config.keep),
+        "change": [stmc.Change.parse(each) for each in config.change],
+        "constraints": [] if config.constraints is None else stmc.read_constraints(config.constraints),
+    }
 
 
 def sampling(config: DictConfig) -> dict[str, Any]:
@@ -207,18 +276,23 @@ def told(console: Console) -> Iterator[Progress]:
         yield progress
 
 
-def save(motion: stmc.Motion, job: Job, config: DictConfig, made_by: str) -> list[Path]:
+def save(
+    motion: stmc.Motion, job: Job, config: DictConfig, made_by: str, unknown: Sequence[Recognition] = ()
+) -> list[Path]:
     """Writes the motion's files, then the record that says they are complete."""
     folder = Path(config.output).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{job.name}.json").unlink(missing_ok=True)
+    motion = stmc.clean_feet(motion) if config.clean_feet else motion
     motion = motion if config.fps is None else motion.resampled(config.fps)
     paths = [folder / f"{job.name}.{kind}" for kind in config.formats]
     for path in paths:
         if path.suffix == ".html":
-            write_text(path, stmc.render_html(motion, job.timeline, title=job.name))
+            write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
+        elif path.suffix in FILMS:
+            stmc.render_film(motion, path, job.timeline)
         else:
-            stmc.write(motion, path)
+            stmc.write(motion, path, timeline=job.timeline)
     done = json.dumps(record(job, config, made_by), indent=1, ensure_ascii=False) + "\n"
     write_text(folder / f"{job.name}.json", done)
     return paths

@@ -3,7 +3,6 @@
 import logging
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,16 +17,18 @@ import stmc
 from stmc.commands import command
 from stmc.commands.shared import Trained
 from stmc.data.batches import ClipBatches
-from stmc.data.cache import read_caches
+from stmc.data.cache import Cache, read_caches
 from stmc.data.dataset import Dataset
+from stmc.data.vocabularies import vocabulary_of
 from stmc.diffusion import NoiseScale
-from stmc.files import locked, write_whole
+from stmc.files import write_whole
 from stmc.model import Model
 from stmc.run import PARTS, build, check
 from stmc.sampling import Sampling
 from stmc.settings import record_of, setting
 from stmc.text import Cached
-from stmc.training import Callback, Denoising, Trainer, find_accelerator
+from stmc.training import Callback, Denoising, Trainer, begin
+from stmc.vocabulary import sentence_encoder
 
 logger = logging.getLogger(__name__)
 
@@ -53,11 +54,8 @@ class Settings(Trained):
 
 @command("train", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    if config.threads:
-        torch.set_num_threads(config.threads)
-    hardware = find_accelerator(config.device)
-    with locked(Path(config.run).expanduser()) if hardware.is_main_process else nullcontext():
-        train(config, hardware)
+    with begin(config.run, config.device, config.threads) as accelerator:
+        train(config, accelerator)
 
 
 def train(config: DictConfig, accelerator: Accelerator) -> None:
@@ -68,6 +66,8 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     representation = parts["representation"]
     logger.info("reading %s", config.data.folder)
     cache = read_caches(config.data.folder)
+    if config.data.prolonging:
+        cache = instantiate(config.data.prolonging)(cache, representation.layout)
     started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
     dataset = instantiate(config.data.dataset, _partial_=True)(
         cache=cache,
@@ -85,11 +85,16 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     fields = dict(representation.layout.slices)
     if auxiliary_loss:
         fields[auxiliary_loss.name] = slice(dataset.features_width, None)
-    model = record(config, dataset)
+    model = record(config, dataset, cache)
     denoiser = model.denoiser
     if started:
         denoiser.load_state_dict(started.denoiser.state_dict())
         denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
+    if sampling.texts_per_row[1] > 1 and not denoiser.per_frame_text:
+        raise ValueError(
+            f"data.sampling.texts_per_row={list(sampling.texts_per_row)} needs a denoiser with per_frame_text, such as "
+            f"denoiser=flow_mdm_small, not {type(denoiser).__name__}; others see one text a row: [1, 1]"
+        )
     check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         denoiser,
@@ -117,15 +122,15 @@ def own_sampling(config: DictConfig) -> Sampling:
     return record_of(Sampling, {"noise_scale": config.noise_scale})
 
 
-def record(config: DictConfig, dataset: Dataset) -> Model:
+def record(config: DictConfig, dataset: Dataset, cache: Cache) -> Model:
     """The model as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, trusted=config.trusted)
-    representation = parts["representation"]
+    representation, encoder = parts["representation"], Cached(parts["text_encoder"], config.text_cache)
     return Model(
         denoiser=parts["denoiser"],
         schedule=parts["schedule"],
-        text_encoder=Cached(parts["text_encoder"], config.text_cache),
+        text_encoder=encoder,
         representation=representation,
         motion_statistics=dataset.motion.to("cpu"),
         text_statistics=dataset.text.to("cpu"),
@@ -134,6 +139,7 @@ def record(config: DictConfig, dataset: Dataset) -> Model:
         longest=int(instantiate(config.data.sampling).longest * dataset.fps),
         prediction=config.objective.prediction,
         sampling=own_sampling(config),
+        vocabulary=vocabulary_of(cache, dataset.min_clips, sentence_encoder(encoder)),
         config={part: described[part] for part in PARTS},
     )
 

@@ -5,7 +5,6 @@ import logging
 import sys
 from collections import Counter
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,12 +20,12 @@ from stmc.data.cache import read_caches
 from stmc.data.dataset import Dataset
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
-from stmc.files import locked, write_text
-from stmc.metrics.retrieval import Retrieval, both_ways, cosines, in_batches
-from stmc.run import EVALUATOR_PARTS, build, check, save_evaluator
+from stmc.files import write_text
+from stmc.metrics.retrieval import Retrieval, cosines, small_batches, t2m_m2t
+from stmc.run import EVALUATOR_PARTS, build, check, load_evaluator, save_evaluator
 from stmc.settings import setting
 from stmc.text import Cached
-from stmc.training import Callback, Trainer, find_accelerator
+from stmc.training import Callback, Trainer, begin
 from stmc.training.logs import Table
 
 logger = logging.getLogger(__name__)
@@ -42,15 +41,13 @@ class Settings(Trained):
     false_negative_threshold: float | int = setting(
         0.8, "texts that it scores above this are no wrong answers to each other", at_most=1
     )
+    init_from: str | None = setting(None, "run directory of the same network to begin with; null: fresh weights")
 
 
 @command("train_tmr", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    if config.threads:
-        torch.set_num_threads(config.threads)
-    hardware = find_accelerator(config.device)
-    with locked(Path(config.run).expanduser()) if hardware.is_main_process else nullcontext():
-        train(config, hardware)
+    with begin(config.run, config.device, config.threads) as accelerator:
+        train(config, accelerator)
 
 
 def train(config: DictConfig, accelerator: Accelerator) -> None:
@@ -61,10 +58,12 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     parts = build(described, kinds, config.trusted)
     logger.info("reading %s", config.data.folder)
     cache = read_caches(config.data.folder)
+    started = load_evaluator(config.init_from, trusted=config.trusted) if config.init_from else None
     dataset = instantiate(config.data.dataset, _partial_=True)(
         cache=cache,
         encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=parts["representation"].layout,
+        text=started.text_statistics if started else None,
         device=accelerator.device,
     )
     sentences = (
@@ -79,6 +78,9 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         config.network.update(features=dataset.features_width, text_width=dataset.text_width)
     folder = Path(config.run).expanduser()
     evaluator = record(config, dataset)
+    if started:
+        evaluator.network.load_state_dict(started.network.state_dict())
+        evaluator.network.restate(started.motion_statistics, dataset.motion.to("cpu"))
     check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         evaluator.network,
@@ -146,9 +148,9 @@ def measured(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:
     motions = evaluator.motions([dataset.features[clip.start : clip.end][:longest].cpu() for clip in chosen])
     texts = evaluator.texts([dataset.sentences[sentence] for sentence in sentences])
     table, right = cosines(texts, motions), pairs.true_of(sentences, clips)
-    ways = {"all": both_ways(table), "true": both_ways(table, right)}
+    ways = {"all": t2m_m2t(table), "true": t2m_m2t(table, right)}
     if len(chosen) >= 32:
-        ways["guo"] = in_batches(table, [clip.name for clip in chosen])
+        ways["guo"] = small_batches(table, [clip.name for clip in chosen])
     return {name: dict(zip(("t2m", "m2t"), map(described, found), strict=True)) for name, found in ways.items()} | {
         "confused": confused([clip.content for clip in chosen], table)
     }

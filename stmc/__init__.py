@@ -21,7 +21,12 @@ _HOMES = {
     "load": "run", "save": "run", "load_evaluator": "run", "read": "export", "write": "export", "view": "viewing",
     "render_html": "viewing", "plot_timeline": "viewing", "film_strip": "viewing", "plot_plan": "viewing",
     "Sampling": "sampling", "Method": "composing", "stitched": "composing", "find_method": "composing",
-    "Denoiser": "denoisers",
+    "Denoiser": "denoisers", "Shard": "shards", "suggest_parts": "run", "with_suggested_parts": "run",
+    "Vocabulary": "vocabulary",
+    "clean_feet": "feet", "looped": "loops", "render_film": "viewing",
+    "Change": "editing", "changed_prompt": "editing", "changed_prompts": "editing", "Path": "constraints",
+    "Heading": "constraints", "Keyframe": "constraints", "Target": "constraints", "Hold": "constraints",
+    "read_constraints": "constraints",
 }  # fmt: skip
 
 __all__ = sorted(_HOMES)

@@ -17,7 +17,7 @@ JOINTS: tuple[str, ...] = (
 PARENTS: tuple[int, ...] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 """Index of each joint's parent; -1 for the root. A parent always stands before its children."""
 
-ROTATED = 22
+NUM_ROTATIONS = 22
 """The first 22 joints have a rotation of their own; the two hands follow the wrists."""
 
 

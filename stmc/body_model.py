@@ -22,7 +22,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from stmc.arrays import ArraysError, read_npz, read_pickle
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.geometry import axis_angle_to_matrix, forward_kinematics, global_rotations
 
 
@@ -121,17 +121,17 @@ class Body:
     """Its 24 joints: `skeleton.pose` and `vertices` agree."""
     faces: Int64[Tensor, "_ 3"]
     """Triangles as indexes of vertices."""
-    template: Float[Tensor, "_ 3"]
+    v_template: Float[Tensor, "_ 3"]
     """Vertices of the shaped body in the rest pose, in SMPL's axes, metres."""
-    pose_blends: Float[Tensor, "_ _"]
+    posedirs: Float[Tensor, "_ _"]
     """What each entry of the rotation matrices (less the identity) adds to the vertices' coordinates."""
-    regressor: Float[Tensor, "joints _"]
+    J_regressor: Float[Tensor, "joints _"]
     """The bones' rest positions as sums of vertices."""
-    weights: Float[Tensor, "_ joints"]
+    lbs_weights: Float[Tensor, "_ joints"]
     """How much each bone moves each vertex."""
     parents: Int64[Tensor, " joints"]
     """Each bone's parent, -1 for the root."""
-    relaxed: Float[Tensor, "joints 3 3"]
+    mean_pose: Float[Tensor, "joints 3 3"]
     """Local rotations of the bones that a motion does not turn: hands at their mean pose."""
 
     def vertices(
@@ -152,16 +152,16 @@ class Body:
     def _skinned(self, rotations: Tensor, translation: Tensor) -> Tensor:
         lbs = _smplx().lbs
         frames = len(translation)
-        pose = torch.cat([rotations, self.relaxed[ROTATED:].to(rotations).expand(frames, -1, 3, 3)], dim=1)
+        pose = torch.cat([rotations, self.mean_pose[NUM_ROTATIONS:].to(rotations).expand(frames, -1, 3, 3)], dim=1)
         vertices, _ = lbs(
             betas=pose.new_zeros(frames, 0),  # the template is shaped already
             pose=pose,
-            v_template=self.template.to(pose),
-            shapedirs=pose.new_zeros(*self.template.shape, 0),
-            posedirs=self.pose_blends.to(pose),
-            J_regressor=self.regressor.to(pose),
+            v_template=self.v_template.to(pose),
+            shapedirs=pose.new_zeros(*self.v_template.shape, 0),
+            posedirs=self.posedirs.to(pose),
+            J_regressor=self.J_regressor.to(pose),
             parents=self.parents.to(pose.device),
-            lbs_weights=self.weights.to(pose),
+            lbs_weights=self.lbs_weights.to(pose),
             pose2rot=False,
         )
         return vertices + self.skeleton.smpl_translation(translation)[:, None]
@@ -194,21 +194,21 @@ def load_body(
     path = _find(Path(folder), kind, gender)
     arrays = _read(path, kind)
     bones, left_hand, right_hand = _HANDS[kind]
-    template = arrays["v_template"]
+    v_template = arrays["v_template"]
     if betas:
-        template = template + _shape(arrays["shapedirs"], betas, kind, path)
-    regressor = arrays["J_regressor"]
-    rest = (regressor @ template)[[*range(ROTATED), left_hand, right_hand]]
+        v_template = v_template + _shape(arrays["shapedirs"], betas, kind, path)
+    J_regressor = arrays["J_regressor"]
+    rest = (J_regressor @ v_template)[[*range(NUM_ROTATIONS), left_hand, right_hand]]
     offsets = torch.stack([rest[joint] - (rest[parent] if parent >= 0 else 0) for joint, parent in enumerate(PARENTS)])
     return Body(
         skeleton=Skeleton(offsets),
         faces=arrays["f"].long(),
-        template=template,
-        pose_blends=rearrange(arrays["posedirs"], "vertices axes blends -> blends (vertices axes)"),
-        regressor=regressor,
-        weights=arrays["weights"],
+        v_template=v_template,
+        posedirs=rearrange(arrays["posedirs"], "vertices axes blends -> blends (vertices axes)"),
+        J_regressor=J_regressor,
+        lbs_weights=arrays["weights"],
         parents=torch.tensor([-1, *arrays["kintree_table"][0, 1:].long().tolist()]),
-        relaxed=_relaxed(arrays, bones),
+        mean_pose=_mean_pose(arrays, bones),
     )
 
 
@@ -243,7 +243,7 @@ def _read(path: Path, kind: str) -> dict[str, Tensor]:
     try:
         arrays = read(path, wanted, hands)
     except ArraysError as error:
-        raise ValueError(f"{path} is no {kind} body: {error}") from error
+        raise ValueError(f"{path} is not a {kind} body: {error}") from error
     _check(arrays, path, kind)
     integer = ("f", "kintree_table")
     return {
@@ -258,9 +258,9 @@ def _check(arrays: Mapping[str, np.ndarray], path: Path, kind: str) -> None:
         if array.dtype.kind not in "biuf":
             raise ValueError(f"{path}: {name} holds {array.dtype}, not numbers")
     bones, tree = _HANDS[kind][0], arrays["kintree_table"]
-    if tree.ndim != 2 or tree.shape[1] != bones or list(tree[0, 1:ROTATED]) != list(PARENTS[1:ROTATED]):
+    if tree.ndim != 2 or tree.shape[1] != bones or list(tree[0, 1:NUM_ROTATIONS]) != list(PARENTS[1:NUM_ROTATIONS]):
         joints = tree.shape[-1] if tree.ndim else 0
-        raise ValueError(f"{path} has {joints} joints; a {kind} body has {bones}, the first {ROTATED} as SMPL's")
+        raise ValueError(f"{path} has {joints} joints; a {kind} body has {bones}, the first {NUM_ROTATIONS} as SMPL's")
     if (tree[0, 1:] < 0).any() or (tree[0, 1:] >= np.arange(1, bones)).any():
         raise ValueError(f"{path}: kintree_table has a joint before its parent")
     vertices = len(arrays["v_template"]) if arrays["v_template"].ndim else 0
@@ -297,7 +297,7 @@ def _shape(directions: Tensor, betas: Sequence[float], kind: str, path: Path) ->
     return directions[..., : len(betas)] @ torch.tensor(list(betas), dtype=directions.dtype)
 
 
-def _relaxed(arrays: Mapping[str, Tensor], bones: int) -> Tensor:
+def _mean_pose(arrays: Mapping[str, Tensor], bones: int) -> Tensor:
     """Local rotations of a body at ease: fingers, the last 15 bones of each side, at their mean; the rest unturned."""
     turned = torch.zeros(bones, 3)
     if "hands_meanl" in arrays and "hands_meanr" in arrays:

@@ -14,7 +14,8 @@ import secrets
 import shutil
 import socket
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -36,6 +37,7 @@ _TOKEN = secrets.token_hex(4)  # a container that is started again gives the sam
 _TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-([0-9a-f]{8})-\d+\.tmp")
 _LOCKED_BYTE = 2**30  # far behind what is written: on Windows a locked byte cannot be read by others
 _FULL = 2**20
+_PAUSE = 0.2
 
 
 class FolderInUse(ValueError):
@@ -49,8 +51,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     so. Folders are made. The file has the mode that `open` would give it, also where `write` made one of its own.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    name = f".{path.name[:32]}.{_HOST}-{os.getpid()}-{_TOKEN}-{threading.get_ident()}.tmp"
-    temporary = path.with_name(name)
+    temporary = _temporary(path)
     try:
         temporary.touch()
         mode = temporary.stat().st_mode
@@ -70,6 +71,23 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def write_whole_folder(path: Path, write: Callable[[Path], object]) -> None:
+    """Lets `write` make a temporary folder beside `path`, which must not exist or be empty, and renames it at the end.
+
+    Where `write` fails, nothing is left behind; what killed processes left beside `path` goes, too.
+    """
+    if path.parent.is_dir():
+        _remove(path.parent, os.listdir(path.parent))
+    temporary = _temporary(path)
+    try:
+        write(temporary)
+        if path.exists():
+            path.rmdir()
+        temporary.rename(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
 def write_text(path: Path, text: str) -> None:
     """`write_whole` of a text, in UTF-8 and with the same line ends everywhere."""
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
@@ -84,27 +102,40 @@ def probe(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Removes the temporary files below `folder` whose process was killed: to be called where a run begins.
+    """Removes the temporary files and folders below `folder` whose process was killed: to be called where a run begins.
 
     Those of other machines stay, since nobody here knows what is alive there.
     """
-    for place, _, names in os.walk(folder):
-        for found in filter(None, map(_TEMPORARY.fullmatch, names)):
-            if found[1] == _HOST and not _is_alive(int(found[2]), found[3]):
-                Path(place, found[0]).unlink(missing_ok=True)  # another process may begin at the same time
+    for place, folders, names in os.walk(folder):
+        _remove(Path(place), [*folders, *names])
+
+
+def _remove(folder: Path, names: Iterable[str]) -> None:
+    for found in filter(None, map(_TEMPORARY.fullmatch, names)):
+        if found[1] == _HOST and not _is_alive(int(found[2]), found[3]):
+            left = folder / found[0]
+            if left.is_dir() and not left.is_symlink():
+                shutil.rmtree(left, ignore_errors=True)
+            else:
+                left.unlink(missing_ok=True)  # another process may begin at the same time
+
+
+def _temporary(path: Path) -> Path:
+    """The name beside `path` by which a leftover is known, and whose it is."""
+    return path.with_name(f".{path.name[:32]}.{_HOST}-{os.getpid()}-{_TOKEN}-{threading.get_ident()}.tmp")
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path, patience: float | int = 0.0) -> Iterator[None]:
     """Keeps every other process from `folder` as long as it asks for the lock, too; makes the folder, and removes what
     killed processes left in it.
 
-    The operating system holds the lock: it ends with the process, however that ends. Raises `FolderInUse`. On file
-    systems without locks there is a warning and no protection.
+    The operating system holds the lock: it ends with the process, however that ends. Raises `FolderInUse` after so many
+    seconds of `patience` with another process. On file systems without locks there is a warning and no protection.
     """
     path = Path(folder) / LOCK
     path.parent.mkdir(parents=True, exist_ok=True)
-    file = _lock(path)
+    file = _lock_within(path, patience)
     try:
         file.truncate(0)
         file.write(f"process {os.getpid()} on host {socket.gethostname()}".encode())
@@ -117,6 +148,17 @@ def locked(folder: Path) -> Iterator[None]:
         with suppress(OSError):
             path.unlink()
         file.close()
+
+
+def _lock_within(path: Path, patience: float | int) -> BinaryIO:
+    last = time.monotonic() + patience
+    while True:
+        try:
+            return _lock(path)
+        except FolderInUse:
+            if time.monotonic() >= last:
+                raise
+            time.sleep(_PAUSE)
 
 
 def _lock(path: Path) -> BinaryIO:

@@ -16,7 +16,7 @@ from scipy.linalg import solveh_banded
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, shortest_arc
 from stmc.motion import Motion
@@ -25,6 +25,9 @@ _FOOT, _STRAIGHT = 0.03, 0.005
 """What a foot's direction, and having no twist, count against a limb that is bent by a right angle, which counts 1."""
 _STIFFNESS = 1.0
 """What the same twist as in the frame before counts."""
+
+_STRAIGHT_HINGE = 0.05
+"""The sine of the bend of a limb whose own plane counts as much as the hinge."""
 
 
 def motion_of_joints(
@@ -52,6 +55,34 @@ def motion_of_joints(
     return Motion.posed(rotations, floor + (joints[:, 0] - floor) * scale, fps, skeleton)
 
 
+def bend_limb(
+    upper: Float[Tensor, "frames 3 3"],
+    lower: Float[Tensor, "frames 3 3"],
+    joints: Float[Tensor, "frames 3 3"],
+    reach: Float[Tensor, "frames 3"],
+    hinge: Float[Tensor, "frames 3"],
+) -> tuple[Float[Tensor, "frames 3 3"], Float[Tensor, "frames 3 3"]]:
+    """World rotations of the two bones of an arm or a leg that leads along `reach` from where it begins, or as far as
+    it can: two-bone inverse kinematics in closed form.
+
+    `joints`: where the limb begins, bends and ends with the rotations `upper` and `lower`. It bends or stretches in the
+    plane in which it is bent (about `hinge`, the world's axis of its elbow or knee, where it is straight); then the
+    whole limb turns the shortest way.
+    """
+    first, second = joints[:, 1] - joints[:, 0], joints[:, 2] - joints[:, 1]
+    along, below = normalize(first, dim=-1), normalize(second, dim=-1)
+    bent = torch.linalg.cross(along, below)
+    hinge = normalize(hinge - (hinge * along).sum(dim=-1, keepdim=True) * along, dim=-1)
+    axis = normalize(bent + _STRAIGHT_HINGE * hinge, dim=-1)
+    now = torch.atan2((bent * axis).sum(dim=-1), (along * below).sum(dim=-1))
+    flat = (1 - (below * axis).sum(dim=-1) ** 2).clamp(min=1e-12).sqrt()
+    squares = reach.square().sum(dim=-1) - first.square().sum(dim=-1) - second.square().sum(dim=-1)
+    cosine = (squares / (2 * first.norm(dim=-1) * second.norm(dim=-1) * flat)).clamp(-1, 1)
+    bend = axis_angle_to_matrix(axis * (torch.acos(cosine) - now)[:, None])
+    swing = shortest_arc(normalize(first + _rotated(bend, second), dim=-1), normalize(reach, dim=-1))
+    return swing @ upper, swing @ bend @ lower
+
+
 def joints_to_rotations(joints: Float[Tensor, "frames joints 3"], skeleton: Skeleton) -> Float[Tensor, "frames 22 3 3"]:
     """Local rotations that turn `skeleton`'s bones, whatever their lengths, into the directions between `joints`.
 
@@ -63,15 +94,17 @@ def joints_to_rotations(joints: Float[Tensor, "frames joints 3"], skeleton: Skel
 
     Raises `ValueError` for another number of joints, and for no frames.
     """
-    if joints.shape[1] not in (ROTATED, len(JOINTS)) or not len(joints):
-        raise ValueError(f"joints must be frames of {ROTATED} or {len(JOINTS)} positions, not {tuple(joints.shape)}")
+    if joints.shape[1] not in (NUM_ROTATIONS, len(JOINTS)) or not len(joints):
+        raise ValueError(
+            f"joints must be frames of {NUM_ROTATIONS} or {len(JOINTS)} positions, not {tuple(joints.shape)}"
+        )
     rest = skeleton.rest.to(joints)[None, : joints.shape[1]]
     bones = _Bones(_directions(joints), _directions(rest))
     world = bones.trunk()
     for side in ("left", "right"):
         world |= bones.arm(side, world["spine3"]) | bones.leg(side, world["pelvis"])
-    turned = torch.stack([world[joint] for joint in JOINTS[:ROTATED]], dim=1)
-    return torch.cat([turned[:, :1], turned[:, list(PARENTS[1:ROTATED])].mT @ turned[:, 1:]], dim=1)
+    turned = torch.stack([world[joint] for joint in JOINTS[:NUM_ROTATIONS]], dim=1)
+    return torch.cat([turned[:, :1], turned[:, list(PARENTS[1:NUM_ROTATIONS])].mT @ turned[:, 1:]], dim=1)
 
 
 @dataclass(frozen=True)

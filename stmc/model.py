@@ -7,6 +7,7 @@ steps of `generate` are the library's own functions, each of which can be used a
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -21,16 +22,22 @@ from stmc.body_model import Skeleton
 from stmc.composing import Method, Progress, Rule, Run, distinct_texts, find_method, guided_crops, guided_sequences
 from stmc.composing.batching import Guided
 from stmc.composing.methods import refuse, settled
+from stmc.conditions import Changes, Conditions, kept_of
+from stmc.constraints import Constraint
 from stmc.denoisers import Denoiser, Network, as_network
 from stmc.diffusion import Prediction, Schedule
+from stmc.editing import Kept
 from stmc.motion import Motion
 from stmc.planning import Plan, plan
 from stmc.representation import JointsFrom, Representation
 from stmc.sampling import DEFAULT, Sampling
 from stmc.settings import SettingError, record_of, shown, takes
 from stmc.statistics import Statistics
-from stmc.text import TextEncoder
-from stmc.timeline import Timeline
+from stmc.text import TextEncoder, WeightsNotFound
+from stmc.timeline import Timeline, UnknownPromptWarning, advise
+from stmc.vocabulary import Recognition, Vocabulary, sentence_encoder
+
+logger = logging.getLogger(__name__)
 
 Precision = Literal["fp32", "bf16"]
 
@@ -43,7 +50,8 @@ class Model:
     """Everything that makes motion from text. `fps` is the frame rate of the features, `longest` the most frames that
     the denoiser knows from training; `config` says how to build the parts again (see `run.save`). `precision` is the
     denoiser's at sampling: "bf16" is faster where the processor has it, but a motion then depends on its batch, a bit.
-    `sampling` is how the model is sampled unless told otherwise.
+    `sampling` is how the model is sampled unless told otherwise. `vocabulary` is what it was trained to hear, where it
+    says so: `generate` then warns of prompts that are far from all of it.
 
     In memory any function with the signature of a `Denoiser` is one, and so is one like `TextEncoder.encode`.
 
@@ -66,6 +74,7 @@ class Model:
     config: Mapping[str, Any] = field(default_factory=dict)
     precision: Precision = "fp32"
     sampling: Sampling = Sampling()
+    vocabulary: Vocabulary | None = None
 
     def __repr__(self) -> str:
         weights = sum(each.numel() for each in self.network.parameters())
@@ -81,6 +90,10 @@ class Model:
     def network(self) -> Network:
         """The denoiser as sampling uses it: see `as_network`."""
         return as_network(self.denoiser)
+
+    @cached_property
+    def _sentence_encoder(self) -> TextEncoder:
+        return sentence_encoder(self.text_encoder)
 
     @property
     def device(self) -> torch.device:
@@ -114,7 +127,8 @@ class Model:
             [('walk', 25), ('jump', 25), (None, 10)]
         """
         frames = self._frames(self.own_sampling.overlap if overlap is None else overlap)
-        return [plan(timeline, fps=self.fps, overlap=frames, longest=self.longest) for timeline in timelines]
+        once = self._once(timelines)
+        return [plan(timeline, self.fps, frames, self.longest, once) for timeline in timelines]
 
     def embed(self, texts: Sequence[str]) -> dict[str, Float[Tensor, "words width"]]:
         """Normalised embeddings, each text encoded once.
@@ -128,6 +142,40 @@ class Model:
         words, lengths = getattr(self.text_encoder, "encode", self.text_encoder)(distinct)
         words = self.text_statistics.normalise(words.float().cpu())
         return {text: row[:length] for text, row, length in zip(distinct, words, lengths.tolist(), strict=True)}
+
+    def recognise(self, texts: Sequence[str]) -> list[Recognition]:
+        """Which texts the model knows, each with the nearest sentences of its training; none of a model that does not
+        say what it was trained with, or where MiniLM, by which texts are compared, cannot be had.
+
+        Examples:
+            >>> walk, swim = stmc.load().recognise(["stroll along", "swim"])
+            >>> walk.known, swim.known
+            (True, False)
+        """
+        if self.vocabulary is None:
+            return []
+        try:
+            return self.vocabulary.recognise(list(dict.fromkeys(texts)), self._sentence_encoder)
+        except WeightsNotFound as error:
+            logger.info("prompts are not compared with what the model knows: %s", error)
+            return []
+
+    def unknown(self, timelines: Sequence[Timeline]) -> list[Recognition]:
+        """The prompts of timelines that the model hardly knows, each text once.
+
+        Examples:
+            >>> [prompt] = stmc.load().unknown([stmc.Timeline.parse("walk # 0 # 4\\nswim # 4 # 6")])
+            >>> prompt.text
+            'swim'
+        """
+        texts = [prompt.text for timeline in timelines for prompt in timeline.prompts]
+        return [each for each in self.recognise(texts) if not each.known]
+
+    def _once(self, timelines: Sequence[Timeline]) -> frozenset[str]:
+        """Texts of prompts that are too long for one crop and tell of what happens once, as far as the model knows."""
+        prompts = (prompt for timeline in timelines for prompt in timeline.prompts)
+        long = [prompt.text for prompt in prompts if (prompt.end - prompt.start) * self.fps > self.longest]
+        return frozenset(each.text for each in self.recognise(long) if each.happens_once)
 
     def guided(
         self, plans: Sequence[Plan], guidance: float | int | None = None, ape_steps: float | int | None = None
@@ -189,6 +237,9 @@ class Model:
         method: str | Method | Rule = "stmc",
         progress: Progress | None = None,
         joints_from: JointsFrom = "skeleton",
+        keep: Motion | Sequence[Motion] | None = None,
+        change: Changes = (),
+        constraints: Sequence[Constraint] = (),
         **settings: Any,
     ) -> list[Motion]:
         """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
@@ -203,11 +254,18 @@ class Model:
                 "double_take", "sinc_slerp" and "flow_mdm" are other ways to compose in time.
             progress: Wraps the denoising steps of each phase, `progress(steps, total=100)`, e.g. `tqdm`.
             joints_from: See `decode`.
+            keep: A motion, generated or recorded, that the result is but for the `change` and what the timeline has
+                behind its end; one for all timelines, or one for each.
+            change: What is made anew of it: `Change`s (seconds, body parts), or prompts of the timeline.
+            constraints: Paths, headings, keyframes, hands and feet, for all timelines: see `stmc.constraints`.
             settings: Those of `Sampling`; what is not said is the method's or the model's own.
 
         Raises:
             SettingError: For settings that do not fit, or that the method, the sampler or the model does not have.
             TimelineError: For a timeline that cannot be read or planned.
+
+        Warns:
+            UnknownPromptWarning: One for each text that the model hardly knows, with the nearest that it knows.
 
         Examples:
             >>> model = stmc.load()
@@ -221,11 +279,19 @@ class Model:
         seeds = _seeds(seed, len(timelines))
         if not timelines:
             return []
+        for prompt in self.unknown(timelines):
+            advise(prompt.advice, UnknownPromptWarning)
+        asked = timelines
         if method.baseline:
             timelines = [method.baseline(timeline, self.fps, self.longest) for timeline in timelines]
+        frames = [timeline.frames(self.fps) for timeline in timelines]
+        kept = kept_of(keep, change, asked, frames, self.skeleton, self.fps)
         self.network.eval()
-        features = method.sample(self._run(timelines, seeds, sampling, progress or _silent))
-        motions = self.decode(features, [timeline.frames(self.fps) for timeline in timelines], joints_from)
+        run = self._run(timelines, seeds, sampling, progress or _silent)
+        if kept or constraints:
+            motions = self._conditions(frames, kept, tuple(constraints)).sampled(method.sample, run, joints_from)
+        else:
+            motions = self.decode(method.sample(run), frames, joints_from)
         return [dataclasses.replace(motion, overlap=sampling.overlap or 0.0) for motion in motions]
 
     def decode(
@@ -258,6 +324,7 @@ class Model:
             schedule=self.schedule,
             fps=self.fps,
             longest=self.longest,
+            once=self._once(timelines),
             overlap=self._frames(sampling.overlap or 0.0),
             layout=self.representation.layout,
             statistics=self.motion_statistics,
@@ -267,6 +334,10 @@ class Model:
             device=self.device,
             progress=progress,
         )
+
+    def _conditions(self, frames: Sequence[int], kept: Sequence[Kept], constraints: Sequence[Constraint]) -> Conditions:
+        parts = (self.representation, self.motion_statistics, self.skeleton, self.fps)
+        return Conditions(*parts, frames, kept, constraints)
 
     def _frames(self, overlap: float | int) -> int:
         """Of seconds. Raises `SettingError` for a transition that no crop could hold."""
@@ -279,12 +350,14 @@ class Model:
         """What predictors are made of, crops' and sequences' alike."""
         guidance = self.own_sampling.guidance if guidance is None else guidance
         own = {} if ape_steps is None else {"absolute_from": round((1 - ape_steps) * self.schedule.steps)}
-        return partial(self._denoise, **own), self.schedule, plans, self._read(plans), guidance, self.prediction
+        return partial(self._denoise, **own), self.schedule, plans, self._encode(plans), guidance, self.prediction
 
-    def _read(self, plans: Sequence[Plan]) -> dict[str, Float[Tensor, "words read"]]:
+    def _encode(self, plans: Sequence[Plan]) -> dict[str, Float[Tensor, "words encoded"]]:
         with self._autocast():
             embeddings = self.embed(distinct_texts(plans)).items()
-            return {text: self.network.read(words[None].to(self.device))[0].float() for text, words in embeddings}
+            return {
+                text: self.network.encode_text(words[None].to(self.device))[0].float() for text, words in embeddings
+            }
 
     def _denoise(self, x: Tensor, *others: Tensor | None, **settings: int) -> Tensor:
         with self._autocast():

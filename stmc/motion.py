@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, MIRROR, PARENTS, ROTATED
+from stmc.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
 from stmc.geometry import (
     heading,
     mirror_positions,
@@ -124,7 +124,7 @@ class Motion:
             True
         """
         return Motion(
-            mirror_rotations(self.rotations, MIRROR[:ROTATED]),
+            mirror_rotations(self.rotations, MIRROR[:NUM_ROTATIONS]),
             self.translation * self.translation.new_tensor([-1.0, 1.0, 1.0]),
             mirror_positions(self.joints, MIRROR),
             self.fps,
@@ -190,7 +190,7 @@ def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float | 
     if frames == 0:
         raise ValueError("a motion needs at least one frame")
     wanted = {
-        "rotations": (rotations, (frames, ROTATED, 3, 3)),
+        "rotations": (rotations, (frames, NUM_ROTATIONS, 3, 3)),
         "translation": (translation, (frames, 3)),
         "joints": (joints, (frames, len(JOINTS), 3)),
     }

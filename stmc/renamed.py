@@ -39,6 +39,20 @@ RENAMED_CLASSES: Mapping[str, str] = {
 }
 """Of `_target_` in the settings of trainings."""
 
+RENAMED_ARGUMENTS: Mapping[str, Mapping[str, str]] = {
+    "stmc.denoisers.FlowMdm": {"horizon": "attention_window", "skipped": "stochastic_depth"},
+    "stmc.denoisers.MotionDiffuse": {
+        "read_width": "text_latent_width",
+        "read_feedforward": "text_feedforward",
+        "read_layers": "text_layers",
+        "read_heads": "text_heads",
+    },
+}
+"""Of classes: arguments that have another name now, beside the class as `_target_`."""
+
+RENAMED_IN_RECORDS: Mapping[str, str] = {"spread": "noise_scale", "late": "stitch_from", "absolute": "ape_steps"}
+"""Of the settings in records of results."""
+
 RENAMED_COLUMNS: Mapping[str, str] = {"rate": "lr", "loss_feet": "loss_foot_velocity"}
 """Those of the tables that trainings write."""
 
@@ -47,17 +61,25 @@ def with_new_names(config: Any) -> Any:
     """A config of plain mappings and lists with today's keys; one that has both keeps today's."""
     if isinstance(config, Mapping):
         inner = {key: with_new_names(value) for key, value in config.items()}
-        old = {RENAMED[key]: value for key, value in inner.items() if key in RENAMED}
-        return old | {key: value for key, value in inner.items() if key not in RENAMED}
+        names = {**RENAMED, **_arguments(config.get("_target_"))}
+        old = {names[key]: value for key, value in inner.items() if key in names}
+        return old | {key: value for key, value in inner.items() if key not in names}
     return [with_new_names(each) for each in config] if isinstance(config, list) else config
 
 
 def with_new_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings by their whole paths, `training.lr`, with today's."""
-    return {
-        _new_path(path): RENAMED_CLASSES.get(value, value) if isinstance(value, str) else value
-        for path, value in settings.items()
-    }
+    renamed = {}
+    for path, value in settings.items():
+        above, _, name = path.rpartition(".")
+        own = _arguments(settings.get(f"{above}._target_")).get(name, name)
+        today = _new_path(f"{above}.{own}" if above else own)
+        renamed[today] = RENAMED_CLASSES.get(value, value) if isinstance(value, str) else value
+    return renamed
+
+
+def _arguments(target: Any) -> Mapping[str, str]:
+    return RENAMED_ARGUMENTS.get(target, {}) if isinstance(target, str) else {}
 
 
 def _new_path(path: str) -> str:

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
+
+WIDEST = 1.5
+"""How much more than before the first layer may make of a feature whose statistics have changed: of its noise, too."""
 
 _AT_ONCE = 2**16
 """Rows that are in float64 at a time: all of a large data set would take the memory twice over."""
@@ -51,3 +54,19 @@ class Statistics:
     def to(self, device: torch.device | str) -> Statistics:
         """The same on another device."""
         return Statistics(self.mean.to(device), self.std.to(device))
+
+
+@torch.no_grad()
+def restate(first: nn.Linear, last: nn.Linear, old: Statistics, new: Statistics) -> None:
+    """Makes a network's layers that take features in (`first`) and give them out (`last`), trained on features
+    normalised by `old`, those for features normalised by `new`.
+
+    What comes out is the same motion, for an input that is. What goes in is the same but for features that `new`
+    divides by far more, whose noise would be blown up as well: these count `WIDEST` times as much as before.
+    """
+    narrower, moved = (old.std / new.std).to(last.weight), ((new.mean - old.mean) / new.std).to(last.weight)
+    last.bias.mul_(narrower).sub_(moved)
+    last.weight.mul_(narrower[:, None])
+    scale = (1 / narrower).clamp(max=WIDEST)
+    first.bias.add_(first.weight @ (scale * moved))
+    first.weight.mul_(scale)

@@ -6,6 +6,7 @@ Knows nothing of what the frames mean.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from stmc.untrusted import shown
 
-Made = TypeVar("Made")
+Value = TypeVar("Value")
 
 
 def pad(
@@ -46,26 +47,29 @@ def sinusoids(rows: int, width: int) -> Float[Tensor, "rows width"]:
     return rearrange([angle.sin(), angle.cos()], "two rows half -> rows (half two)")
 
 
-class Moved(Generic[Made]):
-    """Something made of tensors that follows x: `make(x)`, called once for each device and dtype that x comes in."""
+class PerDevice(Generic[Value]):
+    """A cache of `make(x)`, tensors that follow x: made once for each device and dtype that x comes in."""
 
-    def __init__(self, make: Callable[[Tensor], Made]) -> None:
+    def __init__(self, make: Callable[[Tensor], Value]) -> None:
         self._make = make
-        self._made: dict[tuple[torch.device, torch.dtype], Made] = {}
+        self._values: dict[tuple[torch.device, torch.dtype], Value] = {}
 
-    def at(self, x: Tensor) -> Made:
-        """What was made for tensors like `x`."""
+    def at(self, x: Tensor) -> Value:
+        """The value for tensors like `x`."""
         key = (x.device, x.dtype)
-        if key not in self._made:
-            self._made[key] = self._make(x)
-        return self._made[key]
+        if key not in self._values:
+            self._values[key] = self._make(x)
+        return self._values[key]
 
 
 def found_device(device: torch.device | str) -> torch.device | str:
-    """A device that there is; "auto" is an accelerator if there is one."""
+    """A device that there is; "auto" is an accelerator if there is one, and of several the one for this process among
+    those that `accelerate launch` or `torchrun` started on this machine (LOCAL_RANK)."""
     cuda, mps = torch.cuda.is_available(), torch.backends.mps.is_available()
     if device == "auto":
-        return "cuda" if cuda else "mps" if mps else "cpu"
+        rank = os.environ.get("LOCAL_RANK", "")
+        own = f"cuda:{int(rank) % torch.cuda.device_count()}" if cuda and rank.isdecimal() else "cuda"
+        return own if cuda else "mps" if mps else "cpu"
     try:
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError, NotImplementedError, TypeError, ValueError) as error:

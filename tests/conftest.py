@@ -3,6 +3,7 @@
 import functools
 import gzip
 import json
+import logging
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -48,6 +49,18 @@ def one_minilm():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(language_models, "load", functools.cache(language_models.load))
         yield
+
+
+@pytest.fixture(autouse=True)
+def no_handler_left():
+    """What a command, or Hydra, has set up to log to this test's stderr goes with it."""
+    root = logging.getLogger()
+    before, level = list(root.handlers), root.level
+    yield
+    for handler in root.handlers[:]:
+        if handler not in before and not type(handler).__module__.startswith("_pytest"):
+            root.removeHandler(handler)
+    root.setLevel(level)
 
 
 def golden_sets(area: str) -> list:

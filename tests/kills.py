@@ -34,7 +34,7 @@ from test_multi_track import BUNDLED, evaluator, prepared
 from test_scripts import TIMELINES, clip
 
 import stmc
-from stmc.benchmarks import multi_track
+from stmc.benchmarks import multi_track, resampling
 from stmc.run import save_evaluator
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
@@ -136,6 +136,7 @@ def started(work: Work, folder: Path) -> int:
     def script() -> None:
         sys.argv = [path, *work.settings]
         multi_track.PER_TEXT = 2  # FID compares with few real clips
+        resampling.DRAWS = 2
         runpy.run_path(path, run_name="__main__")
 
     return forked(folder, script)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from stmc.benchmarks.questions import QUESTIONS, Rates, rates
-from stmc.body import JOINTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS
 from stmc.body_model import Skeleton
 from stmc.data.sources.bandai_sentences import CONTENTS
 from stmc.geometry import axis_angle_to_matrix, rotation_z
@@ -19,7 +19,7 @@ UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 def moved(height=None, path=None, heading=None, **turns) -> Motion:
     """Two seconds with arms hanging; rotations are axis-angle vectors [frames, 3] by joint."""
-    angles = torch.zeros(FRAMES, ROTATED, 3)
+    angles = torch.zeros(FRAMES, NUM_ROTATIONS, 3)
     angles[:, JOINTS.index("left_shoulder"), 2] = -1.3
     angles[:, JOINTS.index("right_shoulder"), 2] = 1.3
     for name, values in turns.items():

@@ -46,7 +46,8 @@ def test_unseen_sentences_are_asked_beside_what_real_motion_and_chance_reach(cac
     [(name, row)] = json.loads((tmp_path / "out" / "actions.json").read_text()).items()
     assert (name, row["ceiling"], row["chance"]) == ("sit", 1.0, 0.0)
     assert set(row["sentences"]) == {unseen("sit")[0]} and row["shown"] in (0.0, 0.5, 1.0)
-    assert len(list((tmp_path / "out").glob("*.png"))) == 1
+    assert row["real"]["hand_step_cm"] == pytest.approx(0, abs=1e-4) and row["sampled"]["hand_step_cm"] > 0
+    assert [picture.name for picture in (tmp_path / "out").glob("*.png")] == ["sit.png"]
     assert "sit" in capsys.readouterr().out
     with pytest.raises(SettingError, match="contents=dance: choose from stand, sit"):
         run("actions", "actions", *settings[:-1], "contents=[dance]")

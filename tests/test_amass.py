@@ -12,7 +12,7 @@ from helpers.smpl_pickles import run_code
 from helpers.source_folders import amass, recorded, smplh_arrays, smplx_arrays
 from torch.testing import assert_close
 
-from stmc.body import MIRROR, ROTATED
+from stmc.body import MIRROR, NUM_ROTATIONS
 from stmc.body_model import Skeleton
 from stmc.data.preparation import LayoutError
 from stmc.data.sources.amass import RecordingError, Recordings, read_recording
@@ -182,7 +182,7 @@ def time_grid_translations_and_joints_are_the_published_preparation_s(folder):
 
 def mirroring_is_the_published_preparation_s(folder):
     data = golden(folder, "amass_prepare.npz")
-    assert MIRROR[:ROTATED] == tuple(data["mirror_joint_perm"])
+    assert MIRROR[:NUM_ROTATIONS] == tuple(data["mirror_joint_perm"])
     trans = torch.from_numpy(data["mirror_trans"])
     motion = Motion.posed(rotations(data["mirror_poses"]), trans, 20.0, Skeleton(SKELETON.offsets.double()))
     image = motion.mirrored()

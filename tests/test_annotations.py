@@ -130,8 +130,8 @@ def test_a_sequence_of_babel_s_that_cannot_be_used_is_named(value, reason, tmp_p
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [
-        ("annotations.json", "{", r"annotations\.json is no JSON"),
-        ("annotations.json", "[" * 100_000, r"annotations\.json is no JSON"),
+        ("annotations.json", "{", r"annotations\.json is not JSON"),
+        ("annotations.json", "[" * 100_000, r"annotations\.json is not JSON"),
         ("annotations.json", "[]", "must be a JSON object with an entry for every sequence"),
         ("splits/train.txt", None, r"splits/train\.txt is missing"),
         ("splits/val.txt", "", r"val\.txt lists nothing"),

@@ -92,5 +92,5 @@ def test_a_prompt_of_no_frames_is_left_out_with_a_warning():
 def test_a_timeline_of_no_frames_is_refused():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(TimelineError, match=r"the timeline's 0.04 s are no frame at 20 fps; make it longer"):
+        with pytest.raises(TimelineError, match=r"the timeline's 0.04 s are less than a frame at 20 fps"):
             assign(Timeline([Prompt("walk", 0, 0.04)]), 20)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from stmc.body import ROTATED, BodyPart
+from stmc.body import NUM_ROTATIONS, BodyPart
 from stmc.body_model import Skeleton
 from stmc.geometry import axis_angle_to_matrix
 from stmc.motion import Motion
@@ -26,7 +26,7 @@ def test_it_is_a_representation_with_fields_of_the_paper():
     assert isinstance(REPRESENTATION, Representation)
     starts = {name: field.start for name, field in BABEL_LAYOUT.slices.items()}
     assert starts == {"root_height": 0, "root_velocity": 1, "rotations": 3}
-    assert REPRESENTATION.width == BABEL_LAYOUT.width == 3 + 6 * ROTATED == 135
+    assert REPRESENTATION.width == BABEL_LAYOUT.width == 3 + 6 * NUM_ROTATIONS == 135
     assert sorted(column for own in REPRESENTATION.columns.values() for column in own) == list(range(135))
     assert REPRESENTATION.columns[BodyPart.LEGS][:9] == tuple(range(9))
 
@@ -34,7 +34,7 @@ def test_it_is_a_representation_with_fields_of_the_paper():
 def test_a_body_that_walks_straight_has_the_numbers_that_one_expects():
     """At heading zero, upright: the root is turned by a quarter about x alone, so that its vector has no z."""
     upright = axis_angle_to_matrix(torch.tensor([math.pi / 2, 0, 0], dtype=torch.float64))
-    rotations = torch.eye(3, dtype=torch.float64).repeat(4, ROTATED, 1, 1)
+    rotations = torch.eye(3, dtype=torch.float64).repeat(4, NUM_ROTATIONS, 1, 1)
     rotations[:, 0] = upright
     translation = torch.tensor([[0.0, -0.1 * frame, 0.9] for frame in range(4)], dtype=torch.float64)
     motion = Motion.posed(rotations, translation, 20, Skeleton.default())
@@ -103,7 +103,7 @@ def test_a_motion_of_one_frame_has_features():
 def test_features_and_their_inverse_are_the_published_ones(folder):
     data = {name: torch.from_numpy(array) for name, array in golden(folder, "babel_features.npz").items()}
     frames = len(data["trans"])
-    rotations = axis_angle_to_matrix(data["axis_angle"].reshape(frames, ROTATED, 3))
+    rotations = axis_angle_to_matrix(data["axis_angle"].reshape(frames, NUM_ROTATIONS, 3))
     close(rotations, data["rot_matrices"])
     close(REPRESENTATION.differentiate(rotations, data["trans"]), data["features_canon0"])
     motion = Motion.posed(rotations, data["trans"], 30, Skeleton.default())

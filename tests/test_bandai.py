@@ -15,11 +15,12 @@ from conftest import data_file
 from helpers.bandai_files import UP, bvh_text, posed, skeleton, standing, tumbling
 from helpers.source_folders import Threads
 
-from stmc.body import JOINTS, MIRROR, PARENTS, ROTATED
+from stmc.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.data import preparation
 from stmc.data.cache import Cache
-from stmc.data.sources import archives, bandai
+from stmc.data.sources import archives, bandai, bandai_clips
+from stmc.data.sources.bandai_clips import BandaiClips
 from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe
 from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
 from stmc.geometry import mirror_positions
@@ -76,7 +77,7 @@ def test_the_lowest_joint_of_the_clip_stands_on_the_floor():
 def test_a_t_pose_gives_no_rotations_but_standing_upright():
     motion = bandai.retarget(parse_bvh(bvh_text(standing())), skeleton())
     torch.testing.assert_close(motion.rotations[:, 0], UP.expand(motion.frames, 3, 3), atol=1e-7, rtol=0)
-    identity = torch.eye(3, dtype=torch.float64).expand(motion.frames, ROTATED - 1, 3, 3)
+    identity = torch.eye(3, dtype=torch.float64).expand(motion.frames, NUM_ROTATIONS - 1, 3, 3)
     torch.testing.assert_close(motion.rotations[:, 1:], identity, atol=1e-7, rtol=0)
     assert motion.heading.abs().max() < 1e-7
 
@@ -377,10 +378,10 @@ def test_an_archive_that_breaks_off_is_an_error_and_not_a_smaller_data_set(sourc
     whole = packed(source, tmp_path / "dataset.tar.xz").read_bytes()
     for kept in (len(whole) // 4, len(whole) // 2, len(whole) - 20, 100):
         (tmp_path / "half.tar.xz").write_bytes(whole[:kept])
-        with pytest.raises(ValueError, match=r"half\.tar\.xz is no \.tar\.xz, or a half or damaged one"):
+        with pytest.raises(ValueError, match=r"half\.tar\.xz is not a \.tar\.xz, or a half or damaged one"):
             list(bandai.read_sources(tmp_path / "half.tar.xz"))
     (tmp_path / "text.tar.xz").write_text("not an archive at all")
-    with pytest.raises(ValueError, match=r"no \.tar\.xz"):
+    with pytest.raises(ValueError, match=r"not a \.tar\.xz"):
         list(bandai.read_sources(tmp_path / "text.tar.xz"))
 
 
@@ -403,12 +404,13 @@ def test_a_second_clip_of_one_name_is_skipped_and_named(rows):
     assert cache.skipped == ((rows[0][0].name, "a second clip of this name"),)
 
 
-def test_the_inputs_are_the_clips_and_all_the_code_that_converts_them(source):
-    inputs = bandai.inputs(source)
-    assert inputs[0] == source
-    assert all(path.exists() for path in inputs)
-    code = {"bandai.py", "bvh.py", "bandai_sentences.py", "geometry.py"}
-    assert {path.name for path in inputs} >= code | {"skeleton.json"}
+def test_the_fingerprint_is_of_the_clips_all_the_code_that_converts_them_and_the_frame_rate(source, monkeypatch):
+    own = BandaiClips(source, FPS).fingerprint()
+    assert BandaiClips(source, FPS).fingerprint() == own != BandaiClips(source, FPS + 1).fingerprint()
+    named: list[str] = []
+    monkeypatch.setattr(bandai_clips, "code", lambda *places: named.extend(places) or "other code")
+    assert BandaiClips(source, FPS).fingerprint() != own
+    assert set(named) >= {"data/sources/bandai*", "data/sources/bvh", "geometry", "motion"}
 
 
 # The real thing ---------------------------------------------------------------------------------------------------

@@ -176,8 +176,8 @@ def test_bodies_are_found_where_downloads_and_smplx_put_them(kind, place, tmp_pa
     write = write_pickle if place.endswith("pkl") else write_body
     (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
     write(tmp_path, kind).rename(tmp_path / place)
-    assert load_body(tmp_path, kind).template.shape == (80, 3)
-    assert load_body(tmp_path / place, kind).template.shape == (80, 3)
+    assert load_body(tmp_path, kind).v_template.shape == (80, 3)
+    assert load_body(tmp_path / place, kind).v_template.shape == (80, 3)
 
 
 def write_pickle(folder, kind, gender="NEUTRAL", **changes):
@@ -208,7 +208,7 @@ def test_a_pickled_body_is_the_body_of_the_same_arrays(kind, tmp_path):
 
 def test_a_female_body_is_not_taken_for_a_neutral_one(tmp_path):
     write_pickle(tmp_path, "smpl").rename(tmp_path / "basicModel_f_lbs_10_207_0_v1.0.0.pkl")
-    assert load_body(tmp_path, gender="female").template.shape == (80, 3)
+    assert load_body(tmp_path, gender="female").v_template.shape == (80, 3)
     with pytest.raises(FileNotFoundError):
         load_body(tmp_path)
 
@@ -231,7 +231,7 @@ def test_what_moves_the_face_of_smplx_is_not_taken_for_shape(tmp_path):
     path = write_body(tmp_path, "smplx", shapedirs=many)
     body = load_body(path, "smplx", betas=[0.0] * 299 + [1.0])
     expected = body_arrays("smplx")["v_template"] + many[..., 299]
-    assert_close(body.template, torch.from_numpy(expected).float())
+    assert_close(body.v_template, torch.from_numpy(expected).float())
     with pytest.raises(ValueError, match=r"301 betas, but .* has 300"):
         load_body(path, "smplx", betas=[0.0] * 301)
 
@@ -240,10 +240,10 @@ def test_files_of_another_kind_are_refused(tmp_path):
     with pytest.raises(ValueError, match="has 52 joints; a smpl body has 24"):
         load_body(write_body(tmp_path, "smplh"), "smpl")
     (tmp_path / "text.npz").write_text("not a zip archive")
-    with pytest.raises(ValueError, match=r"text\.npz is no smpl body"):
+    with pytest.raises(ValueError, match=r"text\.npz is not a smpl body"):
         load_body(tmp_path / "text.npz")
     np.savez(tmp_path / "half.npz", v_template=np.zeros((3, 3)))
-    with pytest.raises(ValueError, match=r"half\.npz is no smpl body: .*no array shapedirs"):
+    with pytest.raises(ValueError, match=r"half\.npz is not a smpl body: .*no array shapedirs"):
         load_body(tmp_path / "half.npz")
 
 
@@ -267,10 +267,10 @@ def test_arrays_that_do_not_fit_one_another_are_named(changes, message, tmp_path
 
 def test_a_pickle_inside_a_file_is_not_run(tmp_path):
     path = write_body(tmp_path, "smpl", J_regressor=np.array([Alarm()], dtype=object))
-    with pytest.raises(ValueError, match=r"is no smpl body: .*pickled Python objects"):
+    with pytest.raises(ValueError, match=r"is not a smpl body: .*pickled Python objects"):
         load_body(path)
     (tmp_path / "SMPL_NEUTRAL.pkl").write_bytes(run_code("os.system", f"touch {tmp_path}/ran", 2))
-    with pytest.raises(ValueError, match=r"is no smpl body: .*refused to run posix\.system"):
+    with pytest.raises(ValueError, match=r"is not a smpl body: .*refused to run posix\.system"):
         load_body(tmp_path / "SMPL_NEUTRAL.pkl")
     assert not (tmp_path / "ran").exists()
 

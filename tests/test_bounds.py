@@ -207,7 +207,7 @@ def test_what_planning_refuses_names_the_timeline(tmp_path):
     (tmp_path / "t.txt").write_text("sit # 0 # 1\n\nwalk # 0 # 0.01\n")
     _, moment = Timeline.read_all(tmp_path / "t.txt")
     assert refusal(plan, moment, 20, 10) == (
-        f"{tmp_path / 't.txt'}, line 3: the timeline's 0.01 s are no frame at 20 fps; make it longer"
+        f"{tmp_path / 't.txt'}, line 3: the timeline's 0.01 s are less than a frame at 20 fps; make it longer"
     )
     assert refusal(assign, Timeline([Prompt("a", 0, 0.01)], "0042"), 20).startswith("timeline '0042', prompt 1: ")
 

@@ -11,7 +11,7 @@ from conftest import data_file
 from helpers.acclaim_files import Actor, moving
 from helpers.source_folders import Threads
 
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.data import preparation
 from stmc.data.sources import asf, cmu, cmu_clips
@@ -32,7 +32,7 @@ def actor(names=cmu.FORMATS[0], frames=240, **settings):
 
 def shown(motion, recorded):
     """World rotations of a motion at CMU's rate beside those that were recorded, in our axes."""
-    return global_rotations(motion.rotations, PARENTS[:ROTATED]), UP @ recorded.turns
+    return global_rotations(motion.rotations, PARENTS[:NUM_ROTATIONS]), UP @ recorded.turns
 
 
 @pytest.mark.parametrize("names", cmu.FORMATS, ids=("native", "MotionBuilder", "MotionBuilder 131", "Daz"))

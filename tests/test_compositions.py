@@ -17,9 +17,9 @@ from omegaconf import OmegaConf
 from torch import Tensor
 
 import stmc
-from stmc.benchmarks import Benchmark, Compositions
+from stmc.benchmarks import Benchmark, Compositions, resampling
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.metrics.matching import r_precision
+from stmc.metrics.matching import matching_score, r_precision
 from stmc.motion import Motion
 from stmc.representation import SmplRepresentation
 from stmc.results import Result, ResultError, comparison_table, sweep_table
@@ -88,6 +88,12 @@ def moved(timeline: stmc.Timeline, path: Tensor, heading: float = 0.0) -> Motion
     return Motion(motion.rotations, motion.translation + way, motion.joints + way[:, None], FPS)
 
 
+@pytest.fixture(autouse=True)
+def few_draws(monkeypatch) -> None:
+    """Of the bootstrap: what it measures is what is tested."""
+    monkeypatch.setattr(resampling, "DRAWS", 6)
+
+
 def test_motions_that_show_what_is_asked_match_their_texts_and_the_real_clips(two):
     scores = two.measured("stmc", [shown(timeline) for timeline in two.timelines("stmc")], seed=0)
     assert isinstance(two, Benchmark)
@@ -97,9 +103,25 @@ def test_motions_that_show_what_is_asked_match_their_texts_and_the_real_clips(tw
     assert two.real(0).metrics["r_precision"] == 1
 
 
+def test_draws_of_compositions_average_what_each_has_by_itself(two):
+    first, *others = two.timelines("stmc")
+    motions = [shown(first, {"left": "right", "right": "left"}), *map(shown, others)]
+    scores = two.measured("stmc", motions, seed=0)
+    found = two._of_motions(motions)
+    each = len(first.prompts)
+    rows = [slice(each * number, each * (number + 1)) for number in range(len(motions))]
+    alone = [matching_score(found.texts[row], found.subsequences[row]) for row in rows]
+    draws = np.random.default_rng(0).integers(len(motions), size=(resampling.DRAWS, len(motions)))
+    assert max(alone) > min(alone) + 0.1
+    assert scores.resampled["mm_dist"] == pytest.approx(
+        [np.mean([alone[unit] for unit in draw]) for draw in draws], 1e-4
+    )
+    assert set(scores.resampled) == set(scores.metrics)
+
+
 def test_motions_of_another_frame_rate_are_measured_at_the_judge_s(two):
     slower = [shown(timeline).resampled(20) for timeline in two.timelines("stmc")]
-    metrics, curves = two.measured("stmc", slower, seed=0)
+    metrics, curves, _ = two.measured("stmc", slower, seed=0)
     assert metrics["r_precision"] == 1
     assert len(curves["jerk"]) == WINDOW - 3
 
@@ -134,7 +156,7 @@ def test_a_jump_of_d_metres_at_every_boundary_has_the_jerk_d_2d_d_in_the_middle_
         for start, _ in timeline.spans(FPS)[1:]:
             path[start:] += distance
         motions.append(moved(timeline, path, heading=0.7))
-    metrics, curves = two.measured("stmc", motions, seed=0)
+    metrics, curves, _ = two.measured("stmc", motions, seed=0)
     wanted = [0.0] * (WINDOW - 3)
     wanted[27:30] = distance, 2 * distance, distance
     assert curves["jerk"] == pytest.approx(wanted, abs=1e-4)
@@ -151,13 +173,13 @@ def test_a_motion_of_constant_jerk_has_a_flat_curve_whichever_way_it_faces(two, 
         moved(timeline, strength * torch.arange(timeline.frames(FPS), dtype=torch.float64) ** 3 / 6, heading)
         for timeline in two.timelines("stmc")
     ]
-    metrics, curves = two.measured("stmc", motions, seed=0)
+    metrics, curves, _ = two.measured("stmc", motions, seed=0)
     assert curves["jerk"] == pytest.approx([strength] * (WINDOW - 3), rel=1e-3)
     assert metrics["area_under_jerk"] == pytest.approx((WINDOW - 3) * strength, rel=2e-2)
 
 
 def test_real_motion_is_still_here_and_has_no_jerk(two):
-    metrics, curves = two.real(3)
+    metrics, curves, _ = two.real(3)
     assert len(curves["jerk"]) == WINDOW - 3
     assert metrics["peak_jerk"] < 1e-5
     assert two.real(3).metrics == metrics
@@ -292,7 +314,7 @@ def test_curves_that_cannot_be_compared_are_refused():
         jerk_curves([Result("stmc", 0, {})])
     with pytest.raises(ResultError, match="of 27, 57 frames"):
         jerk_curves([REAL, record("stmc", 0, 1.0, frames=27)])
-    with pytest.raises(ResultError, match="FlowMDM is there with several settings"):
+    with pytest.raises(ResultError, match="FlowMDM has several settings"):
         jerk_curves([record("flow_mdm", 0, 1.0, ape_steps=0.1), record("flow_mdm", 0, 1.0, ape_steps=0.5)])
 
 

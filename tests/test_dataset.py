@@ -27,7 +27,8 @@ def dataset() -> Dataset:
 def draw(dataset: Dataset, count: int = 4000, split: str = "train", **settings):
     """A plan of many rows, and the clip that each is from."""
     batches = ClipBatches(dataset, split, Sampling(**settings))
-    plan = batches._draw(count, np.random.default_rng(0))
+    random = np.random.default_rng(0)
+    plan = batches._draw(random.choice(batches._described, count, p=batches.shares), random)
     starts = np.array([clip.start for clip in dataset.clips])
     return plan, [dataset.clips[index] for index in np.searchsorted(starts, plan.body.start, side="right") - 1]
 

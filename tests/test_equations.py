@@ -72,16 +72,16 @@ def test_mdm_s_decoder_is_its_equations(leading, words):
 
 
 def test_motion_diffuse_is_its_equations():
-    reading = {"read_width": 8, "read_feedforward": 10, "read_layers": 2, "read_heads": 2}
+    reading = {"text_latent_width": 8, "text_feedforward": 10, "text_layers": 2, "text_heads": 2}
     network, weights = filled(MotionDiffuse(**SIZES, **reading, frames=13))
     assert_rows(network, [5, 1, 3], lambda x, t, text: equations.motion_diffuse(weights, 3, 2, x, t, text))
 
 
-@pytest.mark.parametrize("horizon", [2, 4, 40], ids=["many blocks", "few blocks", "at once"])
-def test_flow_mdm_is_its_equations_in_both_modes(horizon):
+@pytest.mark.parametrize("attention_window", [2, 4, 40], ids=["many blocks", "few blocks", "at once"])
+def test_flow_mdm_is_its_equations_in_both_modes(attention_window):
     """Rows of other segments and other steps: of steps from 3 on positions are absolute."""
     sizes = SIZES | {"layers": 2, "heads": 2}
-    network, weights = filled(FlowMdm(**sizes, absolute_from=3, horizon=horizon))
+    network, weights = filled(FlowMdm(**sizes, absolute_from=3, attention_window=attention_window))
     segments = [[0] * 4 + [1] * 5 + [2] * 2, [0] * 3 + [2] * 4, [1]]
     x, t, _, _, present = padded_batch([1, 1, 1])
     text = drawn(3, 3, 5, seed=4)
@@ -90,7 +90,7 @@ def test_flow_mdm_is_its_equations_in_both_modes(horizon):
     answers = network(x, t, text, None, present, segment)
     for row, (length, step) in enumerate(zip(LENGTHS, STEPS, strict=True)):
         given = (x[row, :length].numpy(), step, text[row].numpy(), segments[row])
-        expected = equations.flow_mdm(weights, 2, horizon, step >= 3, *given)
+        expected = equations.flow_mdm(weights, 2, attention_window, step >= 3, *given)
         agree(answers[row, :length], expected)
 
 

@@ -12,14 +12,15 @@ from helpers.motions import walking
 from helpers.scripts import script
 from helpers.tiny_model import Hashes
 from helpers.toy_data import LAYOUT, LetterCounts, cache
-from torch.nn.functional import normalize
+from torch.nn.functional import normalize, smooth_l1_loss
 
+import stmc
 from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
 from stmc.data.dataset import Dataset
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator, GuoEvaluator, Posterior, Tmr, TmrObjective
-from stmc.evaluators.objective import contrast, divergence, kl_terms
+from stmc.evaluators.objective import divergence, info_nce, kl_terms
 from stmc.representation import SmplRepresentation
 from stmc.run import CONFIG, WEIGHTS, RunError, load_evaluator, save_evaluator
 from stmc.statistics import Statistics
@@ -72,9 +73,9 @@ def test_a_sequence_longer_than_all_positions_is_an_error():
 
 def test_points_are_drawn_around_the_mean_with_the_posteriors_variance():
     posterior = Posterior(torch.full((20_000, 2), 3.0), torch.full((20_000, 2), math.log(4.0)))
-    points = posterior.draw(torch.Generator().manual_seed(0))
+    points = posterior.rsample(torch.Generator().manual_seed(0))
     assert points.mean() == pytest.approx(3.0, abs=0.05) and points.std() == pytest.approx(2.0, abs=0.05)
-    assert torch.equal(Posterior(points, None).draw(), points)
+    assert torch.equal(Posterior(points, None).rsample(), points)
 
 
 def test_the_divergence_of_two_normals_is_that_of_the_closed_form():
@@ -88,13 +89,13 @@ def test_the_divergence_of_two_normals_is_that_of_the_closed_form():
 
 def test_pairs_that_are_all_right_or_all_alike_have_the_contrast_of_the_closed_form():
     right = torch.eye(4)
-    assert float(contrast(right, right, temperature=0.5)) == pytest.approx(math.log(1 + 3 * math.exp(-2)))
-    assert float(contrast(torch.ones(4, 2), torch.ones(4, 2))) == pytest.approx(math.log(4))
-    assert float(contrast(torch.ones(4, 2), torch.ones(4, 2), torch.ones(4, 4, dtype=torch.bool))) == pytest.approx(0)
+    assert float(info_nce(right, right, temperature=0.5)) == pytest.approx(math.log(1 + 3 * math.exp(-2)))
+    assert float(info_nce(torch.ones(4, 2), torch.ones(4, 2))) == pytest.approx(math.log(4))
+    assert float(info_nce(torch.ones(4, 2), torch.ones(4, 2), torch.ones(4, 4, dtype=torch.bool))) == pytest.approx(0)
     alike = torch.zeros(4, 4, dtype=torch.bool)
     alike[0, 1:] = True  # text 0 has no wrong motion; each motion but 0 has one wrong text less
     expected = (3 * math.log(4) / 4 + (math.log(4) + 3 * math.log(3)) / 4) / 2
-    assert float(contrast(torch.ones(4, 2), torch.ones(4, 2), alike)) == pytest.approx(expected)
+    assert float(info_nce(torch.ones(4, 2), torch.ones(4, 2), alike)) == pytest.approx(expected)
 
 
 def test_the_objective_is_one_of_the_loops_and_reaches_every_weight():
@@ -108,6 +109,34 @@ def test_the_objective_is_one_of_the_loops_and_reaches_every_weight():
     assert tuple(losses) == objective.names
     parts = [losses[f"loss_{name}"] for name in ("reconstruction", "kl", "latent", "contrastive")]
     assert losses["loss"] == pytest.approx(parts[0] + 1e-5 * parts[1] + 1e-5 * parts[2] + 0.1 * parts[3], rel=1e-5)
+
+
+@torch.no_grad()
+def test_every_so_many_rows_are_rebuilt_as_all_would_be():
+    network, given = small().eval(), (drawn(5, 4, 5), None, drawn(5, 7, 6), None)
+    whole, some = (network(*given, torch.Generator().manual_seed(0), every) for every in (1, 2))
+    for all_rows, rows in zip(whole.rebuilt, some.rebuilt, strict=True):
+        assert len(rows) == 3
+        torch.testing.assert_close(rows, all_rows[::2], atol=1e-5, rtol=0)
+    pairs = Pairs(given[2], None, given[0], None, 1)
+    expected = sum(smooth_l1_loss(rows, pairs.motion[::2]) for rows in some.rebuilt)
+    terms = TmrObjective(rebuild_every=2)(network, pairs, torch.Generator().manual_seed(0))
+    assert float(terms[0]) == pytest.approx(float(expected), rel=1e-4)
+    with pytest.raises(ValueError, match="rebuild_every must be at least 1, not 0"):
+        TmrObjective(rebuild_every=0)
+
+
+@torch.no_grad()
+def test_an_evaluator_restated_for_other_statistics_hears_and_says_the_same_motion():
+    network, raw = small().eval(), drawn(2, 7, 6)
+    old = Statistics(drawn(6, seed=1), drawn(6, seed=2).abs() + 0.5)
+    new = Statistics(drawn(6, seed=3), 1.2 * old.std)
+    latent = network.motion_encoder(old.normalise(raw)).mean
+    exists = torch.ones(2, 7, dtype=torch.bool)
+    said = old.restore(network.motion_decoder(latent, exists))
+    network.restate(old, new)
+    torch.testing.assert_close(network.motion_encoder(new.normalise(raw)).mean, latent, atol=1e-5, rtol=0)
+    torch.testing.assert_close(new.restore(network.motion_decoder(latent, exists)), said, atol=1e-5, rtol=0)
 
 
 def test_texts_and_motions_become_latents_in_their_order_and_alone():
@@ -130,6 +159,12 @@ def test_a_motion_of_another_frame_rate_is_judged_at_the_evaluators():
     judge, motion = evaluator(), walking(3.0, 40.0)
     assert judge.features(motion).shape == (60, 205)
     torch.testing.assert_close(judge.features(motion), judge.features(motion.resampled(20)))
+
+
+def test_an_evaluator_is_shown_in_one_short_line():
+    shown = repr(stmc.load_evaluator(device="cpu"))
+    assert "\n" not in shown and len(shown) < 120
+    assert shown.startswith("Evaluator(") and "20 fps" in shown
 
 
 def test_an_evaluator_survives_its_run_directory_wherever_that_is_moved(tmp_path):
@@ -328,8 +363,19 @@ def test_training_goes_on_where_it_stopped(trained):
         assert [row["step"] for row in csv.DictReader(file)] == ["2", "4", "6"]
 
 
+@pytest.mark.slow
+def test_training_begins_with_the_weights_it_is_given(trained):
+    folder, settings, _ = trained
+    begun = [f"run={folder / 'begun'}", f"init_from={folder / 'run'}", "training.lr=1e-12", "training.steps=4"]
+    script("train_tmr", *settings[1:], *begun, folder=folder / "here")
+    rows = [drawn(30, 205)]
+    first, second = (load_evaluator(folder / name) for name in ("run", "begun"))
+    torch.testing.assert_close(second.motions(rows), first.motions(rows), atol=1e-3, rtol=0)
+    torch.testing.assert_close(second.texts(["run"]), first.texts(["run"]), atol=1e-3, rtol=0)
+
+
 def test_cosines_of_latents_are_what_training_compares():
     text, motion = drawn(3, 16), drawn(3, 16, seed=1)
     logits = normalize(text, dim=-1) @ normalize(motion, dim=-1).T / 0.1
     expected = (-logits.log_softmax(1).diag().mean() - logits.log_softmax(0).diag().mean()) / 2
-    assert float(contrast(text, motion)) == pytest.approx(float(expected), rel=1e-5)
+    assert float(info_nce(text, motion)) == pytest.approx(float(expected), rel=1e-5)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from stmc.data.pairs import similar
 from stmc.evaluators import GuoEvaluator, Posterior, Tmr, TmrObjective
-from stmc.evaluators.objective import contrast, kl_terms
+from stmc.evaluators.objective import info_nce, kl_terms
 from stmc.tensors import mask, pad
 from stmc.training.pairs import Pairs
 
@@ -104,12 +104,12 @@ def the_losses_of_tmr_are_those_of_the_published_code(folder, variational):
         int(data["motion_mask"].sum()),
         similar(data["sent_emb"]),
     )
-    objective, draw = TmrObjective(), Posterior.draw
-    Posterior.draw = lambda posterior, generator: posterior.mean
+    objective, draw = TmrObjective(), Posterior.rsample
+    Posterior.rsample = lambda posterior, generator: posterior.mean
     try:
         means = objective(network, pairs, torch.Generator()) / pairs.frames
     finally:
-        Posterior.draw = draw
+        Posterior.rsample = draw
     losses = objective.losses(means)
     expected = {"reconstruction": "recons", "kl": "kl", "latent": "latent", "contrastive": "contrastive"}
     for name, published in expected.items():
@@ -126,8 +126,8 @@ def the_contrastive_loss_and_its_filter_are_those_of_the_published_code(folder):
         (0.7, 0.8, "loss_T07_thr080"),
         (0.1, 0.95, "loss_T01_thr095"),
     ):
-        assert_golden(contrast(x, y, similar(sentences, threshold), temperature), data[name])
-    assert_golden(contrast(x, y), data["loss_T01_nofilter"])
+        assert_golden(info_nce(x, y, similar(sentences, threshold), temperature), data[name])
+    assert_golden(info_nce(x, y), data["loss_T01_nofilter"])
     alike = similar(sentences, 0.8) & ~torch.eye(len(x), dtype=torch.bool)
     assert alike.nonzero().tolist() == data["filtered_pairs_thr080"].tolist()
 

@@ -11,16 +11,21 @@ import pytest
 import torch
 
 import stmc
+from stmc.constraints import Constraint
 from stmc.run import WEIGHTS, bundled
 
 
 def public() -> Iterator[tuple[str, object]]:
-    """The names of `stmc`, and the methods of its classes, as users and pytest's import hook have them."""
+    """The names of `stmc`, and the methods of its classes, as users and pytest's import hook have them. What all
+    constraints can do has its example once."""
+    yield "Constraint", Constraint
     for name in stmc.__all__:
         value = getattr(stmc, name)
         yield name, value
         for method, kind in vars(value).items() if isinstance(value, type) else ():
-            if not method.startswith("_") and isinstance(kind, (FunctionType, classmethod, staticmethod)):
+            if not (method.startswith("_") or hasattr(Constraint, method)) and isinstance(
+                kind, (FunctionType, classmethod, staticmethod)
+            ):
                 yield f"{name}.{method}", getattr(value, method)
 
 

@@ -7,12 +7,13 @@ import torch
 from helpers.motions import walking
 from scipy.spatial.transform import Rotation
 
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.export import read, write
 from stmc.export.files import _WRITERS
 from stmc.geometry import axis_angle_to_matrix
 from stmc.motion import Motion
+from stmc.timeline import Timeline
 
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -25,7 +26,7 @@ def motion() -> Motion:
 def tumbling(frames: int = 40, seed: int = 0) -> Motion:
     """Any pose at all: every joint turns through large angles."""
     generator = torch.Generator().manual_seed(seed)
-    axis_angle = torch.randn(frames, ROTATED, 3, generator=generator, dtype=torch.float64) * 2
+    axis_angle = torch.randn(frames, NUM_ROTATIONS, 3, generator=generator, dtype=torch.float64) * 2
     translation = torch.randn(frames, 3, generator=generator, dtype=torch.float64)
     return Motion.posed(axis_angle_to_matrix(axis_angle), translation, 30.0, Skeleton.default())
 
@@ -97,7 +98,7 @@ def test_a_bvh_rests_in_a_t_pose_with_y_up_and_arms_stretched_sideways(motion, t
     file = bvh(motion, tmp_path)
     places = file.places(np.zeros(file.rows.shape[1]))
     rest = Skeleton.default().rest.numpy()
-    for name, joint in zip(JOINTS[:ROTATED], rest, strict=False):
+    for name, joint in zip(JOINTS[:NUM_ROTATIONS], rest, strict=False):
         assert places[name] == pytest.approx(joint - rest[0], abs=1e-5)
     assert places["head"][1] > places["pelvis"][1] + 0.3
     assert places["left_wrist"][0] > 0.4
@@ -108,7 +109,7 @@ def test_a_bvh_has_22_joints_and_closes_hands_feet_and_head_with_end_sites(motio
     file = bvh(motion, tmp_path)
     ends = {node["name"] for node in file.nodes if not node["channels"]}
     assert ends == {f"end of {name}" for name in ("head", "left_wrist", "right_wrist", "left_foot", "right_foot")}
-    assert {node["name"] for node in file.nodes if node["channels"]} == set(JOINTS[:ROTATED])
+    assert {node["name"] for node in file.nodes if node["channels"]} == set(JOINTS[:NUM_ROTATIONS])
     for node in file.nodes:
         if node["name"] in JOINTS[1:]:
             assert file.nodes[node["parent"]]["name"] == JOINTS[PARENTS[JOINTS.index(node["name"])]]
@@ -116,7 +117,7 @@ def test_a_bvh_has_22_joints_and_closes_hands_feet_and_head_with_end_sites(motio
 
 def test_the_angles_of_a_bvh_do_not_jump_from_frame_to_frame(tmp_path):
     spin = torch.linspace(0, 6 * math.pi, 120, dtype=torch.float64)
-    axis_angle = torch.zeros(120, ROTATED, 3, dtype=torch.float64)
+    axis_angle = torch.zeros(120, NUM_ROTATIONS, 3, dtype=torch.float64)
     axis_angle[:, 0, 1] = spin
     axis_angle[:, JOINTS.index("left_elbow"), 0] = spin  # through both poles of the middle angle
     motion = Motion.posed(axis_angle_to_matrix(axis_angle), torch.zeros(120, 3).double(), 20.0, Skeleton.default())
@@ -135,7 +136,8 @@ def test_writing_leaves_the_motion_as_it_was(tmp_path):
 def test_an_npz_has_what_readers_of_amass_look_for(motion, tmp_path):
     write(motion, tmp_path / "walk.npz")
     with np.load(tmp_path / "walk.npz", allow_pickle=False) as archive:
-        assert archive["poses"].shape == (motion.frames, 66)
+        assert archive["poses"].shape == (motion.frames, 156)  # SMPL-H: readers of AMASS cut hands off behind 66
+        assert not archive["poses"][:, 66:].any()
         assert archive["trans"].shape == (motion.frames, 3)
         assert archive["betas"].shape == (16,) and not archive["betas"].any()
         assert str(archive["gender"]) == "neutral"
@@ -165,9 +167,25 @@ def test_a_file_of_amass_itself_is_read_without_its_fingers_and_posed(motion, tm
     write(motion, tmp_path / "walk.npz")
     with np.load(tmp_path / "walk.npz") as archive:
         arrays = {name: archive[name] for name in ("poses", "trans", "betas", "gender")}
-    arrays["poses"] = np.concatenate([arrays["poses"], np.ones((motion.frames, 90))], axis=1)
+    arrays["poses"][:, 66:] = 1
     np.savez(tmp_path / "amass.npz", **arrays, mocap_frame_rate=motion.fps)
     assert torch.allclose(read(tmp_path / "amass.npz").joints, motion.joints.float(), atol=1e-4)
+
+
+def test_a_file_of_an_earlier_version_without_hands_is_read(motion, tmp_path):
+    write(motion, tmp_path / "walk.npz")
+    with np.load(tmp_path / "walk.npz") as archive:
+        arrays = {**archive, "poses": archive["poses"][:, :66]}
+    np.savez(tmp_path / "old.npz", **arrays)
+    assert torch.equal(read(tmp_path / "old.npz").rotations, read(tmp_path / "walk.npz").rotations)
+
+
+def test_the_timeline_goes_along_in_an_npz(motion, tmp_path):
+    timeline = Timeline.parse("walk # 0 # 3")
+    write(motion, tmp_path / "walk.npz", timeline=timeline)
+    with np.load(tmp_path / "walk.npz", allow_pickle=False) as archive:
+        assert str(archive["timeline"]) == timeline.to_json()
+    assert read(tmp_path / "walk.npz").frames == motion.frames
 
 
 @pytest.mark.parametrize(
@@ -198,7 +216,7 @@ def test_an_unknown_suffix_is_an_error_that_names_the_choices(act, tmp_path):
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
-    def breaks_off(motion, file, skeleton):
+    def breaks_off(motion, file, skeleton, timeline):
         file.write(b"half of it")
         raise RuntimeError("the disk is full")
 
@@ -215,5 +233,5 @@ def test_a_motion_of_other_proportions_keeps_its_own_bones(tmp_path):
     tall = Skeleton(Skeleton.default().offsets.double() * 1.25)
     walk = walking(seconds=1.0)
     motion = Motion.posed(walk.rotations, walk.translation, walk.fps, tall)
-    places = bvh(motion, tmp_path).places(np.zeros(6 + 3 * (ROTATED - 1)))
+    places = bvh(motion, tmp_path).places(np.zeros(6 + 3 * (NUM_ROTATIONS - 1)))
     assert np.linalg.norm(places["left_knee"] - places["left_hip"]) == pytest.approx(0.3908 * 1.25, abs=1e-4)

@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import save_file
 
 from stmc import files
-from stmc.files import LOCK, FolderInUse, locked, remove_leftovers, write_text, write_whole
+from stmc.files import LOCK, FolderInUse, locked, remove_leftovers, write_text, write_whole, write_whole_folder
 
 HOLD = """
 import sys
@@ -46,6 +46,11 @@ def holder(tmp_path):
 def leave(folder):
     """Leaves a temporary behind, as a kill in the middle of a write does."""
     write_whole(folder / "whole", lambda path: (path.write_bytes(b"half"), os._exit(0)))
+
+
+def leave_folder(path):
+    """The same of a folder."""
+    write_whole_folder(path, lambda folder: (folder.mkdir(), (folder / "half").touch(), os._exit(0)))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX modes")
@@ -117,6 +122,23 @@ def test_temporaries_of_killed_processes_are_removed_and_those_of_living_ones_st
 
     write_whole(tmp_path / "whole", write)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["below", foreign.name, ".hidden.tmp", "whole"])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="forks")
+def test_a_folder_is_whole_or_absent_and_what_a_killed_process_left_beside_it_goes(tmp_path):
+    child = multiprocessing.get_context("fork").Process(target=leave_folder, args=(tmp_path / "run",))
+    child.start()
+    child.join()
+    [left] = tmp_path.iterdir()
+    assert (left / "half").exists()
+    foreign = tmp_path / left.name.replace(files._HOST, "0" * 8)
+    foreign.mkdir()
+    with pytest.raises(ZeroDivisionError):
+        write_whole_folder(tmp_path / "run", lambda folder: (folder.mkdir(), 1 / 0))
+    assert os.listdir(tmp_path) == [foreign.name]
+    (tmp_path / "run").mkdir()
+    write_whole_folder(tmp_path / "run", lambda folder: (folder.mkdir(), (folder / "whole").touch()))
+    assert sorted(os.listdir(tmp_path)) == sorted([foreign.name, "run"]) and os.listdir(tmp_path / "run") == ["whole"]
 
 
 def test_a_folder_that_is_being_written_is_refused_by_its_owner_s_name(tmp_path, holder):

@@ -12,14 +12,13 @@ from helpers.published_networks import drawn, frames, watched
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.composing import NULL, guided_sequences, weave
+from stmc.composing import NULL, compose_tracks, guided_sequences
 from stmc.denoisers import FlowMdm
 from stmc.denoisers.flow_mdm import _positions
-from stmc.denoisers.flow_mdm_layers import TURNED, frequencies
+from stmc.denoisers.flow_mdm_layers import ROTARY_DIM, frequencies
 from stmc.diffusion import Schedule, ddpm, guide
 from stmc.tensors import mask
-from stmc.training.loss import squared_errors
-from stmc.training.sequences import Sequences
+from stmc.training.loss import Batch, squared_errors
 
 pytestmark = pytest.mark.golden
 SETS = pytest.mark.parametrize("folder", golden_sets("flow"))
@@ -28,13 +27,13 @@ STEPS = 1000
 HORIZON = {"humanml": 150, "babel": 100}
 ABSOLUTE_FROM = {"humanml": STEPS - 60 + 1, "babel": STEPS - 125 + 1}
 """The README, section 1: S absolute steps as published are S - 1."""
-SHORT_HORIZON = {"humanml": 6, "babel": 5}
+SHORT_WINDOW = {"humanml": 6, "babel": 5}
 
 
 class Case:
     """One golden file of a small or full network: its inputs, and the network with its weights."""
 
-    def __init__(self, folder, size: str, name: str, horizon: int) -> None:
+    def __init__(self, folder, size: str, name: str, attention_window: int) -> None:
         self.data = golden(folder, f"flowmdm_{size}_{name}.npz")
         self.lengths = self.data["lengths"].tolist()
         self.segment = segments(self.lengths)
@@ -44,10 +43,10 @@ class Case:
             self.x = frames(drawn(self.data["x_seed"], tuple(self.data["x_shape"])))
             text = drawn(self.data["text_seed"], tuple(self.data["text_shape"]))
         self.text = text.transpose(0, 1)
-        self.network = self.with_horizon(f"{size}_{name}", horizon, ABSOLUTE_FROM[name])
+        self.network = self.with_window(f"{size}_{name}", attention_window, ABSOLUTE_FROM[name])
 
-    def with_horizon(self, name: str, horizon: int, absolute_from: int) -> FlowMdm:
-        return flow_mdm(name, int(self.data["weight_seed"]), absolute_from, horizon)
+    def with_window(self, name: str, attention_window: int, absolute_from: int) -> FlowMdm:
+        return flow_mdm(name, int(self.data["weight_seed"]), absolute_from, attention_window)
 
     def asked(self, t: int, text: Tensor, network: FlowMdm | None = None) -> Tensor:
         return (network or self.network)(self.x, torch.tensor([t]), text, None, None, self.segment)
@@ -62,7 +61,7 @@ def names_and_shapes_are_those_of_the_published_checkpoints(name, features):
     assert tables == {
         "sequence_pos_encoder.pe": (rows, 1, width),
         "embed_timestep.sequence_pos_encoder.pe": (rows, 1, width),
-        "seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq": tuple(frequencies(TURNED // 2).shape),
+        "seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq": tuple(frequencies(ROTARY_DIM // 2).shape),
     }
 
 
@@ -73,7 +72,7 @@ def test_weights_have_the_names_and_shapes_of_the_published_checkpoints(subtests
 
 
 def the_small_network_answers_as_published_in_both_modes(folder, name):
-    case = Case(folder, "small", name, SHORT_HORIZON[name])
+    case = Case(folder, "small", name, SHORT_WINDOW[name])
     modes = {t: t >= case.network.absolute_from for t in case.data["timesteps"].tolist()}
     assert list(modes.values()) == [True, True, False, False, False]
     for t in modes:
@@ -84,7 +83,7 @@ def the_small_network_answers_as_published_in_both_modes(folder, name):
 
 
 def what_stands_between_the_layers_is_as_published(folder, name):
-    case = Case(folder, "small", name, SHORT_HORIZON[name])
+    case = Case(folder, "small", name, SHORT_WINDOW[name])
     assert np.array_equal(_positions(case.segment, len(case.lengths)).numpy(), case.data["pos_pe_abs"])
     same = case.segment[0][:, None] == case.segment[0]
     assert np.array_equal(same.numpy(), case.data["pe_bias_is_zero"])
@@ -103,15 +102,15 @@ def what_stands_between_the_layers_is_as_published(folder, name):
         close(seen["final_norm"][1], torch.from_numpy(case.data[f"{mode}_final_norm"]))
 
 
-def a_long_horizon_and_either_mode_at_any_step_are_as_published(folder, name):
-    case = Case(folder, "small", name, SHORT_HORIZON[name])
+def a_long_window_and_either_mode_at_any_step_are_as_published(folder, name):
+    case = Case(folder, "small", name, SHORT_WINDOW[name])
     small = f"small_{name}"
     _, absolute, relative = case.data["timesteps"].tolist()[:3]
-    far = case.with_horizon(small, 150, ABSOLUTE_FROM[name])
+    far = case.with_window(small, 150, ABSOLUTE_FROM[name])
     for t in (absolute, relative):
         close(case.asked(t, case.text, far), frames(case.data[f"cond_h150_t{t}"]))
     close(case.asked(relative, case.text), frames(case.data[f"cond_chunked_t{relative}"]))
-    always, never = (case.with_horizon(small, SHORT_HORIZON[name], step) for step in (0, STEPS))
+    always, never = (case.with_window(small, SHORT_WINDOW[name], step) for step in (0, STEPS))
     close(case.asked(0, case.text, always), frames(case.data["cond_allape_t0"]))
     close(case.asked(STEPS - 1, case.text, never), frames(case.data["cond_allrpe_t999"]))
 
@@ -131,12 +130,12 @@ class Fixed:
         self.network, self.absolute = network, ~torch.from_numpy(relative)
 
     def __call__(self, x, t, text, text_mask, mask, segment=None) -> Tensor:
-        return self.network.encoded(x, t, self.network.read(text), self.absolute, mask, segment)
+        return self.network.blended(x, t, self.network.encode_text(text), self.absolute, mask, segment)
 
 
 def the_layout_of_training_and_its_loss_are_as_published(folder, name):
     data = golden(folder, f"flowmdm_train_{name}.npz")
-    network = flow_mdm(f"small_{name}", int(data["weight_seed"]), STEPS, SHORT_HORIZON[name])
+    network = flow_mdm(f"small_{name}", int(data["weight_seed"]), STEPS, SHORT_WINDOW[name])
     motion, noise, text = frames(data["x"]), frames(data["noise"]), torch.from_numpy(data["text_embeddings"])
     present = torch.from_numpy(data["mask"]).squeeze(1).squeeze(1)
     if name == "babel":
@@ -149,7 +148,7 @@ def the_layout_of_training_and_its_loss_are_as_published(folder, name):
     else:
         text, segment = text[:, None], None
         assert torch.equal(present, mask(torch.from_numpy(data["lengths"])))
-    batch = Sequences(motion, present, text, None, int(present.sum()), segment)
+    batch = Batch(motion, present, text, None, int(present.sum()), segment=segment)
     t, denoiser, schedule = (
         torch.from_numpy(data["timesteps"]),
         Fixed(network, data["is_relative"]),
@@ -173,7 +172,7 @@ def test_flow_mdm_is_the_published_network(folder, subtests):
     checks = (
         the_small_network_answers_as_published_in_both_modes,
         what_stands_between_the_layers_is_as_published,
-        a_long_horizon_and_either_mode_at_any_step_are_as_published,
+        a_long_window_and_either_mode_at_any_step_are_as_published,
         the_network_of_the_published_size_answers_as_published,
         the_layout_of_training_and_its_loss_are_as_published,
     )
@@ -182,7 +181,7 @@ def test_flow_mdm_is_the_published_network(folder, subtests):
 
 @SETS
 def test_a_whole_chain_over_three_texts_is_as_published(folder):
-    """By the library's own way: a timeline, its plan, guided sequences woven, and `ddpm`."""
+    """By the library's own way: a timeline, its plan, guided sequences composed, and `ddpm`."""
     data = golden(folder, "flowmdm_chain50.npz")
     steps, absolute = int(data["num_steps"]), int(data["bpe_denoising_step"])
     network = flow_mdm("chain24", int(data["weight_seed"]), steps - absolute + 1, int(data["rpe_horizon"]))
@@ -193,7 +192,7 @@ def test_a_whole_chain_over_three_texts_is_as_published(folder):
     schedule, rng = Schedule.cosine(steps), np.random.default_rng(int(data["noise_seed"]))
     columns = dict.fromkeys(BodyPart, range(0)) | {BodyPart.LEGS: range(data["x_T"].shape[1])}
     sequences = guided_sequences(network, schedule, plans, embeddings, float(data["guidance"]))
-    predict, states = weave(sequences, plans, columns), []
+    predict, states = compose_tracks(sequences, plans, columns), []
 
     def draw(shape: torch.Size) -> Tensor:
         batch, count, features = shape

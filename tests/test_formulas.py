@@ -12,7 +12,7 @@ from test_equations import agree, drawn, filled
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.composing import NULL, collage, guided_crops, guided_sequences, weave
+from stmc.composing import NULL, collage, compose_tracks, guided_crops, guided_sequences
 from stmc.denoisers import FlowMdm, MdmSmpl
 from stmc.diffusion import Schedule, ddim, ddpm, dpm_solver
 from stmc.evaluators import Tmr, TmrObjective
@@ -125,13 +125,13 @@ class SlowFlow(Slow):
 
 @torch.no_grad()
 def test_a_whole_run_of_flow_mdm_is_its_equations_part_by_part():
-    network, weights = filled(FlowMdm(10, 4, 3, width=8, feedforward=8, layers=1, heads=2, horizon=4))
+    network, weights = filled(FlowMdm(10, 4, 3, width=8, feedforward=8, layers=1, heads=2, attention_window=4))
     [prompts] = TIMELINES[:1]
     texts = {name: drawn(1, 4, seed=10 + n) for n, name in enumerate([NULL, *(text for text, *_ in prompts)])}
     schedule, plans = Schedule.cosine(5), plans_of(timeline(*prompts), overlap=0)
     x, noises = drawn(1, plans[0].frames, 10), drawn(5, 1, plans[0].frames, 10, seed=2)
     stream = iter(noises)
-    predict = weave(guided_sequences(network, schedule, plans, texts, 2.0), plans, COLUMNS)
+    predict = compose_tracks(guided_sequences(network, schedule, plans, texts, 2.0), plans, COLUMNS)
     ours = torch.cat(list(ddpm(predict, schedule, x, lambda shape: next(stream), noise_scale="std")))
     slow = SlowFlow(prompts, 0, weights, {name: text.numpy() for name, text in texts.items()}, 2.0)
     theirs = formulas.ancestral(slow, schedule.alpha_bar.tolist(), range(5), x[0].numpy(), noises[:, 0].numpy())
@@ -173,7 +173,7 @@ def test_ranks_and_recalls_are_counted_one_by_one_also_among_ties_and_several_ri
     generator = np.random.default_rng(seed)
     table = torch.from_numpy(generator.integers(0, 6, (13, 13)) / 6)
     right = torch.from_numpy(generator.random((13, 13)) < 0.1) | torch.eye(13, dtype=torch.bool)
-    for found, each, true in zip(retrieval.both_ways(table, right), (table, table.T), (right, right.T), strict=True):
+    for found, each, true in zip(retrieval.t2m_m2t(table, right), (table, table.T), (right, right.T), strict=True):
         expected = np.array(formulas.standing(each.numpy(), true.numpy()))
         assert retrieval.ranks(each, true).tolist() == expected.tolist()
         assert found.recall == pytest.approx({k: 100 * (expected < k).mean() for k in found.recall})

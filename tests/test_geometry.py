@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 from stmc import geometry
-from stmc.body import MIRROR, PARENTS, ROTATED
+from stmc.body import MIRROR, NUM_ROTATIONS, PARENTS
 
 AXES = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.6, -0.8, 0.0), (-0.48, 0.6, 0.64)]
 ANGLES = [0.0, 1e-12, 1e-8, 1e-6, 1e-4, 0.1, 1.0, 3.0, math.pi - 1e-4, math.pi - 1e-7, math.pi]
@@ -106,7 +106,7 @@ def test_gram_schmidt_keeps_the_first_row_and_the_plane_of_both():
 
 
 def test_joints_are_where_a_slow_walk_down_the_tree_finds_them():
-    rotations, generator = random_rotations(4, ROTATED), torch.Generator().manual_seed(1)
+    rotations, generator = random_rotations(4, NUM_ROTATIONS), torch.Generator().manual_seed(1)
     offsets = torch.randn(24, 3, generator=generator, dtype=torch.float64)
     found = geometry.forward_kinematics(rotations, offsets, PARENTS)
     turned = geometry.global_rotations(rotations, PARENTS)
@@ -118,14 +118,14 @@ def test_joints_are_where_a_slow_walk_down_the_tree_finds_them():
                 position, at = rotations[frame, parent] @ (offsets[at] + position), parent
             at = joint
             while at >= 0:
-                rotation = (rotations[frame, at] @ rotation) if at < ROTATED else rotation
+                rotation = (rotations[frame, at] @ rotation) if at < NUM_ROTATIONS else rotation
                 at = PARENTS[at]
             assert_close(found[frame, joint], position)
             assert_close(turned[frame, joint], rotation)
 
 
 def test_kinematics_of_many_sequences_are_those_of_each():
-    rotations, offsets = random_rotations(2, 3, ROTATED), torch.randn(24, 3, dtype=torch.float64)
+    rotations, offsets = random_rotations(2, 3, NUM_ROTATIONS), torch.randn(24, 3, dtype=torch.float64)
     both = geometry.forward_kinematics(rotations, offsets, PARENTS)
     assert both.shape == (2, 3, 24, 3)
     assert_close(both[1], geometry.forward_kinematics(rotations[1], offsets, PARENTS))
@@ -165,8 +165,8 @@ def test_resampled_rotations_take_the_shortest_arc_in_proportion():
 
 
 def test_mirroring_twice_changes_nothing_and_once_swaps_the_sides():
-    rotations, positions = random_rotations(3, ROTATED), torch.randn(3, 24, 3, dtype=torch.float64)
-    order = MIRROR[:ROTATED]
+    rotations, positions = random_rotations(3, NUM_ROTATIONS), torch.randn(3, 24, 3, dtype=torch.float64)
+    order = MIRROR[:NUM_ROTATIONS]
     assert_close(geometry.mirror_rotations(geometry.mirror_rotations(rotations, order), order), rotations)
     assert_close(geometry.mirror_positions(geometry.mirror_positions(positions, MIRROR), MIRROR), positions)
     expected = positions[:, MIRROR.index(20)] * torch.tensor([-1.0, 1.0, 1.0])
@@ -176,21 +176,23 @@ def test_mirroring_twice_changes_nothing_and_once_swaps_the_sides():
 def test_mirrored_rotations_pose_the_mirror_image_of_a_symmetric_skeleton():
     offsets = torch.randn(24, 3, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
     offsets = (offsets + geometry.mirror_positions(offsets, MIRROR)) / 2
-    rotations = random_rotations(6, ROTATED)
+    rotations = random_rotations(6, NUM_ROTATIONS)
     posed = geometry.forward_kinematics(rotations, offsets, PARENTS)
-    mirrored = geometry.forward_kinematics(geometry.mirror_rotations(rotations, MIRROR[:ROTATED]), offsets, PARENTS)
+    mirrored = geometry.forward_kinematics(
+        geometry.mirror_rotations(rotations, MIRROR[:NUM_ROTATIONS]), offsets, PARENTS
+    )
     assert_close(mirrored, geometry.mirror_positions(posed, MIRROR))
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_results_have_the_dtype_of_the_arguments(dtype):
-    rotations = random_rotations(6, ROTATED, dtype=dtype)
+    rotations = random_rotations(6, NUM_ROTATIONS, dtype=dtype)
     results = [
         geometry.matrix_to_quaternion(rotations),
         geometry.rows_to_matrix(geometry.matrix_to_rows(rotations)),
         geometry.resample_rotations(rotations, 30, 20),
         geometry.resample_positions(rotations[..., 0], 30, 20),
-        geometry.mirror_rotations(rotations, MIRROR[:ROTATED]),
+        geometry.mirror_rotations(rotations, MIRROR[:NUM_ROTATIONS]),
         geometry.forward_kinematics(rotations, torch.ones(24, 3, dtype=dtype), PARENTS),
     ]
     assert {result.dtype for result in results} == {dtype}
@@ -268,14 +270,14 @@ def test_resampling_is_the_published_one_but_for_r10(folder, subtests):
 
 
 def rotations_of(poses):
-    return geometry.axis_angle_to_matrix(poses.reshape(-1, ROTATED, 3))
+    return geometry.axis_angle_to_matrix(poses.reshape(-1, NUM_ROTATIONS, 3))
 
 
 def mirroring_agrees_with_the_published_one(folder):
     data = golden(folder, "amass_prepare.npz")
-    assert data["mirror_joint_perm"].tolist() == list(MIRROR[:ROTATED])
+    assert data["mirror_joint_perm"].tolist() == list(MIRROR[:NUM_ROTATIONS])
     poses, expected = (rotations_of(torch.from_numpy(data[name])) for name in ("mirror_poses", "mirror_out_poses"))
-    assert_close(geometry.mirror_rotations(poses, MIRROR[:ROTATED]), expected, atol=1e-12, rtol=0)
+    assert_close(geometry.mirror_rotations(poses, MIRROR[:NUM_ROTATIONS]), expected, atol=1e-12, rtol=0)
     trans, expected = (torch.from_numpy(data[name])[:, None] for name in ("mirror_trans", "mirror_out_trans"))
     assert_close(geometry.mirror_positions(trans, [0]), expected, atol=1e-12, rtol=0)
 

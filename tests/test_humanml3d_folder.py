@@ -14,7 +14,8 @@ from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.data.preparation import LayoutError
 from stmc.data.sources import humanml3d as module
-from stmc.data.sources.humanml3d import Caption, ProcessedHumanML3D, read_captions
+from stmc.data.sources.humanml3d import ProcessedHumanML3D
+from stmc.data.sources.humanml3d_texts import Caption, read_captions
 
 
 @pytest.fixture(autouse=True)
@@ -83,7 +84,11 @@ def test_a_caption_s_line_has_four_parts_and_times_that_are_no_numbers_mean_the_
     ]
     (tmp_path / "a.txt").write_text("\n".join(lines))
     *good, no_times, no_text, back, words, far = read_captions(tmp_path / "a.txt")
-    assert good == [Caption("a man kicks.", 0.0, 0.0), Caption("walks", 0.0, 0.0), Caption("runs", 1.5, 4.0)]
+    assert good == [
+        Caption("a man kicks.", 0.0, 0.0, "a/DET man/NOUN"),
+        Caption("walks", 0.0, 0.0, "walk/VERB"),
+        Caption("runs", 1.5, 4.0, "run/VERB"),
+    ]
     assert "line 5 is not caption#tagged words#start#end but 'no times#no/DET'" in no_times
     assert "line 6" in no_text
     assert "line 7 is from 4 to 1 s" in back

@@ -8,7 +8,7 @@ import torch
 from helpers.bandai_files import about, posed, skeleton
 from torch import Tensor
 
-from stmc.benchmarks.ability import abilities, raises_while_walking
+from stmc.benchmarks.ability import abilities, keeps_running, raises_while_walking
 from stmc.body import JOINTS, BodyPart
 from stmc.geometry import rotation_z
 from stmc.metrics import kinematics
@@ -199,7 +199,7 @@ SHOWN = {
     "strolls": ((lambda: moving(speed=1.2)), ("walk forwards",)),
     "creeps": ((lambda: moving(speed=0.4)), ()),
     "jogs": ((lambda: moving(speed=1.8)), ("walk forwards", "run")),
-    "runs": ((lambda: moving(speed=2.7)), ("run",)),
+    "runs": ((lambda: moving(speed=2.7)), ("run", "run for 8 s", "run for 15 s", "run for 30 s")),
     "backs": ((lambda: moving(speed=-0.8)), ("walk backwards",)),
     "sidles": ((lambda: moving(speed=0.8, direction=math.pi / 2)), ()),
     "turns left": ((lambda: moving(speed=1.0, yaw_rate=0.4)), ("walk forwards", "turn left")),
@@ -260,16 +260,25 @@ def test_walking_must_go_on_during_the_raise():
     assert not raises_while_walking(stopping)
 
 
+def test_who_slows_down_to_a_walk_does_not_keep_running():
+    time = seconds(12.0)
+    pelvis = torch.zeros(len(time), 3, dtype=torch.float64)
+    for slow, kept in ((1.2, False), (2.2, True)):
+        speed = torch.where(time < 8, 2.6, slow)  # 2.1 m/s on the whole
+        pelvis[:, 1] = -torch.cumsum(speed / FPS, dim=0)
+        assert keeps_running(posed({}, pelvis)) == kept
+
+
 def test_every_ability_asks_for_its_text_on_the_parts_it_is_about():
     asked = {ability.name: ability.timeline for ability in abilities()}
-    assert len(asked) == 12
+    assert len(asked) == 15
     for name, timeline in asked.items():
         texts = [prompt.text for prompt in timeline.prompts]
-        assert texts == (["walk forwards", "raise the right arm"] if "meanwhile" in name else [name])
+        assert texts == (["walk forwards", "raise the right arm"] if "meanwhile" in name else [name.split(" for ")[0]])
         arms = {part for prompt in timeline.prompts for part in prompt.parts} & {BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM}
         named = {part for part in arms if str(part).split()[0] in name or "both" in name}
         assert arms == named, name
-        assert timeline.duration <= 10
+        assert timeline.duration == float(name.split()[2]) if " for " in name else timeline.duration <= 10
     assert all(0.85 <= ability.expected <= 1 for ability in abilities())
 
 

@@ -102,7 +102,7 @@ def every_layer_of_the_encoder_is_that_of_the_published_network(folder):
     for name in layers:
         close(seen[name][1], data[f"trace/{name}"].swapaxes(0, 1), limit_at(t))
     close(network._step(t)[0], data["trace/embed_timestep"][0], limit_at(t))
-    close(network.read(text), data["trace/embed_text"])
+    close(network.encode_text(text), data["trace/embed_text"])
     close(network.input_process["poseEmbedding"](x), data["trace/input_process"].swapaxes(0, 1))
     close(out, frames(data["out"]), limit_at(t))
     rows = torch.from_numpy(data["pe_rows_index"])

@@ -39,7 +39,9 @@ class OneWord(Hashes):
 def flow() -> Model:
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        network = FlowMdm(205, WIDTH, absolute_from=90, width=16, feedforward=32, layers=1, heads=2, horizon=20)
+        network = FlowMdm(
+            205, WIDTH, absolute_from=90, width=16, feedforward=32, layers=1, heads=2, attention_window=20
+        )
     return dataclasses.replace(tiny(), denoiser=network.eval().requires_grad_(False), text_encoder=OneWord())
 
 

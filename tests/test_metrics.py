@@ -82,7 +82,7 @@ def test_crops_lie_within_motions_and_reach_every_place():
 def test_ranks_count_what_is_better_and_half_of_what_is_as_good():
     table = torch.tensor([[0.5, 0.9, 0.1], [0.3, 0.3, 0.3], [0.1, 0.2, 0.3]])
     assert retrieval.ranks(table).tolist() == [1.0, 1.0, 0.0]
-    first, second = retrieval.both_ways(table)
+    first, second = retrieval.t2m_m2t(table)
     assert first.recall[1] == pytest.approx(100 / 3) and first.recall[2] == 100 and first.median_rank == 2
     assert second.recall[1] == pytest.approx(200 / 3)  # half a candidate is in the way of the third
 
@@ -109,17 +109,17 @@ def test_retrieval_of_what_cannot_be_ranked_is_an_error(table, right, message):
 @pytest.mark.parametrize("seed", range(3))
 def test_random_scores_find_the_right_one_as_often_as_chance(seed):
     table = normal(64, 64, seed)
-    found = retrieval.in_batches(table, [f"{i:02d}" for i in range(64)])[0]
+    found = retrieval.small_batches(table, [f"{i:02d}" for i in range(64)])[0]
     assert found.candidates == 32 and found.recall[10] < 75
     order = torch.randperm(64, generator=torch.Generator().manual_seed(seed))
     names = [f"{i:02d}" for i in range(64)]
-    shuffled = retrieval.in_batches(table[order][:, order], [names[i] for i in order])
-    assert shuffled == retrieval.in_batches(table, names)
+    shuffled = retrieval.small_batches(table[order][:, order], [names[i] for i in order])
+    assert shuffled == retrieval.small_batches(table, names)
 
 
 def test_texts_that_say_the_same_are_near_and_every_text_is_near_itself():
     sentences = torch.tensor([[1.0, 0.0], [2.0, 0.1], [0.0, 1.0], [0.0, 0.0]])
-    assert retrieval.near(sentences).int().tolist() == [[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    assert retrieval.similar_texts(sentences).int().tolist() == [[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 
 
 def test_matching_is_the_distance_of_pairs_and_precision_their_rank_among_32():

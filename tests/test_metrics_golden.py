@@ -44,7 +44,7 @@ def assert_retrieval(found: tuple[retrieval.Retrieval, retrieval.Retrieval], exp
 
 def retrieval_is_that_of_the_published_code(folder):
     data, expected = arrays(folder, "tmr_retrieval.npz"), golden(folder, "tmr_retrieval.json")
-    similar = retrieval.near(data["sent_emb"], float(data["threshold"]))
+    similar = retrieval.similar_texts(data["sent_emb"], float(data["threshold"]))
     for table, right, suffix in (
         (data["sims"], None, "ranks0"),
         (data["sims"], similar, "ranks0_thr"),
@@ -55,10 +55,10 @@ def retrieval_is_that_of_the_published_code(folder):
         assert torch.equal(retrieval.ranks(table.T, back).double(), data[f"m2t_{suffix}"].double())
     names = [f"{index:06d}" for index in range(len(data["guo_sims"]))]
     found = {
-        "normal": retrieval.both_ways(data["sims"]),
-        "threshold": retrieval.both_ways(data["sims"], similar),
-        "ties": retrieval.both_ways(data["sims_with_ties"]),
-        "guo": retrieval.in_batches(data["guo_sims"], names),
+        "normal": retrieval.t2m_m2t(data["sims"]),
+        "threshold": retrieval.t2m_m2t(data["sims"], similar),
+        "ties": retrieval.t2m_m2t(data["sims_with_ties"]),
+        "guo": retrieval.small_batches(data["guo_sims"], names),
     }
     protocols = {name: re.match("[a-z]+", name).group() for name in expected}
     assert set(protocols.values()) == set(found)

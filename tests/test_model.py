@@ -158,8 +158,8 @@ def test_a_prompt_longer_than_the_model_knows_is_sampled_in_pieces(model):
             super().__init__()
             self.network = network
 
-        def read(self, *text):
-            return self.network.read(*text)
+        def encode_text(self, *text):
+            return self.network.encode_text(*text)
 
         def denoise(self, x, *rest):
             crops.append(x.shape[1])
@@ -259,9 +259,9 @@ def test_a_text_is_read_once_and_not_at_every_step(model):
             super().__init__()
             self.network = network
 
-        def read(self, text, text_mask=None):
+        def encode_text(self, text, text_mask=None):
             read.append(text.shape)
-            return self.network.read(text, text_mask)
+            return self.network.encode_text(text, text_mask)
 
         def denoise(self, *given):
             return self.network.denoise(*given)

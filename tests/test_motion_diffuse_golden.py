@@ -31,9 +31,9 @@ def in_order(words: Tensor, ends) -> Tensor:
 def texts_are_read_as_by_the_published_network(folder):
     data = golden(folder, "md_text.npz")
     network = motion_diffuse(int(data["weight_seed"]))
-    read = network.read(texts(folder))
-    close(network.text_proj(read[:, 0]), data["xf_proj"])
-    words = in_order(read, data["eot"])
+    encoded = network.encode_text(texts(folder))
+    close(network.text_proj(encoded[:, 0]), data["xf_proj"])
+    words = in_order(encoded, data["eot"])
     close(words[0], data["xf_out_text0"])
     close(words[:, :4], data["xf_out_first4"])
     close(words[:, -2:], data["xf_out_last2"])
@@ -103,12 +103,13 @@ def the_last_ten_steps_are_those_of_the_published_code(folder):
     data = golden(folder, "md_last10_steps.npz")
     network, schedule = motion_diffuse(int(data["weight_seed"])), Schedule.linear(1000)
     x, length = torch.from_numpy(data["x_9"]), torch.from_numpy(data["length"])
-    read, noises = network.read(texts(folder)[data["text_index"]]), np.random.default_rng(int(data["noise_seed"]))
+    noises = np.random.default_rng(int(data["noise_seed"]))
+    encoded = network.encode_text(texts(folder)[data["text_index"]])
     states = []
 
     def predict(x: Tensor, t: int) -> Tensor:
         states.append(x)
-        output = network.denoise(x, torch.full((len(x),), t), read, None, mask(length, x.shape[1]))
+        output = network.denoise(x, torch.full((len(x),), t), encoded, None, mask(length, x.shape[1]))
         return schedule.to_x0(output, x, t, "eps")
 
     def draw(shape) -> Tensor:

@@ -2,10 +2,14 @@
 
 import dataclasses
 import json
+import os
+import shutil
 from collections.abc import Sequence
 from importlib.resources import files
+from multiprocessing import get_context
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from helpers.bandai_files import about, posed
@@ -17,12 +21,14 @@ from test_evaluators import evaluator
 from torch import Tensor
 
 import stmc
-from stmc.benchmarks import Benchmark, MultiTrack
-from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atomic_prompts, sample_timelines
+from stmc.benchmarks import Benchmark, MultiTrack, resampling
+from stmc.benchmarks.atomic_prompts import LONGEST, AtomicPrompt, read_atomic_prompts, sample_timelines
 from stmc.benchmarks.ground_truth import cache_reference_motions
 from stmc.benchmarks.multi_track import open_mtt
 from stmc.body import BodyPart
-from stmc.data.cache import Cache, CacheError, Clip
+from stmc.data.cache import HELD_OUT, Cache, CacheError, Clip
+from stmc.data.sources.bandai_sentences import CONTENTS, describe
+from stmc.data.sources.segments import splits
 from stmc.denoisers import FlowMdm
 from stmc.metrics.retrieval import cosines
 from stmc.motion import Motion
@@ -66,6 +72,12 @@ SHOWN = [joined(still("raise the left arm"), still("bow")), joined(still("bow", 
 
 def benchmark(**settings) -> MultiTrack:
     return MultiTrack.of(ASKED, ATOMS, ORACLE, lambda clip, start, end: still(clip), **settings)
+
+
+@pytest.fixture(autouse=True)
+def few_draws(monkeypatch) -> None:
+    """Of the bootstrap: what it measures is what is tested."""
+    monkeypatch.setattr(resampling, "DRAWS", 6)
 
 
 def test_motions_that_show_every_prompt_in_its_span_are_as_good_as_real_ones():
@@ -132,8 +144,39 @@ def test_what_geometry_can_tell_is_asked_of_the_crops_that_should_show_it():
     asked = {"raise the left arm": lambda motion: len(motion) == 60, "bow": lambda motion: len(motion) == 40}
     assert "shown" not in benchmark().measured("stmc", SHOWN, seed=0).metrics
     measured = benchmark(questions=asked)
-    assert measured.measured("stmc", SHOWN, seed=0).metrics["shown"] == pytest.approx(200 / 3)  # one bow lasts 60
+    scores = measured.measured("stmc", SHOWN, seed=0).metrics
+    assert scores["shown"] == pytest.approx(200 / 3)  # one bow lasts 60
+    assert scores["shown_chance"] == pytest.approx(100 / 3)  # all real motions last 60; two of three are asked to bow
     assert measured.real(0).metrics["shown"] == 50
+
+
+@pytest.mark.parametrize("method", ["stmc", "one_text", "independent"])
+def test_draws_of_timelines_are_measured_like_a_benchmark_of_the_drawn_ones(method):
+    """The oracle: a benchmark that asks for the drawn timelines, measured as a whole."""
+    questions = {"raise the left arm": lambda motion: len(motion) == 60, "bow": lambda motion: len(motion) == 40}
+    whole = benchmark(questions=questions)
+    frames = [[int(each.duration * FPS) for each in MultiTrack.timelines(whole, method)]]
+    shown = SHOWN if method != "independent" else [
+        still(each.prompts[0].text, count) for each, count in zip(whole.timelines(method), *frames, strict=True)
+    ]  # fmt: skip
+    found = whole.measured(method, shown, seed=0).resampled
+    per = len(shown) // len(ASKED)
+    assert {"shown", "recall_1", "m2t", "fid"} <= set(found) and all(
+        len(values) == resampling.DRAWS for values in found.values()
+    )
+    for draw, units in enumerate(np.random.default_rng(0).integers(2, size=(resampling.DRAWS, 2))):
+        some = MultiTrack.of(
+            [ASKED[unit] for unit in units], ATOMS, ORACLE, lambda clip, *_: still(clip), questions=questions
+        )
+        motions = [motion for unit in units for motion in shown[per * unit : per * (unit + 1)]]
+        expected = some.measured(method, motions, seed=0).metrics
+        for name in set(found) - {"fid_plus"}:  # whose crops are drawn anew
+            assert found[name][draw] == pytest.approx(expected[name], rel=1e-4, abs=1e-6), name
+
+
+def test_every_number_of_motions_has_draws_but_the_largest_hand_step():
+    scores = benchmark().measured("stmc", SHOWN, seed=0)
+    assert set(scores.metrics) - set(scores.resampled) == {"hand_step"}
 
 
 def test_real_motion_finds_itself_and_is_compared_with_as_much_of_itself():
@@ -158,12 +201,26 @@ def test_a_text_that_no_atom_has_is_named():
 def test_the_bundled_timelines_are_those_that_the_bundled_prompts_make():
     atoms, timelines = read_atomic_prompts(BUNDLED / "prompts.json"), Timeline.read_all(BUNDLED / "timelines.json")
     assert len(timelines) == 500
-    assert sample_timelines(atoms, 500, seed=0) == timelines
+    assert sample_timelines(atoms, 500, np.random.default_rng(0)) == timelines
     assert {prompt.text for timeline in timelines for prompt in timeline.prompts} == {atom.text for atom in atoms}
+
+
+def test_the_bundled_prompts_are_contents_of_both_data_sets_told_by_their_first_sentences():
+    atoms, contents = read_atomic_prompts(BUNDLED / "prompts.json"), {}
+    for content in reversed(CONTENTS.values()):
+        contents[content.sentences[0]] = content
+    assert len(atoms) >= 40
+    for atom in atoms:
+        content = contents[atom.text]
+        assert (atom.parts, atom.cyclic) == (content.parts, content.cyclic)
+        assert atom.end - atom.start <= LONGEST or not atom.cyclic
+        if not atom.clip.startswith("dataset-"):
+            assert splits()[atom.clip.split("/")[0]] in HELD_OUT
 
 
 def test_the_bundled_evaluator_finds_what_the_bundled_model_was_asked_for():
     atoms, ear, model = read_atomic_prompts(BUNDLED / "prompts.json"), stmc.load_evaluator(), stmc.load()
+    atoms = [atom for atom in atoms if atom.clip.startswith("dataset-")]  # of the data that both have learnt
     asked = [atom for atom in atoms if atom.text in ("walk", "turn left", "raise the right arm", "raise both arms")]
     timelines = [Timeline((Prompt(atom.text, 0, 4, atom.parts),)) for atom in asked]
     motions = model.generate(timelines, seed=0, steps=10, sampler=stmc.ddim)
@@ -192,19 +249,20 @@ class AnyText(Oracle):
         return torch.ones(len(texts), 132)
 
 
-def test_the_open_benchmark_takes_its_real_motion_from_the_test_split(tmp_path, monkeypatch):
+def test_the_open_benchmark_takes_its_real_motion_from_held_out_clips_of_several_caches(tmp_path, monkeypatch):
     monkeypatch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
     texts = [atom.text for atom in read_atomic_prompts(BUNDLED / "prompts.json")]
-    prepared(texts).write(tmp_path / "cache")
-    opened = open_mtt(AnyText(), tmp_path / "cache", first=3)
+    for name, some in (("one", texts[::2]), ("other", texts[1::2])):
+        prepared(some).write(tmp_path / name)
+    opened = open_mtt(AnyText(), [tmp_path / "one", tmp_path / "other"], first=3)
     assert len(opened.asked) == 3
     assert len(opened.truth.real) == 2 * len(texts)
 
 
-def test_a_text_that_the_test_split_does_not_show_is_named(tmp_path, work, quick):
+def test_a_text_that_no_held_out_clip_shows_is_named(tmp_path, work, quick):
     texts = [atom.text for atom in read_atomic_prompts(work / "assets" / "open_mtt" / "prompts.json")]
     prepared(texts[1:]).write(tmp_path / "cache")
-    with pytest.raises(CacheError, match=f"no clip of the test split shows '{texts[0]}'"):
+    with pytest.raises(CacheError, match=f"no held-out clip shows '{texts[0]}'"):
         open_mtt(AnyText(), tmp_path / "cache")
 
 
@@ -234,6 +292,70 @@ def work(tmp_path_factory) -> Path:
     (assets / "prompts.json").write_text(json.dumps([each for each in entries[1] if each["text"] in asked]))
     prepared(sorted(asked)).write(folder / "cache")
     return folder
+
+
+SHOTS = (
+    ("walk", "normal", "train", 60, False),
+    ("walk", "normal", "test", 240, False),
+    ("walk-left", "normal", "test", 120, False),
+    ("sit-down", "normal", "train", 40, False),
+    ("sit-down", "normal", "test", 40, True),
+    ("sit-down", "normal", "val", 50, False),
+    ("bow", "tired", "test", 120, False),
+    ("bow", "normal", "test", 20, False),
+    ("bow", "normal", "test", 80, False),
+    ("jump-up", "normal", "test", 30, True),
+    ("kick", "normal", "train", 60, False),
+)
+"""Content, style, split, frames and whether it is a mirror image."""
+
+
+def shots() -> Cache:
+    features, clips, start = [], [], 0
+    for number, (content, style, split, frames, mirrored) in enumerate(SHOTS):
+        key, cyclic, end = f"{content}/{style}", CONTENTS[content].cyclic, start + frames
+        parts = tuple(sorted(CONTENTS[content].parts))
+        clips.append(Clip(f"clip-{number}", content, style, key, parts, cyclic, mirrored, split, start, end))
+        features.append(REPRESENTATION.encode(still("bow", frames)).float())
+        start = end
+    return Cache(20, "smpl", torch.cat(features), tuple(clips), {c.texts: describe(c.content, c.style) for c in clips})
+
+
+def test_ground_truth_is_held_out_and_contents_without_any_are_named():
+    script, cache = loaded("open_mtt"), shots()
+    prompts = script.atomic_prompts(cache)
+    assert [(each.text, each.clip, each.end) for each in prompts] == [
+        ("bow", "clip-8", 4.0),  # neither the one in a style nor the brief one
+        ("sit down", "clip-5", 2.5),
+        ("walk", "clip-1", 9.2),  # any of its pieces is a walk
+    ]
+    assert [(each.longest, each.cyclic) for each in prompts] == [(9.0, False), (4.0, False), (9.2, True)]
+    assert script.left_out(cache, prompts) == ["jump-up", "kick"]
+
+
+def test_each_of_two_clips_at_once_is_asked_about_and_all_of_what_happens_once_is_there():
+    script, cache = loaded("open_mtt"), shots()
+    prompts = script.atomic_prompts(cache)
+    bow, sit, walk = (each.text for each in prompts)
+    alone, composed = script.alone(cache, prompts), script.composed(cache, prompts)
+    assert sorted(map(len, alone[walk])) == [120, 184]
+    assert {len(motion) for motion in composed[walk]} == {120, 184}
+    assert {len(motion) for motion in composed[sit]} <= {40, 50}  # on legs: as long as the sitting itself
+    assert {len(motion) for motion in composed[bow]} <= {20, 80, 120}
+    whole = dataclasses.replace(prompts[0], parts=frozenset(BodyPart))
+    assert script.composed(cache, [whole, prompts[2]])[bow] == []
+
+
+def test_the_open_benchmark_is_the_same_for_its_seed_and_says_how_its_prompts_are_heard(work, tmp_path, capsys):
+    shots().write(tmp_path / "cache")
+    for name, seed in (("one", 3), ("same", 3), ("other", 4)):
+        settings = (f"cache=[{tmp_path / 'cache'}]", f"output={tmp_path / name}", f"seed={seed}", "count=5")
+        run("open_mtt", "open_mtt", *settings, f"evaluator={work / 'tmr'}")
+    made = {name: (tmp_path / name / "timelines.json").read_text("utf-8") for name in ("one", "same", "other")}
+    assert made["one"] == made["same"] != made["other"]
+    assert len(Timeline.read_all(tmp_path / "one" / "timelines.json")) == 5
+    printed = capsys.readouterr().out
+    assert "no held-out clip shows jump-up, kick" in printed and "R@1" in printed
 
 
 def evaluated(work: Path, *settings: str) -> None:
@@ -317,6 +439,54 @@ def test_a_killed_run_keeps_the_motions_it_had_made(work, quick, monkeypatch):
     evaluated(work, f"output={work / 'whole'}", *settings[1:])
     killed, whole = (read_results(work / name / "results.jsonl") for name in ("killed", "whole"))
     assert killed == whole
+
+
+def few(output: Path) -> tuple[str, ...]:
+    methods, figure = "experiment.methods=[stmc]", "experiment.figure=null"
+    return (f"output={output}", "seeds=[3]", "experiment.settings.steps=[2]", methods, figure)
+
+
+def test_shares_make_what_one_process_makes_and_the_last_one_measures(work, quick, tmp_path, capsys):
+    evaluated(work, *few(tmp_path / "whole"))
+    assert not (tmp_path / "shares" / "results.jsonl").exists()
+    evaluated(work, *few(tmp_path / "shares"), "shard=2/2")
+    assert "share 2/2 is made" in capsys.readouterr().out
+    assert {each.method for each in read_results(tmp_path / "shares" / "results.jsonl")} == {"ground_truth"}
+    with pytest.raises(ValueError, match=r"motions are missing of shard 1/2 \(1\); ask for these"):
+        evaluated(work, *few(tmp_path / "shares"), "shard=all/2")
+    evaluated(work, *few(tmp_path / "shares"), "shard=1/2")
+    one, two = (read_results(tmp_path / name / "results.jsonl") for name in ("whole", "shares"))
+    assert one == two  # a timeline at a time: bit for bit
+    assert (tmp_path / "whole" / "comparison.txt").read_text() == (tmp_path / "shares" / "comparison.txt").read_text()
+
+
+def test_shares_made_in_different_folders_are_one_run_once_they_are_in_one(work, quick, tmp_path):
+    for number in (1, 2):
+        evaluated(work, *few(tmp_path / str(number)), f"shard={number}/2")
+    shutil.copytree(tmp_path / "1" / "unfinished", tmp_path / "2" / "unfinished", dirs_exist_ok=True)
+    evaluated(work, *few(tmp_path / "2"), "shard=all/2")
+    assert {each.method for each in read_results(tmp_path / "2" / "results.jsonl")} == {"ground_truth", "stmc"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_two_processes_at_once_evaluate_without_losing_a_record(work, quick, tmp_path):
+    several = ("experiment.settings.steps=[2,3,4]", "experiment.table._target_=stmc.results.sweep_table")
+
+    def share(rank: int) -> None:
+        os.environ |= {"RANK": str(rank), "WORLD_SIZE": "2"}
+        evaluated(work, *few(tmp_path / "out"), *several, "+experiment.table.varied=[steps]")
+
+    processes = [get_context("fork").Process(target=share, args=(rank,)) for rank in (0, 1)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0, 0]
+    results = read_results(tmp_path / "out" / "results.jsonl")
+    assert sorted(each.sampling.steps or 0 for each in results) == [0, 2, 3, 4]
+    assert (tmp_path / "out" / "comparison.txt").exists()
+    assert not list((tmp_path / "out" / "unfinished").iterdir())
 
 
 EXPERIMENTS = sorted({path.stem for path in (ROOT / "configs" / "experiment").glob("*.yaml")} - {"base"})

@@ -276,6 +276,15 @@ def test_pieces_that_own_nothing_are_not_planned():
     assert [(crop.start, crop.end) for crop in ours.crops if crop.text == "walk"] == [(0, 50)]
 
 
+def test_what_happens_once_has_its_text_in_its_first_piece_alone():
+    timeline = Timeline([Prompt("walk", 0, 15, {"legs"}), Prompt("raise", 2, 15, {"left arm"})])
+    asked, once = plan(timeline, 20, 10, longest=160), plan(timeline, 20, 10, longest=160, once={"raise"})
+    assert [crop.text for crop in asked.crops[:4]] == ["walk", "walk", "raise", "raise"]
+    assert [crop.text for crop in once.crops[:4]] == ["walk", "walk", "raise", None]
+    assert [(crop.start, crop.end) for crop in once.crops] == [(crop.start, crop.end) for crop in asked.crops]
+    assert once.tiles == asked.tiles
+
+
 def test_a_gap_longer_than_longest_is_split_too():
     ours = plan(Timeline([Prompt("a", 10, 11)]), 10, 4, longest=60)
     assert spans(ours)[:3] == [("a", 98, 110), (None, 0, 52), (None, 48, 102)]

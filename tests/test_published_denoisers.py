@@ -6,12 +6,11 @@ from torch import Tensor, nn
 
 from stmc.denoisers import Denoiser, MdmDecoder, MdmEncoder, MotionDiffuse, Network
 from stmc.denoisers.layers import DecoderLayer, PostNormLayer
-from stmc.denoisers.network import WIDEST
-from stmc.statistics import Statistics
+from stmc.statistics import WIDEST, Statistics
 from stmc.tensors import mask
 
 SIZES = {"features": 7, "text_width": 5, "width": 16, "feedforward": 32, "layers": 2, "heads": 4}
-READING = {"read_width": 8, "read_feedforward": 16, "read_layers": 2, "read_heads": 2}
+READING = {"text_latent_width": 8, "text_feedforward": 16, "text_layers": 2, "text_heads": 2}
 NETWORKS = {
     "encoder": lambda: MdmEncoder(**SIZES),
     "decoder": lambda: MdmDecoder(**SIZES),
@@ -47,7 +46,7 @@ def test_they_are_denoisers(network):
 @torch.no_grad()
 def test_a_text_that_was_read_once_gives_the_same_answer(network):
     x, t, text = inputs()
-    assert torch.equal(network.denoise(x, t, network.read(text)), network(x, t, text))
+    assert torch.equal(network.denoise(x, t, network.encode_text(text)), network(x, t, text))
 
 
 @torch.no_grad()

@@ -54,7 +54,7 @@ def statistics(folder: Path, dataset: str) -> dict[str, torch.Tensor]:
 def write(folder: Path, dataset: str, extra: dict | None = None) -> FlowMdm:
     """As FlowMDM's training writes them, of a small network."""
     folder.mkdir(exist_ok=True)
-    sizes = {"width": 16, "feedforward": 32, "layers": 1, "heads": 2, "horizon": 9}
+    sizes = {"width": 16, "feedforward": 32, "layers": 1, "heads": 2, "attention_window": 9}
     network = checkpoints.seeded(lambda: FlowMdm(FEATURES[dataset], 512, 0, **sizes))
     torch.save(network.state_dict() | tables(16) | (extra or {}), folder / FILE[dataset])
     said = {"dataset": dataset, "latent_dim": 16, "num_heads": 2, "rpe_horizon": 9, "bpe_training_ratio": 0.5}
@@ -72,7 +72,7 @@ def test_a_checkpoint_becomes_a_model_that_is_sampled_as_published(tmp_path, dat
         assert torch.equal(model.denoiser.state_dict()[name], value)
     babel = dataset == "babel"
     assert isinstance(model.representation, BabelRepresentation if babel else HumanML3DRepresentation)
-    assert model.denoiser.horizon == 9
+    assert model.denoiser.attention_window == 9
     assert model.denoiser.absolute_from == (876 if babel else 941)
     assert (model.fps, model.longest, model.own_sampling.guidance, model.own_sampling.noise_scale) == (
         (30, 250, 1.5, "std") if babel else (20, 196, 2.5, "std")

@@ -24,3 +24,15 @@ def test_settings_of_an_earlier_training_have_todays_paths_and_no_other_setting_
         "data.dataset.min_clips": 2,
         "data.dataset._target_": "stmc.data.dataset.Dataset",
     }
+
+
+def test_arguments_have_todays_names_beside_their_own_class_alone():
+    old = {"_target_": "stmc.denoisers.FlowMdm", "horizon": 100, "skipped": 0.05, "width": 16}
+    own = {"_target_": "mylab.Net", "horizon": 100}
+    new = {"_target_": "stmc.denoisers.FlowMdm", "attention_window": 100, "stochastic_depth": 0.05, "width": 16}
+    assert with_new_names({"denoiser": old, "other": own}) == {"denoiser": new, "other": own}
+    flat = {f"denoiser.{name}": value for name, value in old.items()}
+    assert with_new_paths(flat) == {f"denoiser.{name}": value for name, value in new.items()}
+    flat = {f"denoiser.{name}": value for name, value in own.items()}
+    assert with_new_paths(flat) == flat
+    assert with_new_names({"_target_": ["no", "name"]}) == {"_target_": ["no", "name"]}

@@ -2,8 +2,10 @@
 
 import json
 import math
+from dataclasses import replace
 from itertools import product
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,6 +22,7 @@ from stmc.results import (
     write_results,
 )
 from stmc.results.charts import bars, quality_against_cost, sweep
+from stmc.results.intervals import bootstrap
 from stmc.sampling import Sampling
 
 SETTINGS = {"steps": 100, "sampler": "ddpm", "overlap": 0.5, "guidance": 2.5}
@@ -62,6 +65,48 @@ def test_one_value_has_no_interval_and_none_no_mean():
     assert estimate([5.0]).half is None
     with pytest.raises(ValueError, match="no values"):
         estimate([])
+
+
+def test_timelines_and_seeds_that_add_up_have_the_interval_of_both_variances():
+    """x = a_timeline + b_seed, crossed: the mean's variance is var(a) / timelines + var(b) / seeds, each variance with
+    its n below, as a bootstrap sees it."""
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=30), np.array([0.0, 0.5, 1.5])
+    drawn = a[rng.integers(30, size=(40_000, 30))].mean(axis=1)
+    found = bootstrap([a.mean() + each for each in b], [(drawn + each).tolist() for each in b])
+    assert found.mean == pytest.approx(a.mean() + b.mean())
+    assert found.half == pytest.approx(1.959964 * math.sqrt(a.var() / 30 + b.var() / 3), rel=0.03)
+    alone = bootstrap([a.mean()], [drawn.tolist()])
+    assert alone.half == pytest.approx(1.959964 * a.std() / math.sqrt(30), rel=0.03)
+    with pytest.raises(ResultError, match="different draws"):
+        bootstrap([1, 2], [[1.0, 2.0], [1.0]])
+
+
+def with_draws(results: list[Result], name: str = "recall_3") -> list[Result]:
+    """The same with draws of one metric, 1 up and 1 down."""
+    return [replace(each, resampled={name: [each.metrics[name] + sign for sign in (-1, 1)]}) for each in results]
+
+
+def test_the_table_says_what_is_by_bootstrap_and_what_is_not():
+    one = with_draws(runs("stmc", [50]))
+    text = comparison_table(one).text()
+    half = 1.959964 * math.sqrt(2)
+    assert f"50.0±{half:.1f}" in cells(text, "STMC (cross-faded)")
+    assert "one seed each ± 95% confidence intervals (bootstrap over timelines; Transition distance: none)." in text
+    text = comparison_table([REAL, *with_draws([*runs("stmc", [50, 52]), *runs("sinc", [49, 51])])]).text()
+    assert "(bootstrap over timelines and seeds; Transition distance: over seeds alone, t distribution)." in text
+    mixed = comparison_table([*with_draws(runs("stmc", [50, 52])), *runs("sinc", [49, 51])]).text()
+    assert "Transition distance: over seeds alone, t distribution; R@3: some rows over seeds alone)." in mixed
+
+
+def test_action_success_is_headed_by_what_it_is_by_chance():
+    results = [
+        Result("stmc", 0, {"shown": 90.0, "shown_chance": 20.6}, "mdm"),
+        Result("sinc", 0, {"shown": 80.0}, "mdm"),
+    ]
+    assert "Action success rate (%; by chance 21) ↑" in comparison_table(results).text()
+    assert r"Action success rate (\%; by chance 21) $\uparrow$" in comparison_table(results).latex()
+    assert "Action success rate (%) ↑" in comparison_table(results[1:]).text()
 
 
 def test_the_best_of_each_column_is_marked_in_its_direction_and_never_the_ground_truth():
@@ -128,6 +173,7 @@ anything = st.builds(
     method=st.text(),
     seed=st.integers(),
     metrics=st.dictionaries(st.text(), numbers),
+    resampled=st.dictionaries(st.text(), st.lists(numbers, max_size=3)),
     denoiser=st.text(),
     sampling=st.builds(
         Sampling,
@@ -145,6 +191,16 @@ def test_records_are_read_as_they_were_written(tmp_path_factory, results):
     write_results(results, path)
     assert read_results(path) == results
     assert len(path.read_text("utf-8").split("\n")) == len(results) + 1
+
+
+def test_records_of_earlier_versions_have_todays_settings(tmp_path):
+    old = {"method": "stmc", "seed": 0, "metrics": {"late": 1.0}, "spread": "std", "late": 0.2, "absolute": 0.1}
+    path = tmp_path / "results.jsonl"
+    path.write_text(json.dumps(old) + "\n" + json.dumps(old | {"stitch_from": 0.5}))
+    first, second = read_results(path)
+    assert first.sampling == Sampling(noise_scale="std", stitch_from=0.2, ape_steps=0.1)
+    assert second.sampling.stitch_from == 0.5
+    assert first.metrics == {"late": 1.0}
 
 
 @pytest.mark.parametrize(

@@ -350,7 +350,7 @@ def test_the_bundled_model_loads_is_small_and_says_where_it_comes_from():
     assert (bundled() / WEIGHTS).stat().st_size < 16 * 2**20
     assert model.fps == 20
     card = (bundled() / CARD).read_text("utf-8")
-    for words in ("CC BY-NC 4.0", "Bandai Namco", "Kobayashi"):
+    for words in ("CC BY-NC 4.0", "Bandai Namco", "Kobayashi", "mocap.cs.cmu.edu"):
         assert words in card
     config = json.dumps(OmegaConf.to_container(OmegaConf.load(bundled() / CONFIG)))
     assert "/" not in config, "no paths of the machine that trained it"

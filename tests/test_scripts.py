@@ -173,7 +173,7 @@ def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):
     assert sorted(path.name for path in folder.iterdir()) == names
     for name, frames in (("two_0000_0", 40), ("two_0001_0", 20)):
         with np.load(folder / f"{name}.npz", allow_pickle=False) as archive:
-            assert archive["poses"].shape == (frames, 66)
+            assert archive["poses"].shape == (frames, 156)
             assert archive["joints"].shape == (frames, 24, 3)
             assert float(archive["mocap_framerate"]) == 20
         assert f"Frames: {frames}" in (folder / f"{name}.bvh").read_text()
@@ -223,6 +223,7 @@ def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample,
     assert jobs_left(sample, config) == 0
     for change in ("guidance=2", "overlap=0.6", "method=sinc", "sampler=ddim", "noise_scale=std", "seed=1", "fps=30"):
         assert jobs_left(sample, settings(*base, change)) == 1, change
+    assert jobs_left(sample, settings(*base, "clean_feet=true")) == 1
     assert jobs_left(sample, settings(*base[:3], "steps=3")) == 1
     assert jobs_left(sample, settings(*base, "samples=3")) == 2
     assert jobs_left(sample, settings(*base[:2], "steps=2", "formats=[npz,bvh]")) == 1
@@ -234,6 +235,37 @@ def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample,
     assert jobs_left(sample, settings(base[0], *base[2:], f"model={moved}")) == 0
     stmc.save(tiny(longest=99), moved, "")
     assert jobs_left(sample, settings(base[0], *base[2:], f"model={moved}")) == 1
+
+
+def test_feet_are_cleaned_and_files_are_of_all_kinds_where_that_is_asked(sample, run, tmp_path):
+    kinds = ["npz", "bvh", "glb", "csv", "xml", "webp"]
+    config = settings(f"model={run}", f"output={tmp_path}", f"formats=[{','.join(kinds)}]", "clean_feet=true", "fps=5")
+    timeline = stmc.Timeline.parse("nod # 0 # 1")
+    [motion] = stmc.load(run).generate(timeline, steps=2)
+    paths = sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
+    assert [path.suffix[1:] for path in paths] == kinds and all(path.stat().st_size for path in paths)
+    written = stmc.read(tmp_path / "nod_0.npz")
+    assert torch.allclose(written.joints, stmc.clean_feet(motion).resampled(5).joints, atol=1e-4)
+
+
+def test_what_is_kept_changed_and_constrained_decides_what_a_motion_becomes(sample, run, tmp_path):
+    """By the contents of the files, wherever they are."""
+    timeline = stmc.Timeline.parse("walk # 0 # 2")
+    [motion] = tiny().generate(timeline, steps=2)
+    stmc.write(motion, tmp_path / "old.npz")
+    (tmp_path / "beside.json").write_text('[{"heading": {"angle": 1, "start": 1.5}}]')
+    base = (f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz]", "steps=2")
+    keep = (f"keep={tmp_path / 'old.npz'}", 'change=["1 # 2"]', f"constraints={tmp_path / 'beside.json'}")
+    config, job = settings(*base, *keep), sample.Job("walk_0", timeline, 0)
+    [changed] = tiny().generate(timeline, steps=2, **sample.beside(config))
+    assert (changed.joints - motion.joints)[:20].abs().max() < 1e-5
+    assert (changed.joints - motion.joints)[25:35].abs().max() > 1e-3
+    sample.save(changed, job, config, fingerprint(run))
+    assert sample.finished(job, config, fingerprint(run))
+    for other in (keep[:2], keep[:1] + keep[2:], keep[1:]):
+        assert not sample.finished(job, settings(*base, *other), fingerprint(run))
+    (tmp_path / "beside.json").write_text('[{"heading": {"angle": 2, "start": 1.5}}]')
+    assert not sample.finished(job, config, fingerprint(run))
 
 
 def test_a_moved_model_is_the_same_and_another_model_in_its_place_is_not(sample, run, tmp_path):
@@ -260,7 +292,7 @@ def test_a_motion_whose_files_cannot_be_written_is_not_taken_for_finished(sample
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
     sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
-    monkeypatch.setattr(stmc, "write", lambda *_: (_ for _ in ()).throw(OSError("no space left on device")))
+    monkeypatch.setattr(stmc, "write", lambda *_, **__: (_ for _ in ()).throw(OSError("no space left on device")))
     with pytest.raises(OSError, match="no space"):
         sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
     assert jobs_left(sample, config) == 1

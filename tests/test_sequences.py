@@ -9,12 +9,11 @@ from hypothesis import given
 from torch import Tensor
 
 from stmc.body import BodyPart
-from stmc.composing import SequenceDenoiser, body_sequences, guided_sequences, weave
+from stmc.composing import SequenceDenoiser, body_sequences, compose_tracks, guided_sequences
 from stmc.denoisers import Denoiser, FlowMdm
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
 from stmc.tensors import mask
-from stmc.training.loss import Denoising, draw_noise
-from stmc.training.sequences import Sequences
+from stmc.training.loss import Batch, Denoising, draw_noise
 
 SCHEDULE = Schedule.cosine(20)
 
@@ -30,11 +29,11 @@ class ConstantPerFrame:
         return text.take_along_dim(segment[..., None], dim=1).expand_as(x)
 
 
-def small_network(horizon: int = 7, absolute_from: int = 10) -> FlowMdm:
+def small_network(attention_window: int = 7, absolute_from: int = 10) -> FlowMdm:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         sizes = {"width": 16, "feedforward": 32, "layers": 2, "heads": 2}
-        network = FlowMdm(10, 4, absolute_from, horizon=horizon, **sizes)
+        network = FlowMdm(10, 4, absolute_from, attention_window=attention_window, **sizes)
         with torch.no_grad():
             network.seqTransEncoder.pos_emb["absolute"].scale.fill_(2.0)
             for parameter in network.parameters():
@@ -67,7 +66,7 @@ def test_sequences_cover_every_frame_of_every_part_once(drawn):
     sequences = body_sequences(plan)
     assert sorted(part for parts in sequences.values() for part in parts) == sorted(BodyPart)
     for sequence in sequences:
-        assert [stretch.start for stretch in sequence] == [0, *(stretch.end for stretch in sequence[:-1])]
+        assert [segment.start for segment in sequence] == [0, *(segment.end for segment in sequence[:-1])]
         assert sequence[-1].end == plan.frames
 
 
@@ -91,7 +90,7 @@ def test_a_text_without_an_embedding_and_one_of_two_words_are_errors():
 def predictor(denoiser, timelines, weight: float, **options):
     plans = plans_of(*timelines, overlap=0)
     sequences = guided_sequences(denoiser, SCHEDULE, plans, embeddings(plans), weight, **options)
-    return plans, weave(sequences, plans, COLUMNS)
+    return plans, compose_tracks(sequences, plans, COLUMNS)
 
 
 @pytest.mark.parametrize("weight", [0.0, 1.0, 2.5])
@@ -173,7 +172,7 @@ def dense(network: FlowMdm, x, t, text, present, segment) -> Tensor:
         frames = encoder.project_in(network.input_process["poseEmbedding"](x[row]))
         if absolute:
             frames = frames + encoder.pos_emb["absolute"].scale * torch.cat([angle.sin(), angle.cos()], dim=1)
-        seen = ((number[:, None] - number).abs() <= network.horizon) & present[row]
+        seen = ((number[:, None] - number).abs() <= network.attention_window) & present[row]
         seen = seen & (ids[:, None] == ids) if absolute else seen
         seen = seen | torch.eye(len(ids), dtype=torch.bool)
         condition = step[row] + network.embed_text(text[row])[ids]
@@ -211,7 +210,7 @@ def test_relative_steps_do_not_know_where_in_the_sequence_they_are_and_absolute_
     x, text = torch.randn(1, 60, 10), torch.randn(1, 2, 4)
     segment = torch.tensor([[0] * 25 + [1] * 35])
     relative, absolute = torch.tensor([3]), torch.tensor([15])
-    depth = 2 * network.horizon  # two layers
+    depth = 2 * network.attention_window  # two layers
     whole = network(x, relative, text, None, None, segment)
     cut = network(x[:, 5:], relative, text, None, None, segment[:, 5:])
     torch.testing.assert_close(whole[:, 5 + depth :], cut[:, depth:], atol=1e-4, rtol=0)
@@ -248,19 +247,19 @@ def test_in_training_rows_are_relative_or_absolute_by_chance_and_halves_of_layer
     network.seqTransEncoder.dropout.p = 0.0
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(0)
-        network.seqTransEncoder.attn_layers.skipped = 0.0
+        network.seqTransEncoder.attn_layers.stochastic_depth = 0.0
         out = network(x, torch.full((200,), 5), text)
         assert len(torch.unique(out.round(decimals=3), dim=0)) == 2
         assert 70 < int((out - out[0]).abs().amax(dim=(1, 2)).lt(1e-3).sum()) < 130
-        network.seqTransEncoder.attn_layers.skipped = 0.5
+        network.seqTransEncoder.attn_layers.stochastic_depth = 0.5
         absolute, t = torch.ones(1, dtype=torch.bool), torch.full((1,), 5)
-        ways = [network.encoded(x[:1], t, network.read(text[:1]), absolute) for _ in range(100)]
+        ways = [network.blended(x[:1], t, network.encode_text(text[:1]), absolute) for _ in range(100)]
         assert len(torch.unique(torch.cat(ways).round(decimals=3), dim=0)) == 2**4
 
 
 def test_every_weight_learns_from_a_padded_batch_of_several_segments():
     network = small_network().train()
-    network.seqTransEncoder.attn_layers.skipped = 0.0
+    network.seqTransEncoder.attn_layers.stochastic_depth = 0.0
     x, text = torch.randn(8, 30, 10), torch.randn(8, 2, 4)
     segment, present = (
         torch.tensor([[0] * 12 + [1] * 18]).expand(8, -1),
@@ -280,7 +279,7 @@ def test_the_denoisers_objective_tells_of_segments():
     segment = torch.tensor([[0] * 12 + [1] * 18]).expand(2, -1)
     losses = []
     for each in (segment, 1 - segment):
-        batch = Sequences(motion, None, text, None, 60, each)
+        batch = Batch(motion, None, text, None, 60, segment=each)
         terms = Denoising(SCHEDULE)(network, batch, generator.manual_seed(0))
         t, noise = draw_noise(batch, SCHEDULE.steps, generator.manual_seed(0))
         out = network(SCHEDULE.q_sample(motion, t, noise), t, text, None, None, each)
@@ -303,8 +302,8 @@ def test_half_precision_is_close_to_full_on_a_long_sequence():
 def test_what_cannot_be_built_or_denoised_is_an_error():
     with pytest.raises(ValueError, match="width 15 must be even"):
         FlowMdm(10, 4, 0, width=15)
-    with pytest.raises(ValueError, match="horizon 0 must be at least 1"):
-        FlowMdm(10, 4, 0, horizon=0)
+    with pytest.raises(ValueError, match="attention_window 0 must be at least 1"):
+        FlowMdm(10, 4, 0, attention_window=0)
     with pytest.raises(ValueError, match="2 words a text: FlowMdm reads one"):
         small_network()(torch.zeros(1, 5, 10), torch.zeros(1, dtype=torch.int64), torch.zeros(1, 2, 4))
 
@@ -317,7 +316,7 @@ def test_a_motion_is_the_same_alone_and_in_a_batch():
 
     def sampled(chosen: slice, budget: int) -> Tensor:
         some = plans[chosen]
-        predict = weave(guided_sequences(network, SCHEDULE, some, table, budget=budget), some, COLUMNS)
+        predict = compose_tracks(guided_sequences(network, SCHEDULE, some, table, budget=budget), some, COLUMNS)
         draw = Noise(range(5, 8)[chosen], lengths[chosen], 10, dtype=torch.float64)
         return last(ddpm(predict, SCHEDULE, draw(), draw))
 

@@ -218,6 +218,25 @@ def test_settings_that_cannot_be_meant_are_errors(wrong):
         Settings(**({"steps": 10} | wrong))
 
 
+def test_without_average_clipping_and_warm_up_a_run_is_plain_adamw(tmp_path):
+    plain = {"warmup": 0, "ema_decay": 0.0, "grad_clip": None, "final_lr_ratio": 1.0, "precision": "fp32", "lr": 0.05}
+    trained = trainer(tmp_path, Constant(LAYOUT.width), steps=6, **plain)
+    batches, oracle = trained.batches, Constant(LAYOUT.width)
+    average = trained.run()
+    optimizer = torch.optim.AdamW(oracle.parameters(), lr=0.05, weight_decay=0.01)
+    for step in range(6):
+        generator = torch.Generator().manual_seed(loop._seed(0, step, 0))
+        pieces = batches(step, 0)
+        for piece in pieces:
+            terms = trained.objective(oracle, piece, generator)
+            (terms.mean() / sum(each.frames for each in pieces)).backward()
+        optimizer.step()
+        optimizer.zero_grad()
+    torch.testing.assert_close(trained.network.frame.data, oracle.frame.data)
+    assert torch.equal(average.frame.data, trained.network.frame.data)
+    assert all(trained.settings.lr_at(step) == 0.05 for step in range(6))
+
+
 def test_the_average_follows_at_the_warmed_up_decay():
     network = nn.Linear(1, 1)
     ema = Ema(network, decay=0.9)

@@ -21,12 +21,11 @@ from stmc.body_model import Skeleton, load_body
 from stmc.geometry import rotation_z
 from stmc.motion import Motion
 from stmc.planning import plan
+from stmc.skins import PARTS, Skin, build_mannequin, skin_of
 from stmc.timeline import Timeline
 from stmc.viewing import film_strip, plot_plan, plot_timeline, render_html, view
 from stmc.viewing.camera import framing
-from stmc.viewing.colours import NEUTRAL, as_rgb, hand_overs, ink, owners, palette, worn
-from stmc.viewing.mannequin import dressed, sculpt
-from stmc.viewing.skin import PARTS, Skin
+from stmc.viewing.colours import NEUTRAL, as_rgb, ink, owners, palette, part_colours, transitions
 
 WALK, RAISE = "walk forwards", "raise the right arm"
 RIGHT, LEGS = PARTS.index("right arm"), PARTS.index("legs")
@@ -63,7 +62,7 @@ def _luminance(colour: str) -> float:
 
 
 def test_a_part_wears_its_prompt_s_colour_and_neutral_in_gaps_and_between_prompts(timeline):
-    colours = worn(timeline, fps=20.0, frames=120, overlap=0.5)
+    colours = part_colours(timeline, fps=20.0, frames=120, overlap=0.5)
     walk, lift = map(as_rgb, palette(2))
     assert colours.shape == (120, 5, 3)
     assert colours[20, RIGHT] == pytest.approx(walk)
@@ -85,17 +84,17 @@ def test_owners_cover_the_motion_even_where_the_timeline_is_longer_or_shorter(ti
 
 def test_transitions_lie_around_hand_overs_and_within_the_motion():
     spans = ((0, 0, 4), (1, 4, 60), (None, 60, 80))
-    assert hand_overs(spans, fps=20.0, overlap=0.5) == [(0.0, 9.0), (55.0, 65.0)]
+    assert transitions(spans, fps=20.0, overlap=0.5) == [(0.0, 9.0), (55.0, 65.0)]
 
 
 def test_without_a_timeline_everything_has_one_colour_that_is_not_neutral():
-    colours = worn(None, fps=20.0, frames=7)
+    colours = part_colours(None, fps=20.0, frames=7)
     assert len(np.unique(colours.reshape(-1, 3), axis=0)) == 1
     assert colours[0, 0] == pytest.approx(as_rgb(palette(1)[0]))
 
 
 def test_the_mannequin_is_closed_faces_outwards_and_is_carried_by_its_joints():
-    skin = sculpt(Skeleton.default())
+    skin = build_mannequin(Skeleton.default())
     assert skin.weights.sum(axis=1) == pytest.approx(np.ones(len(skin.vertices)))
     assert skin.weights.min() >= 0
     assert set(skin.parts) == set(range(5))
@@ -108,7 +107,7 @@ def test_the_mannequin_is_closed_faces_outwards_and_is_carried_by_its_joints():
 
 
 def test_every_joint_of_the_mannequin_is_inside_the_piece_that_bears_its_part_s_colour():
-    skin = sculpt(Skeleton.default())
+    skin = build_mannequin(Skeleton.default())
     for part in BodyPart:
         vertices = skin.only(part).vertices
         for name in part.joints:
@@ -118,7 +117,7 @@ def test_every_joint_of_the_mannequin_is_inside_the_piece_that_bears_its_part_s_
 
 
 def test_a_skin_in_the_rest_pose_is_where_its_vertices_are():
-    skin, motion = sculpt(Skeleton.default()), standing()
+    skin, motion = build_mannequin(Skeleton.default()), standing()
     upright = motion.rotations[0, 0].double().numpy()
     pelvis = Skeleton.default().rest[0].numpy()
     expected = (skin.vertices - pelvis) @ upright.T + motion.translation[0].numpy()
@@ -130,12 +129,12 @@ def test_a_skin_turns_and_moves_with_its_motion(motion):
     rotations = torch.cat([turn @ motion.rotations[:, :1], motion.rotations[:, 1:]], dim=1)
     shift = torch.tensor([1.0, -2.0, 0.3], dtype=torch.float64)
     moved = Motion(rotations, motion.translation @ turn.T + shift, motion.joints @ turn.T + shift, motion.fps)
-    before, after = (dressed(one).posed(one.trimmed(10, 20)) for one in (motion, moved))
+    before, after = (skin_of(one).posed(one.trimmed(10, 20)) for one in (motion, moved))
     assert np.abs(before @ turn.numpy().T + shift.numpy() - after).max() < 1e-4
 
 
 def test_the_mannequin_s_hands_and_feet_are_where_the_motion_s_joints_are(motion):
-    skin = dressed(motion)
+    skin = skin_of(motion)
     vertices = skin.posed(motion.trimmed(30, 31))[0]
     for name in ("left_hand", "right_hand", "left_foot", "right_foot", "head"):
         joint = motion.joints[30, JOINTS.index(name)].numpy()

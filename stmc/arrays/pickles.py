@@ -38,15 +38,7 @@ def read_pickle(path: Path, required: Sequence[str], optional: Sequence[str] = (
     not asked for may be anything inert. Raises `ArraysError` for a pickle that asks for any other function or class, or
     is damaged, and where an array is missing.
     """
-    if path.stat().st_size > LARGEST:
-        raise ArraysError(f"{path} is larger than the {LARGEST} bytes of any real file")
-    try:
-        content = _Unpickler(path.read_bytes()).load()
-    except ArraysError as error:
-        raise ArraysError(f"{path}: {error}") from error
-    except Exception as error:  # a damaged pickle can raise whatever it likes
-        reason = f"{type(error).__name__}: {error}"[:200]
-        raise ArraysError(f"{path} is not a pickle, or a damaged one: {reason}") from error
+    content = _loaded(path)
     if not isinstance(content, dict):
         raise ArraysError(f"{path} holds a {type(content).__name__}, not a dict of arrays")
     if missing := [name for name in required if name not in content]:
@@ -56,6 +48,32 @@ def read_pickle(path: Path, required: Sequence[str], optional: Sequence[str] = (
         return {name: _dense(content[name], name) for name in wanted}
     except ArraysError as error:
         raise ArraysError(f"{path}: {error}") from error
+
+
+def read_places(path: Path) -> dict[str, int]:
+    """A pickled dict of texts and whole numbers, as lists of words with their places are kept.
+
+    Raises `ArraysError` for anything else, as `read_pickle` does.
+    """
+    content = _loaded(path)
+    if not isinstance(content, dict):
+        raise ArraysError(f"{path} holds a {type(content).__name__}, not a dict of words and their places")
+    places = {key: _dense(value, "a place") for key, value in content.items() if isinstance(key, str)}
+    if len(places) < len(content) or any(each.ndim or each.dtype.kind not in "iu" for each in places.values()):
+        raise ArraysError(f"{path} must hold words and whole numbers only")
+    return {key: int(value) for key, value in places.items()}
+
+
+def _loaded(path: Path) -> Any:
+    if path.stat().st_size > LARGEST:
+        raise ArraysError(f"{path} is larger than the {LARGEST} bytes of any real file")
+    try:
+        return _Unpickler(path.read_bytes()).load()
+    except ArraysError as error:
+        raise ArraysError(f"{path}: {error}") from error
+    except Exception as error:  # a damaged pickle can raise whatever it likes
+        reason = f"{type(error).__name__}: {error}"[:200]
+        raise ArraysError(f"{path} is not a pickle, or a damaged one: {reason}") from error
 
 
 class _StandIn:

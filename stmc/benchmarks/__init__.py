@@ -3,5 +3,15 @@
 from stmc.benchmarks.compositions import Compositions
 from stmc.benchmarks.multi_track import MultiTrack, open_mtt, published_mtt
 from stmc.benchmarks.protocol import Benchmark, Scores, TextEvaluator
+from stmc.benchmarks.single_text import SingleText
 
-__all__ = ["Benchmark", "Compositions", "MultiTrack", "Scores", "TextEvaluator", "open_mtt", "published_mtt"]
+__all__ = [
+    "Benchmark",
+    "Compositions",
+    "MultiTrack",
+    "Scores",
+    "SingleText",
+    "TextEvaluator",
+    "open_mtt",
+    "published_mtt",
+]

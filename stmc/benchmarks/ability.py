@@ -17,6 +17,9 @@ from stmc.timeline import Timeline
 WALK, RAISE = (0.0, 8.0), (2.5, 5.5)
 """When the walk and the raise of "walk and raise" happen, in seconds."""
 
+LONG, PACE = (8, 15, 30), 1.8
+"""Seconds for which a run is to keep its pace, and the least pace in metres per second."""
+
 SLACK = 0.75
 """Seconds by which a raised arm may come early or stay late: half a transition and the time an arm takes."""
 
@@ -50,6 +53,13 @@ def raises_while_walking(motion: Motion) -> bool:
     return timely and walking and not other
 
 
+def keeps_running(motion: Motion) -> bool:
+    """Whether every two seconds of it are faster than `PACE` on average, after the first, in which it begins."""
+    window = round(2 * motion.fps)
+    speeds = [float(part.mean()) for part in forward_speed(motion)[window // 2 :].split(window) if len(part) == window]
+    return bool(speeds) and min(speeds) > PACE
+
+
 def abilities() -> tuple[Ability, ...]:
     """All of them, in the order in which they are reported."""
     both = {"left": (True, False), "right": (False, True), "both": (True, True)}
@@ -64,6 +74,10 @@ def abilities() -> tuple[Ability, ...]:
         ),
         _ability("walk forwards", 6, "legs", lambda motion: 0.5 <= mean_speed(motion) <= 2, 0.95),
         _ability("run", 4, "legs", lambda motion: mean_speed(motion) > 1.5, 0.9),
+        *(
+            Ability(f"run for {seconds} s", Timeline.parse(f"run # 0 # {seconds} # legs"), keeps_running, 0.9)
+            for seconds in LONG
+        ),
         _ability("walk backwards", 6, "legs", lambda motion: mean_speed(motion) < -0.2, 0.9),
         _ability("turn left", 5, "legs", lambda motion: turn(motion) > math.pi / 4, 0.9),
         _ability("turn right", 5, "legs", lambda motion: turn(motion) < -math.pi / 4, 0.9),

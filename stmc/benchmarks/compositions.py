@@ -18,9 +18,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stmc.benchmarks.protocol import Scores, TextEvaluator
+from stmc.benchmarks.resampling import Rows, Units, resampled
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.metrics.kinematics import window_jerk
-from stmc.metrics.matching import BATCH, embedding_diversity, matching_score, r_precision
+from stmc.metrics.matching import POOL_SIZE, embedding_diversity, matching_score, r_precision
 from stmc.metrics.plausibility import check_joints
 from stmc.metrics.realism import fid
 from stmc.metrics.smoothness import HUMANML3D_WINDOW, transition_window
@@ -85,10 +86,10 @@ class Compositions:
         window: int = HUMANML3D_WINDOW,
         seed: int = 0,
     ) -> None:
-        if min(count, segments - 1, repeats, min_clips, window - 7) < 1 or count * segments < BATCH:
+        if min(count, segments - 1, repeats, min_clips, window - 7) < 1 or count * segments < POOL_SIZE:
             raise ValueError(
                 f"count {count}, repeats {repeats} and min_clips {min_clips} must be at least 1, segments {segments} "
-                f"2, window {window} 8, and there must be {BATCH} segments in all, not {count * segments}"
+                f"2, window {window} 8, and there must be {POOL_SIZE} segments in all, not {count * segments}"
             )
         if not window / 2 <= int(shortest * evaluator.fps) <= longest * evaluator.fps:
             raise ValueError(
@@ -225,22 +226,29 @@ class Compositions:
         return Measurements(segments, *latents, torch.stack(list(jerks)))
 
     def _scores(self, measurements: Measurements, seed: int) -> Scores:
-        real = self._reference
-        order = torch.from_numpy(np.random.default_rng(seed).permutation(len(measurements.segments)))
-        texts, motions, true = (
-            measurements.texts[order],
-            measurements.subsequences[order],
-            self._true(measurements.segments)[order][:, order],
-        )
+        true, everything = self._true(measurements.segments), np.arange(len(self.compositions))
+        again = resampled(len(everything), lambda units: self._of_some(measurements, true, units, seed).metrics)
+        return self._of_some(measurements, true, everything, seed)._replace(resampled=again)
+
+    def _of_some(
+        self, measurements: Measurements, true: Bool[Tensor, "segments segments"], units: Units, seed: int
+    ) -> Scores:
+        """The scores of some of the compositions. `true`: see `_true`."""
+        real, segments = self._reference, len(self.compositions[0])
+        owners, changes = (np.repeat(np.arange(len(self.compositions)), each) for each in (segments, segments - 1))
+        chosen = Rows(measurements.texts, owners.tolist()).numbers(units)
+        windows, jerks = (Rows(each, changes.tolist()).of(units) for each in (measurements.windows, measurements.jerks))
+        order = chosen[torch.from_numpy(np.random.default_rng(seed).permutation(len(chosen)))]
+        texts, motions = measurements.texts[order], measurements.subsequences[order]
         metrics = {
-            "r_precision": r_precision(texts, motions, true)[2],
+            "r_precision": r_precision(texts, motions, true[order][:, order])[2],
             "subsequence_fid": fid(motions, real.subsequences),
             "subsequence_diversity": embedding_diversity(motions, len(motions), seed),
             "mm_dist": matching_score(texts, motions),
-            "transition_fid": fid(measurements.windows, real.windows),
-            "transition_diversity": embedding_diversity(measurements.windows, len(measurements.windows), seed),
+            "transition_fid": fid(windows, real.windows),
+            "transition_diversity": embedding_diversity(windows, len(windows), seed),
         }
-        return Scores(metrics).with_jerk(measurements.jerks, real.jerks)
+        return Scores(metrics).with_jerk(jerks, real.jerks)
 
     def _true(self, segments: Sequence[Segment]) -> Bool[Tensor, "segments segments"]:
         """Of which segments' clips the text of each segment is true."""

@@ -7,24 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_atomic_prompts
+from stmc.benchmarks.atomic_prompts import LONGEST, AtomicPrompt, read_atomic_prompts
 from stmc.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions, cache_reference_motions
 from stmc.benchmarks.protocol import Scores, TextEvaluator
 from stmc.benchmarks.questions import QUESTIONS, Question
-from stmc.data.cache import Cache, CacheError, Clip
-from stmc.metrics.kinematics import hand_step, window_jerk
+from stmc.benchmarks.resampling import Remembering, Rows, Units, resampled
+from stmc.data.cache import CacheError, Clip, read_caches
+from stmc.metrics.kinematics import hand_step, local_joints, window_jerk
 from stmc.metrics.realism import fid
-from stmc.metrics.smoothness import quarter_points, transition_window
+from stmc.metrics.smoothness import pose_steps, quarter_points, transition_window
 from stmc.metrics.timelines import DEFINED, PUBLISHED, Formulas, GroundTruth, Span, measured_points, semantics
 from stmc.motion import Motion
 from stmc.representation import JointsFrom, SmplRepresentation
@@ -95,23 +96,23 @@ class MultiTrack:
         return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """See `formulas`; "shown" is the share, in percent, of the crops with a question that answer it. The hand
-        steps are the largest that any motion has, and the 99th percentile of theirs. The peak jerk, the area under the
-        jerk and the curve "jerk" are of windows around the transitions, compared with those around the quarters of real
-        motion.
+        """See `formulas`; "shown" is the share, in percent, of the crops with a question that answer it, "shown_chance"
+        that of real motions of the other texts. The hand steps are the largest that any motion has, and the 99th
+        percentile of theirs. The peak jerk, the area under the jerk and the curve "jerk" are of windows around the
+        transitions, compared with those around the quarters of real motion.
 
         One text stands for its whole motion, which is measured as every prompt's, as in the paper; "independent"
         motions have no transitions and are not whole, so only their crops are measured.
         """
         motions = [motion.resampled(self.evaluator.fps) for motion in motions]
-        spans = self._spans(method, [len(motion) for motion in motions])
-        scores = self.formulas.scores(motions, spans, self.evaluator, self.truth, seed)
+        spans, evaluator = self._spans(method, [len(motion) for motion in motions]), Remembering(self.evaluator)
+        scores = self.formulas.scores(motions, spans, evaluator, self.truth, seed)
+        evidence = self._evidence(method, motions, spans, *evaluator.latents)
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
-        if method == INDEPENDENT:
-            return Scores(metrics)
-        metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition} | _hand_steps(motions)
-        points = [measured_points(each, len(motion)) for each, motion in zip(spans, motions, strict=True)]
-        return self._with_jerk(Scores(metrics), self._jerks(motions, points))
+        if method != INDEPENDENT:
+            metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition} | _hand_steps(motions)
+        found = Scores(metrics, resampled=resampled(len(self.asked), partial(self._again, evidence, method)))
+        return found if method == INDEPENDENT else self._with_jerk(found, evidence.jerks.values)
 
     def real(self, seed: int) -> Scores:
         """Of the atoms' real motions. FID is that of two random halves of what FID compares with: the least that can be
@@ -133,25 +134,91 @@ class MultiTrack:
 
     def _jerks(self, motions: Sequence[Motion], points: Sequence[Sequence[int]]) -> Float[Tensor, "windows frames"]:
         """In m/frame³, of the windows around the points of each motion that lie within it."""
-        length, jerks = round(JERKED_SECONDS * self.evaluator.fps), []
-        for motion, chosen in zip(motions, points, strict=True):
+        return self._jerk_rows(motions, points, range(len(motions))).values
+
+    def _jerk_rows(self, motions: Sequence[Motion], points: Sequence[Sequence[int]], units: Sequence[int]) -> Rows:
+        length, jerks, owners = round(JERKED_SECONDS * self.evaluator.fps), [], []
+        for motion, chosen, unit in zip(motions, points, units, strict=True):
             for point in chosen:
                 start, end = transition_window(point, length)
                 if start >= 0 and end <= len(motion):
                     jerks.append(window_jerk(motion.trimmed(start, end), length))
-        return torch.stack(jerks) if jerks else torch.zeros(0, length - 3)
+                    owners.append(unit)
+        return Rows(torch.stack(jerks) if jerks else torch.zeros(0, length - 3), owners)
 
     def _with_jerk(self, scores: Scores, jerks: Float[Tensor, "windows frames"]) -> Scores:
         """As they are where all motions, or all real ones, are shorter than a window."""
         return scores.with_jerk(jerks, self._real_jerks) if len(jerks) and len(self._real_jerks) else scores
 
     def _shown(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> dict[str, float]:
+        answers = [answer for _, answer in self._answers(motions, spans)]
+        return {"shown": 100 * sum(answers) / len(answers), "shown_chance": 100 * self._chance} if answers else {}
+
+    def _answers(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> list[tuple[int, bool]]:
+        """The motion's number and the answer of every crop with a question."""
         answers = []
-        for motion, each in zip(motions, spans, strict=True):
+        for place, (motion, each) in enumerate(zip(motions, spans, strict=True)):
             for start, end, number in each:
                 if question := self.questions.get(self.atoms[number].text):
-                    answers.append(question(motion.trimmed(start, end)))
-        return {"shown": 100 * sum(answers) / len(answers)} if answers else {}
+                    answers.append((place, bool(question(motion.trimmed(start, end)))))
+        return answers
+
+    @cached_property
+    def _chance(self) -> float:
+        """How often real motions of the texts with other questions, each counting the same, answer those of the asked
+        prompts."""
+        asked = [prompt.text for timeline in self.asked for prompt in timeline.prompts if prompt.text in self.questions]
+        rates = {}
+        for text in set(asked):
+            question, named = self.questions[text], zip(self.atoms, self.reference_motions, strict=True)
+            others = [motion for atom, motion in named if self.questions.get(atom.text) is not question]
+            rates[text] = sum(bool(question(motion)) for motion in others) / max(1, len(others))
+        return sum(rates[text] for text in asked) / max(1, len(asked))
+
+    def _evidence(
+        self,
+        method: str,
+        motions: Sequence[Motion],
+        spans: Sequence[Sequence[Span]],
+        crops: Float[Tensor, "crops width"],
+        anywhere: Float[Tensor, "_ width"],
+    ) -> _Evidence:
+        counts = [len(timeline.prompts) if method == INDEPENDENT else 1 for timeline in self.asked]
+        units = np.repeat(np.arange(len(self.asked)), counts).tolist()
+        answers = self._answers(motions, spans)
+        points = [measured_points(each, len(motion)) for each, motion in zip(spans, motions, strict=True)]
+        steps = [
+            pose_steps(local_joints(motion))[[at - 1 for at in chosen]]
+            for motion, chosen in zip(motions, points, strict=True)
+        ]
+        per_motion = len(anywhere) // len(motions)
+        return _Evidence(
+            crops=Rows.spread(crops, [len(each) for each in spans], units),
+            texts=torch.tensor([number for each in spans for *_, number in each]),
+            anywhere=Rows.spread(anywhere, [per_motion] * len(motions), units),
+            answers=Rows(torch.tensor([float(answer) for _, answer in answers]), [units[at] for at, _ in answers]),
+            steps=Rows.spread(torch.cat(steps), list(map(len, steps)), units),
+            hands=Rows(torch.tensor([100 * hand_step(motion) for motion in motions]), units),
+            jerks=self._jerk_rows(motions, points, units),
+        )
+
+    def _again(self, evidence: _Evidence, method: str, units: Units) -> dict[str, float]:
+        """What `measured` finds of some of the timelines: but for the largest hand step, which no draw tells of, and
+        the transitions by the published formula."""
+        chosen = evidence.crops.numbers(units)
+        crops = evidence.crops.values[chosen]
+        metrics = asdict(semantics(crops, evidence.texts[chosen].tolist(), self.truth)) | {
+            "fid": fid(crops, self.truth.real)
+        }
+        if len(answers := evidence.answers.of(units)):
+            metrics["shown"] = 100 * float(answers.mean())
+        if method == INDEPENDENT:
+            return metrics
+        metrics["fid_plus"] = fid(evidence.anywhere.of(units), self.truth.real)
+        metrics["hand_step_99"] = float(np.quantile(evidence.hands.of(units).numpy(), 0.99))
+        if self.formulas is DEFINED:
+            metrics["transition"] = 100 * float(evidence.steps.of(units).mean())
+        return self._with_jerk(Scores(metrics), evidence.jerks.of(units)).metrics
 
     def _spans(self, method: str, lengths: Sequence[int]) -> list[list[Span]]:
         """Of every motion, which frames should show which text; none goes on beyond its end."""
@@ -164,25 +231,29 @@ class MultiTrack:
         return spans
 
 
-def open_mtt(evaluator: TextEvaluator, cache: str | Path, first: int | None = None) -> MultiTrack:
-    """The benchmark that anybody can run: bundled timelines, and real motion from the test split of the Bandai Namco
-    data set, prepared in the folder `cache`.
+def open_mtt(
+    evaluator: TextEvaluator, cache: str | Path | Sequence[str | Path], first: int | None = None
+) -> MultiTrack:
+    """The benchmark that anybody can run: bundled timelines, and real motion from the recordings of the Bandai Namco
+    and the CMU data sets that are held out of training, prepared in the folders `cache`.
 
-    FID compares with as many real clips of every text, drawn from those that it describes. `first`: only so many of the
-    timelines. Raises `CacheError` for a cache of other data.
+    FID compares with as many real clips of every text, drawn from those that it describes; of cyclic contents they
+    last as long as a prompt can at most. `first`: only so many of the timelines. Raises `CacheError` for caches that
+    do not show every text.
     """
-    folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), Cache.read(Path(cache).expanduser())
+    folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), read_caches(cache)
     atoms, asked = read_atomic_prompts(folder / "prompts.json"), Timeline.read_all(folder / "timelines.json")[:first]
     reference_motions = cache_reference_motions(prepared, SmplRepresentation())
-    random, others = np.random.default_rng(0), []
+    rng, others = np.random.default_rng(0), []
     for atom in atoms:
-        clips = [clip for clip in prepared.clips if clip.split == "test" and _describes(prepared, atom.text, clip)]
+        clips = prepared.held_out(atom.text)
         if not clips:
             raise CacheError(
-                f"{cache}: no clip of the test split shows {atom.text!r}; prepare the Bandai Namco data set"
+                f"{cache}: no held-out clip shows {atom.text!r}; prepare the Bandai Namco and the CMU data sets and "
+                "name both"
             )
-        drawn = [clips[index] for index in random.integers(len(clips), size=PER_TEXT)]
-        others += [reference_motions(clip.name, 0.0, (clip.end - clip.start) / prepared.fps) for clip in drawn]
+        drawn = [clips[index] for index in rng.integers(len(clips), size=PER_TEXT)]
+        others += [reference_motions(clip.name, 0.0, _seconds(clip, prepared.fps)) for clip in drawn]
     contents = {clip.name: clip.content for clip in prepared.clips}
     asked_of = {atom.text: QUESTIONS[contents[atom.clip]] for atom in atoms if contents[atom.clip] in QUESTIONS}
     return MultiTrack.of(asked, atoms, evaluator, reference_motions, others, questions=asked_of)
@@ -205,11 +276,28 @@ def published_mtt(
     return MultiTrack.of(asked, atoms, evaluator, reference_motions, formulas=PUBLISHED, joints_from=joints_from)
 
 
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What was found of motions, row by row, each of one of the asked timelines: latents of the crops, with their
+    texts' numbers, and of crops from anywhere; answers to questions (0 or 1); steps of the pose in transitions, metres;
+    each motion's largest hand step, centimetres; the jerk around transitions."""
+
+    crops: Rows
+    texts: Int[Tensor, " crops"]
+    anywhere: Rows
+    answers: Rows
+    steps: Rows
+    hands: Rows
+    jerks: Rows
+
+
 def _hand_steps(motions: Sequence[Motion]) -> dict[str, float]:
     """Of each motion's own largest: the largest, and the 99th percentile; in centimetres."""
     steps = [100 * hand_step(motion) for motion in motions]
     return {"hand_step": max(steps), "hand_step_99": float(np.quantile(steps, 0.99))}
 
 
-def _describes(cache: Cache, text: str, clip: Clip) -> bool:
-    return any(text == sentence for sentence, _ in cache.texts[clip.texts])
+def _seconds(clip: Clip, fps: float | int) -> float:
+    """How long it lasts; a cyclic one shows its text in any piece, so also in one as long as prompts are at most."""
+    seconds = (clip.end - clip.start) / fps
+    return min(seconds, LONGEST) if clip.cyclic else seconds

@@ -17,17 +17,19 @@ from stmc.timeline import Timeline
 
 
 class Scores(NamedTuple):
-    """What was measured: numbers by the keys of `results.naming.MEASURES`, and curves over frames by their names."""
+    """What was measured: numbers by the keys of `results.naming.MEASURES`, curves over frames by their names, and of
+    some numbers what they are on draws of the timelines (see `resampling`)."""
 
     metrics: dict[str, float]
     curves: Mapping[str, list[float]] = MappingProxyType({})
+    resampled: Mapping[str, list[float]] = MappingProxyType({})
 
     def with_jerk(self, jerks: Float[Tensor, "windows frames"], real: Float[Tensor, "_ frames"]) -> Scores:
         """These, and of the jerk in windows around transitions, in m/frame³, the peak, the area between it and the mean
         of `real` motion's, and the curve "jerk"."""
         curve = jerk_curve(jerks)
         jerky = {"peak_jerk": peak_jerk(curve), "area_under_jerk": area_under_jerk(curve, float(real.mean()))}
-        return Scores({**self.metrics, **jerky}, {**self.curves, "jerk": curve.tolist()})
+        return Scores({**self.metrics, **jerky}, {**self.curves, "jerk": curve.tolist()}, self.resampled)
 
 
 @runtime_checkable

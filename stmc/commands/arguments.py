@@ -21,7 +21,7 @@ from stmc.settings import SettingError, check_name, shown
 _GIVEN = re.compile(r"([+~]{0,2})([A-Za-z_][\w./@-]*)=(.*)", re.DOTALL)
 _DELETED = re.compile(r"~[A-Za-z_][\w./@-]*")
 _FLAGS = {"--config-name": "name", "-cn": "name", "--config-dir": "folder", "-cd": "folder"}
-_HELP, _SHOW = ("--help", "-h"), ("--cfg", "-c")
+_HELP, _SHOW, _MULTIRUN = ("--help", "-h"), ("--cfg", "-c"), ("--multirun", "-m")
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,16 @@ class Asked:
     folder: Path | None = None
     help: bool = False
     show: bool = False
+    multirun: bool = False
+    """A job for every combination of values; these are then in Hydra's grammar: `shard=1/4,2/4`."""
 
 
 def read(arguments: Sequence[str], record: type, groups: Mapping[str, Any], positional: Sequence[str]) -> Asked:
     """The arguments of a command with the settings of `record` and groups of configurations; plain ones are the
     settings `positional`, in order. Raises `SettingError`."""
-    hints, left = get_type_hints(record), list(arguments)
+    multirun = any(argument in _MULTIRUN for argument in arguments)
+    hints, left = get_type_hints(record), [each for each in arguments if each not in _MULTIRUN]
+    groups = {**groups, "hydra": None} if multirun else groups
     places, overrides, flags = iter(positional), [], {}
     while left:
         argument = left.pop(0)
@@ -53,20 +57,21 @@ def read(arguments: Sequence[str], record: type, groups: Mapping[str, Any], posi
         elif flag in _FLAGS:
             flags[_FLAGS[flag]] = value if equals else _next(left, flag)
         elif flag.startswith("--") and (key.partition(".")[0] in hints or key.partition(".")[0] in groups):
-            overrides.append(_override("", key, value if equals else _value(left, flag, hints.get(key)), hints))
+            value = value if equals else _value(left, flag, hints.get(key))
+            overrides.append(_override("", key, value, hints, multirun))
         elif argument.startswith("--"):
             raise SettingError(f"unknown setting {shown(flag)}: --help lists all settings")
         elif found := _GIVEN.fullmatch(argument):
             check_name(re.split(r"[.@/]", found[2])[0], [*hints, *groups])
-            overrides.append(_override(*found.groups(), hints))
+            overrides.append(_override(*found.groups(), hints, multirun))
         elif _DELETED.fullmatch(argument):
             overrides.append(argument)
         elif (key := next(places, None)) is not None:
-            overrides.append(_override("", key, argument, hints))
+            overrides.append(_override("", key, argument, hints, multirun))
         else:
             raise SettingError(f"{shown(argument)} is not a setting: give them as key=value; --help lists all")
     folder = Path(flags.pop("folder")).expanduser() if "folder" in flags else None
-    return Asked(tuple(overrides), folder=folder, **flags)
+    return Asked(tuple(overrides), folder=folder, multirun=multirun, **flags)
 
 
 def kinds(hint: Any) -> Iterator[Any]:
@@ -87,14 +92,16 @@ def _next(left: list[str], flag: str) -> str:
     return left.pop(0)
 
 
-def _override(sign: str, key: str, value: str, hints: Mapping[str, Any]) -> str:
-    """As Hydra reads it: a setting that is a text is quoted, and so is everything that Hydra has no grammar for."""
-    hint = hints.get(key)
+def _override(sign: str, key: str, value: str, hints: Mapping[str, Any], multirun: bool) -> str:
+    """As Hydra reads it: a setting that is a text is quoted, and so is everything that Hydra has no grammar for. For
+    many runs a list with commas is one value each."""
+    hint, plain = hints.get(key), f"{sign}{key}={value}"
+    if multirun and "," in value and _reads(plain, sweeps=True):
+        return plain
     if hint is not None and str in kinds(hint) and value != "null":
         return f"{sign}{key}={quoted(value)}"
     if get_origin(hint) is tuple and value != "null" and _reads(f"{key}=[{value}]") and not value.startswith("["):
         return f"{sign}{key}=[{value}]"
-    plain = f"{sign}{key}={value}"
     return plain if _reads(plain) else f"{sign}{key}={quoted(value)}"
 
 
@@ -107,8 +114,8 @@ def quoted(value: str) -> str:
     return f"'{escaped}{chr(92) * trailing}'"
 
 
-def _reads(override: str) -> bool:
+def _reads(override: str, sweeps: bool = False) -> bool:
     try:
-        return not OverridesParser.create().parse_override(override).is_sweep_override()
+        return OverridesParser.create().parse_override(override).is_sweep_override() == sweeps
     except (HydraException, RecursionError):
         return False

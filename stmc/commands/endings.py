@@ -62,6 +62,8 @@ def explained(error: BaseException) -> str | None:
     if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in EXTRAS:
         package = error.name.partition(".")[0]
         return f"this needs {package}: pip install 'stmc[{EXTRAS[package]}]'"
+    if isinstance(error, HydraException) and "'hydra/launcher/submitit" in str(error):
+        return "this needs hydra-submitit-launcher: pip install 'stmc[slurm]'"
     if isinstance(error, (HydraException, OmegaConfBaseException, YAMLError)):
         return one_line(str(error).partition("full_key:")[0].partition("See https")[0])
     if isinstance(error, BrokenProcessPool):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import functools
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass
 from functools import cached_property
 from typing import Any
 
 from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf, open_dict
 
 from stmc.commands.arguments import Asked, quoted, read
@@ -43,17 +45,35 @@ class Command:
         asked = read(arguments, self.settings, self.parts, self.positional)
         if asked.help:
             sys.stdout.write(self.help)
-            return
-        config = self.composed(asked)
-        if asked.show:
-            sys.stdout.write(OmegaConf.to_yaml(config))
-            return
+        elif asked.multirun:
+            with self._found(asked) as (name, overrides):
+                GlobalHydra.instance().hydra.multirun(name, functools.partial(_job, self.name), overrides)
+        elif asked.show:
+            sys.stdout.write(OmegaConf.to_yaml(self.composed(asked)))
+        else:
+            self.begin(self.composed(asked))
+
+    def begin(self, config: Config) -> None:
+        """Checks a configuration, and runs the command with it."""
         self.check(config)
         _log(self.function.__module__)
         self.function(config)
 
     def composed(self, asked: Asked) -> Config:
         """The configuration as asked for; the user's own folder wins over ours."""
+        with self._found(asked) as (name, overrides):
+            return self.completed(compose(name, overrides))
+
+    def completed(self, config: Config) -> Config:
+        """With the settings that a configuration of the user's own may leave out."""
+        with open_dict(config):
+            for setting, value in defaults(self.settings).items():
+                config.setdefault(setting, "???" if value is MISSING else value)
+        return config
+
+    @contextmanager
+    def _found(self, asked: Asked) -> Iterator[tuple[str, list[str]]]:
+        """Where Hydra finds the configuration: its name and the overrides, as long as Hydra looks there."""
         folder, ours = asked.folder or place("configs"), place("configs")
         if not folder.is_dir():
             raise SettingError(f"--config-dir {folder} is not a folder")
@@ -61,12 +81,8 @@ class Command:
         if not any((place / f"{name}.yaml").is_file() for place in (folder, ours)):
             raise SettingError(f"--config-name {name}: {folder / name}.yaml does not exist")
         behind = [] if folder == ours else [f"hydra.searchpath=[{quoted(f'file://{ours}')}]"]
-        with initialize_config_dir(str(folder.resolve()), version_base="1.3"):
-            config = compose(name, [*asked.overrides, *behind])
-        with open_dict(config):  # a configuration of the user's own may leave settings out
-            for setting, value in defaults(self.settings).items():
-                config.setdefault(setting, "???" if value is MISSING else value)
-        return config
+        with initialize_config_dir(str(folder.resolve()), job_name=self.name, version_base="1.3"):
+            yield name, [*asked.overrides, *behind]
 
     def check(self, config: Config) -> None:
         """Raises `SettingError` for settings that are missing, unknown or do not fit, before anything is loaded."""
@@ -100,6 +116,15 @@ def command(
     `name` is that of its configuration, too; plain arguments are the settings `positional`.
     """
     return lambda function: Command(name, settings, function, positional)
+
+
+def _job(name: str, config: Config) -> None:
+    """One of many runs. A launcher may start it in another process or on another machine: there the command is found by
+    its name."""
+    from stmc.commands.dispatch import found  # which knows commands, and so this module
+
+    command = found(name)
+    command.begin(command.completed(config))
 
 
 def _log(script: str) -> None:

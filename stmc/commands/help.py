@@ -31,6 +31,7 @@ def explanation(name: str, described: str, settings: type, positional: Sequence[
         paragraphs.append("Parts, each a file of configs/PART, with settings PART.SETTING=VALUE:")
         paragraphs.append("\n".join(_entry(part, ", ".join(names), chosen) for part, (chosen, names) in parts.items()))
     paragraphs.append("--config-name NAME: another configuration; --config-dir FOLDER: your own ones; --cfg: show it.")
+    paragraphs.append("--multirun SETTING=VALUE,VALUE: a job for each of the values; hydra/launcher=NAME says where.")
     return "\n\n".join(paragraphs) + "\n"
 
 

@@ -15,6 +15,17 @@ class OnDevice:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Sharded:
+    """Of a command that several processes or machines can share."""
+
+    shard: str | None = setting(
+        None,
+        "3/64: the third of 64 shares alone; all/64: nothing, but say what of them is missing; null: everything, or "
+        "the share of this process among those that accelerate launch or torchrun started",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Threaded:
     """Of a command that computes for long."""
 

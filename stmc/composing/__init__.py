@@ -1,12 +1,13 @@
 """From predictions of crops, or of sequences, to predictions of timelines, by plans."""
 
 from stmc.composing.batching import Guided
-from stmc.composing.double_take import inpaint, kept_shares
+from stmc.composing.double_take import kept_shares
 from stmc.composing.guided import NULL, SequenceDenoiser, distinct_texts, guided_crops, guided_sequences
+from stmc.composing.inpainting import Known, impute, inpaint
 from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.methods import METHODS, Method, Rule, find_method, settled, stitched
 from stmc.composing.running import Progress, Run
-from stmc.composing.sequences import body_sequences, weave
+from stmc.composing.sequences import body_sequences, compose_tracks
 from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, sinc
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "NULL",
     "Columns",
     "Guided",
+    "Known",
     "Method",
     "Progress",
     "Rule",
@@ -22,12 +24,14 @@ __all__ = [
     "body_sequences",
     "canvas_lengths",
     "collage",
+    "compose_tracks",
     "crop_lengths",
     "crop_seeds",
     "distinct_texts",
     "find_method",
     "guided_crops",
     "guided_sequences",
+    "impute",
     "inpaint",
     "kept_shares",
     "settled",
@@ -35,5 +39,4 @@ __all__ = [
     "slerp",
     "smooth_seams",
     "stitched",
-    "weave",
 ]

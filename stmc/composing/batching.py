@@ -17,22 +17,22 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stmc.diffusion import Prediction, Schedule, guide
-from stmc.tensors import Moved, mask, pad
+from stmc.tensors import PerDevice, mask, pad
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class Request:
     """What is denoised as one: a crop with a text, or a sequence of segments with a text each."""
 
     frames: int
-    seen: int
+    padded_frames: int
     """Frames that the denoiser sees: `frames`, and what it sees behind them."""
     null: Float[Tensor, "_ width"]
-    """What it is told in the pass without a text: as much as in the other, of nothing."""
+    """What takes the text's place in the unconditional pass: as many words, of nothing."""
     text: Float[Tensor, "_ width"] | None
-    """What it is told; None for a row without a text, which needs one pass alone."""
+    """None: without a text, which needs the unconditional pass alone."""
     segment: Int[Tensor, " _"] | None = None
-    """For every frame, which word of the text belongs to it; all rows have it, or none."""
+    """For every frame, which word of the text belongs to it; all requests have it, or none."""
 
 
 class Guided:
@@ -41,14 +41,14 @@ class Guided:
     Rows with a text are denoised with it and without it, the others once; a `guidance` of 1 or 0 needs one pass. Passes
     are grouped by length into as few calls as keep the share of padding within `padding` and the frames of one call
     within `budget`, but for a longer row alone. `supports_padding`: texts of different numbers of words share calls.
-    What stands beyond the frames that are seen of a row comes out as zero.
+    What stands beyond a row's `padded_frames` comes out as zero.
     """
 
     def __init__(
         self,
         denoiser: Callable[..., Tensor],
         schedule: Schedule,
-        rows: Sequence[Row],
+        requests: Sequence[Request],
         guidance: float | int,
         prediction: Prediction,
         padding: float,
@@ -58,14 +58,14 @@ class Guided:
         self._denoiser, self._schedule, self._prediction, self._guidance = (
             denoiser, schedule, prediction, guidance
         )  # fmt: skip
-        self._shape = (len(rows), max(row.seen for row in rows))
-        passes = _passes(rows, guidance)
+        self._shape = (len(requests), max(each.padded_frames for each in requests))
+        passes = _passes(requests, guidance)
         alike = [passes] if supports_padding else _by_words(passes)
         batches = [_Batch.of(call) for group in alike for call in _calls(group, padding, budget)]
-        told = torch.tensor([row.text is not None for row in rows])
-        self._needed = sum(rows[each.row].frames for each in passes)
+        conditional = torch.tensor([each.text is not None for each in requests])
+        self._needed = sum(requests[each.row].frames for each in passes)
         self._denoised = sum(len(batch.rows) * batch.frames for batch in batches)
-        self._moved = Moved(lambda x: ([batch.to(x) for batch in batches], told.to(x.device)))
+        self._batches = PerDevice(lambda x: ([batch.to(x) for batch in batches], conditional.to(x.device)))
 
     def __repr__(self) -> str:
         rows, frames = self._shape
@@ -78,7 +78,7 @@ class Guided:
 
     def __call__(self, x: Float[Tensor, "rows frames features"], t: int) -> Float[Tensor, "rows frames features"]:
         assert x.shape[:2] == self._shape, f"rows of shape {tuple(x.shape[:2])}, but the plans have {self._shape}"
-        batches, told = self._moved.at(x)
+        batches, conditional = self._batches.at(x)
         both = x.new_zeros(2, *x.shape)
         for batch in batches:
             noisy = x[batch.rows, : batch.frames]
@@ -86,40 +86,40 @@ class Guided:
             output = self._denoiser(noisy, step, batch.text, batch.text_mask, batch.mask, *batch.segment).to(x)
             x0 = self._schedule.to_x0(output, noisy, t, self._prediction)
             x0 = x0 if batch.mask is None else x0.masked_fill(~batch.mask[..., None], 0)
-            both[batch.told, batch.rows, : batch.frames] = x0
+            both[batch.conditional, batch.rows, : batch.frames] = x0
         null, text = both
-        return torch.where(told[:, None, None], guide(text, null, self._guidance), null)
+        return torch.where(conditional[:, None, None], guide(text, null, self._guidance), null)
 
 
-class _Pass(NamedTuple):
-    """One of a row, told its text or not."""
+class _ForwardPass(NamedTuple):
+    """Of one row, with its text (conditional) or without."""
 
     row: int
-    told: bool
+    conditional: bool
     frames: int
     text: Tensor
     segment: Tensor | None
 
 
-def _passes(rows: Sequence[Row], guidance: float | int) -> list[_Pass]:
+def _passes(requests: Sequence[Request], guidance: float | int) -> list[_ForwardPass]:
     """Everything that one step has to denoise: no second pass without a text, or where guidance ignores one of two."""
     passes = []
-    for number, row in enumerate(rows):
-        if row.text is not None and guidance != 0:
-            passes.append(_Pass(number, True, row.seen, row.text, row.segment))
-        if row.text is None or guidance != 1:
-            passes.append(_Pass(number, False, row.seen, row.null, row.segment))
+    for row, request in enumerate(requests):
+        if request.text is not None and guidance != 0:
+            passes.append(_ForwardPass(row, True, request.padded_frames, request.text, request.segment))
+        if request.text is None or guidance != 1:
+            passes.append(_ForwardPass(row, False, request.padded_frames, request.null, request.segment))
     return passes
 
 
-def _by_words(passes: Sequence[_Pass]) -> list[list[_Pass]]:
-    groups: dict[int, list[_Pass]] = {}
+def _by_words(passes: Sequence[_ForwardPass]) -> list[list[_ForwardPass]]:
+    groups: dict[int, list[_ForwardPass]] = {}
     for each in passes:
         groups.setdefault(len(each.text), []).append(each)
     return list(groups.values())
 
 
-def _calls(passes: Sequence[_Pass], padding: float, budget: int) -> list[list[_Pass]]:
+def _calls(passes: Sequence[_ForwardPass], padding: float, budget: int) -> list[list[_ForwardPass]]:
     """In few calls, the longest first: see `Guided`."""
     passes = sorted(passes, key=lambda each: each.frames)
     calls = []
@@ -157,7 +157,7 @@ class _Batch:
     """One call of the denoiser as tensors; a mask is None where nothing is padded. `segment`: one tensor, or none."""
 
     rows: Tensor
-    told: Tensor
+    conditional: Tensor
     frames: int
     text: Tensor
     text_mask: Tensor | None
@@ -165,12 +165,12 @@ class _Batch:
     segment: tuple[Tensor, ...]
 
     @classmethod
-    def of(cls, passes: Sequence[_Pass]) -> _Batch:
+    def of(cls, passes: Sequence[_ForwardPass]) -> _Batch:
         text, words = pad([each.text for each in passes])
         segments = [each.segment for each in passes if each.segment is not None]
         return cls(
             rows=torch.tensor([each.row for each in passes]),
-            told=torch.tensor([each.told for each in passes]).long(),
+            conditional=torch.tensor([each.conditional for each in passes]).long(),
             frames=max(each.frames for each in passes),
             text=text,
             text_mask=_unless_full(mask(words)),
@@ -180,9 +180,9 @@ class _Batch:
 
     def to(self, x: Tensor) -> _Batch:
         """On the device of `x`, with the text in its dtype."""
-        rows, told, *segment = (each.to(x.device) for each in (self.rows, self.told, *self.segment))
+        rows, conditional, *segment = (each.to(x.device) for each in (self.rows, self.conditional, *self.segment))
         masks = [None if each is None else each.to(x.device) for each in (self.text_mask, self.mask)]
-        return _Batch(rows, told, self.frames, self.text.to(x), *masks, tuple(segment))
+        return _Batch(rows, conditional, self.frames, self.text.to(x), *masks, tuple(segment))
 
 
 def _unless_full(mask: Tensor) -> Tensor | None:

@@ -1,6 +1,6 @@
 """DoubleTake's second take: the surroundings of transitions made anew (Shafir et al. 2024).
 
-Knows plans and predictors; knows no networks, texts or samplers.
+Knows plans; knows no networks, texts or samplers.
 """
 
 from __future__ import annotations
@@ -12,19 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.composing.stitching import Columns
-from stmc.diffusion import Predict
 from stmc.planning import Plan, transition_spans
-
-
-def inpaint(
-    predict: Predict, content: Float[Tensor, "batch frames features"], kept: Float[Tensor, "batch frames features"]
-) -> Predict:
-    """The predictor whose every answer is drawn towards `content`: by nothing where `kept` is 0, entirely where 1.
-
-    To begin with less than full noise, sample with `schedule.respaced(tuple(range(steps)))` from `content` as noisy as
-    at its last step: the samplers need not know.
-    """
-    return lambda x, t: torch.lerp(predict(x, t), content, kept)
 
 
 def kept_shares(

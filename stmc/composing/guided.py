@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stmc.composing.batching import Guided, Row
-from stmc.composing.sequences import Stretch, body_sequences
+from stmc.composing.batching import Guided, Request
+from stmc.composing.sequences import Segment, body_sequences
 from stmc.composing.stitching import crop_lengths
 from stmc.denoisers import Denoiser
 from stmc.diffusion import Prediction, Schedule
@@ -62,7 +62,7 @@ def guided_crops(
     embeddings: Mapping[str, Float[Tensor, "_ width"]],
     guidance: float | int = 2.5,
     prediction: Prediction = "x0",
-    padding: float = 0.1,
+    padding: float = PADDING,
     budget: int = 32768,
     supports_padding: bool = False,
     fixed_length: int | None = None,
@@ -87,11 +87,11 @@ def guided_crops(
     """
     check_embeddings(plans, embeddings)
     crops = (crop for plan in plans for crop in plan.crops)
-    rows = [
-        Row(crop.frames, seen, embeddings[NULL], embeddings[crop.text] if crop.text else None)
-        for crop, seen in zip(crops, crop_lengths(plans, fixed_length), strict=True)
+    requests = [
+        Request(crop.frames, padded_frames, embeddings[NULL], embeddings[crop.text] if crop.text else None)
+        for crop, padded_frames in zip(crops, crop_lengths(plans, fixed_length), strict=True)
     ]
-    return Guided(denoiser, schedule, rows, guidance, prediction, padding, budget, supports_padding)
+    return Guided(denoiser, schedule, requests, guidance, prediction, padding, budget, supports_padding)
 
 
 def guided_sequences(
@@ -112,14 +112,14 @@ def guided_sequences(
     check_embeddings(plans, embeddings)
     if long := [text for text in distinct_texts(plans) if len(embeddings[text]) != 1]:
         raise ValueError(f"a segment's text is one word, but {long[0]!r} has {len(embeddings[long[0]])}")
-    rows = [_row(plan, sequence, embeddings) for plan in plans for sequence in body_sequences(plan)]
-    return Guided(denoiser, schedule, rows, guidance, prediction, PADDING, budget, supports_padding=True)
+    requests = [_request(plan, sequence, embeddings) for plan in plans for sequence in body_sequences(plan)]
+    return Guided(denoiser, schedule, requests, guidance, prediction, PADDING, budget, supports_padding=True)
 
 
-def _row(plan: Plan, sequence: Sequence[Stretch], embeddings: Mapping[str, Tensor]) -> Row:
+def _request(plan: Plan, sequence: Sequence[Segment], embeddings: Mapping[str, Tensor]) -> Request:
     """A word and a segment for each crop, also for one that comes back behind another."""
-    crops = list(dict.fromkeys(stretch.crop for stretch in sequence))
+    crops = list(dict.fromkeys(segment.crop for segment in sequence))
     texts = [plan.crops[crop].text or NULL for crop in crops]
-    told, null = (torch.cat([embeddings[text] for text in each]) for each in (texts, [NULL] * len(texts)))
-    segment = torch.cat([torch.full((end - start,), crops.index(crop)) for crop, start, end in sequence])
-    return Row(plan.frames, plan.frames, null, told if any(text != NULL for text in texts) else None, segment)
+    conditional, null = (torch.cat([embeddings[text] for text in each]) for each in (texts, [NULL] * len(texts)))
+    words = torch.cat([torch.full((end - start,), crops.index(crop)) for crop, start, end in sequence])
+    return Request(plan.frames, plan.frames, null, conditional if any(text != NULL for text in texts) else None, words)

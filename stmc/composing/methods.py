@@ -17,10 +17,11 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.composing.double_take import inpaint, kept_shares
+from stmc.composing.double_take import kept_shares
+from stmc.composing.inpainting import inpaint
 from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.running import Run, settings_taken
-from stmc.composing.sequences import weave
+from stmc.composing.sequences import compose_tracks
 from stmc.diffusion import SAMPLERS
 from stmc.planning import Plan, cross_fade, handshake, multi_diffusion, second_take
 from stmc.sampling import INDEPENDENT, Sampling
@@ -93,13 +94,13 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
 def stitch(run: Run, plans: Sequence[Plan]) -> Features:
     """STMC by `plans`, from the run's `stitch_from` on."""
     predict, draw = run.collage(plans), run.noise(plans)
-    apart = run.steps_before(run.sampling.stitch_from)
-    if not apart:
+    independent = run.steps_before(run.sampling.stitch_from)
+    if not independent:
         return run.denoise(predict, draw(), draw)
-    left = len(run.times) - apart
+    left = len(run.times) - independent
     noise = draw()
     x = run.schedule.q_sample(torch.zeros_like(noise), run.times[left - 1], noise)  # what lies behind the ends
-    crops = run.begun_independently(apart)
+    crops = run.begun_independently(independent)
     inside = mask(torch.tensor([plan.frames for plan in plans]))[..., None].to(crops.device)
     x[:, : crops.shape[1]] = torch.where(inside, crops, x[:, : crops.shape[1]])
     return run.denoise(predict, x, draw, left)
@@ -128,7 +129,8 @@ def seamless(run: Run) -> Features:
     run = replace(run, fixed_length=None)  # sequences are seen whole
     plans = run.plans(0)
     draw = run.noise(plans)
-    return run.denoise(weave(run.guided_sequences(plans, run.sampling.guidance), plans, run.columns), draw(), draw)
+    sequences = compose_tracks(run.guided_sequences(plans, run.sampling.guidance), plans, run.columns)
+    return run.denoise(run.constrained(sequences), draw(), draw)
 
 
 def two_takes(run: Run) -> Features:

@@ -7,7 +7,7 @@ Knows timelines, seeds, settings, a predictor of crops and a schedule; knows no 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from itertools import islice
@@ -18,11 +18,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.composing.batching import Guided
-from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, sinc
+from stmc.composing.inpainting import Known, impute
+from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, crops_of, sinc
 from stmc.diffusion import SAMPLERS, Draw, Noise, Predict, Sampler, Schedule, Seed
 from stmc.planning import Plan, plan
 from stmc.representation import Layout
 from stmc.sampling import Sampling
+from stmc.settings import SettingError
 from stmc.statistics import Statistics
 from stmc.timeline import Timeline
 
@@ -37,7 +39,9 @@ class Run:
     `sampling` is complete: what is None there does not apply. `overlap` is in frames. `guided` and `guided_sequences`
     make predictors of plans' crops, and of the sequences of plans without overlap, with a guidance: see
     `composing.guided_crops`. `fixed_length` is the denoiser's (see `Network`); `layout` and `statistics` are those of
-    the features, which are normalised.
+    the features, which are normalised. `once`: texts of what happens once, however long it is asked for: see `plan`.
+    What is asked for beside the texts: `known` features, and `meet`, which brings
+    clean timelines [batch, frames, features] nearer to constraints.
     """
 
     timelines: Sequence[Timeline]
@@ -54,6 +58,9 @@ class Run:
     fixed_length: int | None
     device: torch.device
     progress: Progress
+    once: Collection[str] = ()
+    known: Known | None = None
+    meet: Callable[[Tensor], Tensor] | None = None
 
     @property
     def columns(self) -> Columns:
@@ -72,11 +79,18 @@ class Run:
     def plans(self, overlap: int | None = None) -> list[Plan]:
         """The layout of each timeline, its transitions as long as the run's, or `overlap` frames."""
         overlap = self.overlap if overlap is None else overlap
-        return [plan(timeline, self.fps, overlap, self.longest) for timeline in self.timelines]
+        return [plan(timeline, self.fps, overlap, self.longest, self.once) for timeline in self.timelines]
 
     def collage(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
-        """A predictor of the timelines by their plans, with the run's guidance or another."""
-        return collage(self.crops(plans, guidance), plans, self.columns, self.fixed_length)
+        """A predictor of the timelines by their plans, with the run's guidance or another; see `constrained`."""
+        return self.constrained(collage(self.crops(plans, guidance), plans, self.columns, self.fixed_length))
+
+    def constrained(self, predict: Predict) -> Predict:
+        """The predictor of timelines whose every answer meets what is asked for beside the texts: constraints first,
+        then what is known."""
+        meet, known = self.meet, self.known
+        met = predict if meet is None else lambda x, t: meet(predict(x, t))
+        return met if known is None else impute(met, *known)
 
     def crops(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
         """A predictor of the plans' crops, with the run's guidance or another: from the setting `guidance_from` on.
@@ -86,10 +100,10 @@ class Run:
         is heard less: measured in the results.
         """
         guidance = self.sampling.guidance if guidance is None else guidance
-        apart, predict = self.steps_before(self.sampling.guidance_from), cache(partial(self.guided, plans))
-        if not apart or guidance <= 1:
+        unguided, predict = self.steps_before(self.sampling.guidance_from), cache(partial(self.guided, plans))
+        if not unguided or guidance <= 1:
             return predict(guidance)
-        first = self.times[-apart]
+        first = self.times[-unguided]
         return lambda x, t: predict(1.0 if t >= first else guidance)(x, t)
 
     def noise(self, plans: Sequence[Plan], seeds: Sequence[Seed] | None = None) -> Noise:
@@ -105,14 +119,17 @@ class Run:
 
     def independent(self) -> Float[Tensor, "batch frames features"]:
         """The crops of plans without overlap, each sampled by itself, and then combined (SINC)."""
+        if self.meet is not None:
+            raise SettingError("constraints: the method must compose at every step; this one combines finished crops")
         plans = self.plans(0)
         draw = self._crop_noise(plans)
-        return sinc(self.denoise(self.guided(plans, self.sampling.guidance), draw(), draw), plans, self.columns)
+        predict = self._knowing(self.guided(plans, self.sampling.guidance), plans)
+        return sinc(self.denoise(predict, draw(), draw), plans, self.columns)
 
     def begun_independently(self, steps: int) -> Float[Tensor, "batch frames features"]:
         """The same after so many `steps`, the noisiest: as noisy as the step behind them."""
         plans, states = self.plans(0), []
-        predict, draw = self.crops(plans), self._crop_noise(plans)
+        predict, draw = self._knowing(self.crops(plans), plans), self._crop_noise(plans)
 
         def watched(x: Tensor, t: int) -> Tensor:
             states.append(x)
@@ -120,6 +137,12 @@ class Run:
 
         _last(self.progress(islice(self._states(watched, draw(), draw, self.times), steps + 1), total=steps))
         return sinc(states[-1], plans, self.columns)
+
+    def _knowing(self, predict: Predict, plans: Sequence[Plan]) -> Predict:
+        """A predictor of crops, each alone, that answers with what is known."""
+        if self.known is None:
+            return predict
+        return impute(predict, *(crops_of(each, plans, self.fixed_length) for each in self.known))
 
     def _states(self, predict: Predict, x: Tensor, draw: Draw, times: tuple[int, ...]) -> Iterable[Tensor]:
         schedule = self.schedule.respaced(times)

@@ -20,10 +20,10 @@ from stmc.body import BodyPart
 from stmc.composing.stitching import Columns
 from stmc.diffusion import Predict
 from stmc.planning import Plan
-from stmc.tensors import Moved
+from stmc.tensors import PerDevice
 
 
-class Stretch(NamedTuple):
+class Segment(NamedTuple):
     """Frames [start, end) of a sequence, which belong to a plan's `crop`."""
 
     crop: int
@@ -31,22 +31,22 @@ class Stretch(NamedTuple):
     end: int
 
 
-def body_sequences(plan: Plan) -> dict[tuple[Stretch, ...], tuple[BodyPart, ...]]:
-    """The distinct sequences of stretches that the body parts of a plan obey, each with the parts that obey it.
+def body_sequences(plan: Plan) -> dict[tuple[Segment, ...], tuple[BodyPart, ...]]:
+    """The distinct sequences of segments that the body parts of a plan obey, each with the parts that obey it.
 
-    Stretches cover every frame of the plan once, in order. Raises `ValueError` for a plan with overlap.
+    Segments cover every frame of the plan once, in order. Raises `ValueError` for a plan with overlap.
     """
-    sequences: dict[tuple[Stretch, ...], tuple[BodyPart, ...]] = {}
+    sequences: dict[tuple[Segment, ...], tuple[BodyPart, ...]] = {}
     for part in BodyPart:
         tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
         if sum(tile.end - tile.start for tile in tiles) != plan.frames:
             raise ValueError(f"the tiles of the {part} overlap: sequences are made of plans with overlap=0")
-        sequence = tuple(Stretch(tile.crop, tile.start, tile.end) for tile in tiles)
+        sequence = tuple(Segment(tile.crop, tile.start, tile.end) for tile in tiles)
         sequences[sequence] = (*sequences.get(sequence, ()), part)
     return sequences
 
 
-def weave(predict: Predict, plans: Sequence[Plan], columns: Columns) -> Predict:
+def compose_tracks(predict: Predict, plans: Sequence[Plan], columns: Columns) -> Predict:
     """A predictor of timelines [batch, frames, features] from a predictor of their sequences.
 
     `predict` is given every timeline once for each of its `body_sequences`, plan 0's first; each body part's columns
@@ -58,18 +58,18 @@ def weave(predict: Predict, plans: Sequence[Plan], columns: Columns) -> Predict:
             rows |= {(i, part): len(timelines) for part in parts}
             timelines.append(i)
     owners = [(list(columns[part]), torch.tensor([rows[i, part] for i in range(len(plans))])) for part in columns]
-    indexes = Moved(
+    indexes = PerDevice(
         lambda x: (
             torch.tensor(timelines, device=x.device),
             [(torch.tensor(own, dtype=torch.int64, device=x.device), row.to(x.device)) for own, row in owners],
         )
     )
 
-    def woven(x: Float[Tensor, "batch frames features"], t: int) -> Float[Tensor, "batch frames features"]:
+    def composed(x: Float[Tensor, "batch frames features"], t: int) -> Float[Tensor, "batch frames features"]:
         timeline, parts = indexes.at(x)
         sequences, x0 = predict(x[timeline], t), torch.empty_like(x)
         for own, row in parts:
             x0[..., own] = sequences[row][..., own]
         return x0
 
-    return woven
+    return composed

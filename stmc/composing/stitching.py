@@ -19,7 +19,7 @@ from torch import Tensor
 from stmc.body import BodyPart
 from stmc.diffusion import Predict, Seed
 from stmc.planning import Plan, Tile
-from stmc.tensors import Moved, mask
+from stmc.tensors import PerDevice, mask
 
 Columns = Mapping[BodyPart, Sequence[int]]
 """Which columns of the features each body part owns; together they own every column once."""
@@ -46,6 +46,13 @@ def canvas_lengths(plans: Sequence[Plan], fixed_length: int | None = None) -> tu
 def crop_seeds(plans: Sequence[Plan], seeds: Sequence[int]) -> tuple[Seed, ...]:
     """A seed for every crop of all plans, from one seed for each plan: what `Noise` needs for independent crops."""
     return tuple((seed, crop) for plan, seed in zip(plans, seeds, strict=True) for crop in range(len(plan.crops)))
+
+
+def crops_of(
+    x: Float[Tensor, "batch frames features"], plans: Sequence[Plan], fixed_length: int | None = None
+) -> Float[Tensor, "crops _ features"]:
+    """The plans' crops of timelines, as `collage` cuts them."""
+    return _Cut(plans, fixed_length)(x)
 
 
 def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, fixed_length: int | None = None) -> Predict:
@@ -95,7 +102,7 @@ class _Cut:
         first = [i * self._shape[1] + crop.start for i, plan in enumerate(plans) for crop in plan.crops]
         valid = mask(torch.tensor(crop_lengths(plans, fixed_length)))
         rows = (torch.tensor(first)[:, None] + torch.arange(valid.shape[1])).where(valid, 0)
-        self._indexes = Moved(lambda x: (rows.to(x.device), ~valid[..., None].to(x.device)))
+        self._indexes = PerDevice(lambda x: (rows.to(x.device), ~valid[..., None].to(x.device)))
 
     def __call__(self, x: Tensor) -> Tensor:
         assert x.shape[:2] == self._shape, f"timelines of shape {tuple(x.shape[:2])}, but the plans have {self._shape}"
@@ -114,7 +121,7 @@ class _Stitch:
         self._timelines = (len(plans), max(plan.frames for plan in plans))
         self._crops = (len(crop_lengths(plans)), max(crop_lengths(plans)))
         parts = [(list(columns[part]), *self._sources(plans, part)) for part in columns]
-        self._parts = Moved(
+        self._parts = PerDevice(
             lambda x: [
                 (torch.tensor(own, device=x.device), source.to(x.device), weight.to(x)[..., None])
                 for own, source, weight in parts

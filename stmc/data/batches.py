@@ -5,6 +5,7 @@ Knows a dataset; knows no features and no network.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, get_args
@@ -12,6 +13,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from stmc.data.dataset import NULL, BatchPlan, Crops, Dataset
+from stmc.data.epochs import Epochs
+from stmc.data.sequences import Sequences
 from stmc.training.loss import Batch
 
 WHOLE_RECEIVERS = 1 / 3
@@ -20,6 +23,12 @@ WHOLE_RECEIVERS = 1 / 3
 
 Receivers = Literal["walking", "any"]
 """Whose bodies compositions are put on: see `Sampling.compose_prob`."""
+
+Order = Literal["balanced", "epochs"]
+"""How rows come out of the data set: see `Sampling.order`."""
+
+Trimmed = Literal["either_end", "in_all"]
+"""What `Sampling.trim` is a bound of."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +45,15 @@ class Sampling:
     keep its text; the third is the whole walk, under its own text, and somewhere in it the arm is raised. (Networks
     that never saw an arm raised on walking legs lower it in a collage.) A share `compose_legs_prob` of the rows that do
     claim legs are legs under others' bodies, likewise: a man walks while he drinks.
+    With `trimmed` "in_all" the others lose at most `trim` at both ends together. With `order` "epochs" every content
+    comes once an epoch, in shuffled batches (see `Epochs`), and a transition is cut out of the whole recording of the
+    very clip that was drawn: for data sets whose every entry is a content of its own, as these are published.
     `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
     of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
     lengths, so more contents, in every batch.
+
+    A row shows `texts_per_row` crops one after the other, at least and at most so many, for denoisers that know a text
+    for every frame: then `rows` counts crops. See `Sequences` for which follow each other; where none fits, a row ends.
     """
 
     rows: int = 64
@@ -46,6 +61,8 @@ class Sampling:
     shortest: float = 1.5
     longest: float = 10.0
     trim: float = 0.12
+    trimmed: Trimmed = "either_end"
+    order: Order = "balanced"
     uncond_crop_prob: float = 0.12
     crop_shortest: float = 0.5
     crop_longest: float = 3.0
@@ -57,6 +74,7 @@ class Sampling:
     fastest: float = 1.0
     pool: int = 16
     pieces: int = 4
+    texts_per_row: Sequence[int] = (1, 1)
 
     def __post_init__(self) -> None:
         if min(self.rows, self.pool, self.pieces) < 1 or self.pieces > self.rows:
@@ -69,8 +87,14 @@ class Sampling:
         }
         if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in shares.values())):
             raise ValueError(f"trim {self.trim} must be in [0, 0.5), {shares} in [0, 1]")
-        if self.receivers not in get_args(Receivers):
-            raise ValueError(f"unknown receivers {self.receivers!r}; choose from {', '.join(get_args(Receivers))}")
+        if len(self.texts_per_row) != 2 or not 1 <= self.texts_per_row[0] <= self.texts_per_row[1]:
+            raise ValueError(f"texts_per_row {self.texts_per_row} must be two numbers, from 1 on, that do not fall")
+        for name, choices in (("receivers", Receivers), ("order", Order), ("trimmed", Trimmed)):
+            if getattr(self, name) not in get_args(choices):
+                chosen = getattr(self, name)
+                raise ValueError(f"unknown {name} {chosen!r}; choose from {', '.join(get_args(choices))}")
+        if self.order == "epochs" and (self.pool, self.pieces) != (1, 1):
+            raise ValueError(f"order epochs has batches as they come: pool {self.pool}, pieces {self.pieces} must be 1")
         if not 0 < self.slowest <= self.fastest:
             raise ValueError(f"slowest {self.slowest} must be above 0 and at most fastest {self.fastest}")
         if not (0 < self.shortest <= self.longest and 0 < self.crop_shortest <= self.crop_longest <= self.longest):
@@ -89,8 +113,21 @@ class ClipBatches:
         self._start = np.array([clip.start for clip in dataset.clips])
         self._length = np.array([clip.end - clip.start for clip in dataset.clips])
         self._cyclic = np.array([clip.cyclic for clip in dataset.clips])
+        around = np.array([clip.whole or (clip.start, clip.end) for clip in dataset.clips])
+        self._recording = around[:, 0], around[:, 1] - around[:, 0]
+        self._epochs = Epochs(dataset.clips, self._described, sampling.rows, [seed, sum(split.encode())])
         self.shares = self._balance()
+        self._sequences = self._in_sequence(chosen & dataset.described)
         self._pool: tuple[tuple[int, int], list[BatchPlan]] | None = None
+
+    def _in_sequence(self, chosen: np.ndarray) -> Sequences | None:
+        """How crops are put into rows of several; None where each is a row."""
+        (least, most), dataset = self.sampling.texts_per_row, self.dataset
+        if most == 1:
+            return None
+        if dataset.words.max() > 1:
+            raise ValueError(f"texts_per_row {least} to {most} needs a text encoder that makes one word of a text")
+        return Sequences(dataset, chosen, least, most, max(1, int(self.sampling.longest * dataset.fps)))
 
     def _balance(self) -> np.ndarray:
         """The probability of each clip among those with texts."""
@@ -113,19 +150,21 @@ class ClipBatches:
     def _draw_pool(self, number: int, process: int) -> list[BatchPlan]:
         sampling = self.sampling
         split = sum(self.split.encode())  # training and validation draw differently
-        random = np.random.default_rng([self.seed, number, process, split])
-        plan = self._compose(self._draw(sampling.rows * sampling.pool, random), random)
-        order = np.argsort(plan.body.frames, kind="stable")
-        pieces = _cut_evenly(plan.body.frames[order], sampling.pool * sampling.pieces)
+        rng = np.random.default_rng([self.seed, number, process, split])
+        plan = self._compose(self._draw(self._chosen(number, process, rng), rng), rng)
+        plan = self._sequences(plan, rng) if self._sequences else plan
+        frames = plan.arrangement.lengths
+        order = np.argsort(frames, kind="stable")
+        pieces = _cut_evenly(frames[order], sampling.pool * sampling.pieces)
         rows = [order[begin:end] for begin, end in pieces]
-        return [plan[rows[index]] for index in random.permutation(len(rows))]
+        return [plan.rows(rows[index]) for index in rng.permutation(len(rows))]
 
-    def _compose(self, plan: BatchPlan, random: np.random.Generator) -> BatchPlan:
+    def _compose(self, plan: BatchPlan, rng: np.random.Generator) -> BatchPlan:
         """Puts some rows as donors on the bodies of others that last at least as long."""
         drawn, sentence = plan.body, plan.sentence
         claims = self.dataset.claims[drawn.clip]
         composed = np.where(claims[:, self.dataset.legs], self.sampling.compose_legs_prob, self.sampling.compose_prob)
-        moved = (random.random(len(claims)) < composed) & claims.any(axis=1)
+        moved = (rng.random(len(claims)) < composed) & claims.any(axis=1)
         cyclic = self._cyclic[drawn.clip]
         walking = cyclic & claims[:, self.dataset.legs] & (claims.sum(axis=1) == 1)
         others = claims.any(axis=1)
@@ -136,43 +175,72 @@ class ClipBatches:
             carrying = walking if self.sampling.receivers == "walking" else others
             receivers = np.flatnonzero(carrying & ~claims[:, claims[row]].any(axis=1) & (room >= 0))
             if len(receivers):
-                receiver[row] = random.choice(receivers)
-                whole[row] = random.random() < WHOLE_RECEIVERS
-                offset[row] = whole[row] * random.integers(room[receiver[row]] + 1)
+                receiver[row] = rng.choice(receivers)
+                whole[row] = rng.random() < WHOLE_RECEIVERS
+                offset[row] = whole[row] * rng.integers(room[receiver[row]] + 1)
         frames = np.where(whole, drawn.frames[receiver], drawn.frames)
         donor = replace(drawn, frames=np.where(receiver == np.arange(len(receiver)), 0, drawn.frames))
         shown = np.where(whole, sentence[receiver], sentence)
         other = np.where(~whole & cyclic[receiver], sentence[receiver], sentence)
-        return BatchPlan(replace(drawn[receiver], frames=frames), shown, donor, offset, other)
+        return replace(
+            plan, body=replace(drawn[receiver], frames=frames), sentence=shown, donor=donor, offset=offset, other=other
+        )
 
-    def _draw(self, count: int, random: np.random.Generator) -> BatchPlan:
-        """So many rows, without compositions."""
-        sampling, fps = self.sampling, self.dataset.fps
-        clip = random.choice(self._described, count, p=self.shares)
-        dropped = random.random(count) < sampling.text_dropout
-        chance = random.random(count)
-        sentence = np.array([self.dataset.sentence(*pair) for pair in zip(clip.tolist(), chance.tolist(), strict=True)])
-        is_crop = random.random(count) < sampling.uncond_crop_prob
-        by_time = self._length[self._any] / self._length[self._any].sum()
-        clip = np.where(is_crop, random.choice(self._any, count, p=by_time), clip)
-        length, longest = self._length[clip], max(1, int(sampling.longest * fps))
-        cut = np.floor(random.random((2, count)) * (np.floor(sampling.trim * length) + 1)).astype(int)
+    def _chosen(self, number: int, process: int, rng: np.random.Generator) -> np.ndarray:
+        """The clips of a pool's rows."""
+        if self.sampling.order == "epochs":
+            return self._epochs(number, process)
+        return rng.choice(self._described, self.sampling.rows * self.sampling.pool, p=self.shares)
+
+    def _draw(self, clip: np.ndarray, rng: np.random.Generator) -> BatchPlan:
+        """A row of each of these clips, without compositions."""
+        sampling, fps, count = self.sampling, self.dataset.fps, len(clip)
+        dropped = rng.random(count) < sampling.text_dropout
+        quantile = rng.random(count)
+        sentence = np.array(
+            [self.dataset.sentence(*pair) for pair in zip(clip.tolist(), quantile.tolist(), strict=True)]
+        )
+        is_crop = rng.random(count) < sampling.uncond_crop_prob
+        clip, begin, length = self._sources(clip, is_crop, rng)
+        longest = max(1, int(sampling.longest * fps))
+        cut = _trimmed(np.floor(sampling.trim * length), rng.random((2, count)), sampling.trimmed)
         low = np.where(is_crop, sampling.crop_shortest, sampling.shortest) * fps
         high = np.where(is_crop, sampling.crop_longest * fps, length)
-        any_length = _between(np.clip(low, 1, length), np.clip(high, 1, length), random.random(count))
+        any_length = _between(np.clip(low, 1, length), np.clip(high, 1, length), rng.random(count))
         free = is_crop | self._cyclic[clip]
         frames = np.where(free, any_length, length - cut.sum(axis=0))
-        speed = np.exp(random.uniform(np.log(sampling.slowest), np.log(sampling.fastest), count))
+        speed = np.exp(rng.uniform(np.log(sampling.slowest), np.log(sampling.fastest), count))
         source = np.minimum(frames, np.floor(longest * speed).astype(int).clip(1))
         room = np.where(free, length, frames) - source  # where a crop may begin
-        offset = _between(np.zeros(count), room, random.random(count)) + np.where(free, 0, cut[0])
+        offset = _between(np.zeros(count), room, rng.random(count)) + np.where(free, 0, cut[0])
         speed = np.minimum(speed, source)  # at least one frame is left
-        begin = self._start[clip]
         sentence = np.where(is_crop | dropped, NULL, sentence)
         # Neither the last pose nor the velocity after it may lie beyond the crop; 10 / 1.25 is 8, also in floats.
         frames = np.floor(np.minimum(source / speed, (source - 1) / speed + 1) + 1e-9).astype(int)
         body, none = Crops(clip, begin + offset, begin + length, frames, speed), np.zeros(count, dtype=int)
-        return BatchPlan(body, sentence, replace(body, frames=none), none, sentence)
+        return BatchPlan(body, sentence, replace(body, frames=none), none, sentence, np.arange(count), none)
+
+    def _sources(
+        self, clip: np.ndarray, is_crop: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What rows are cut from: clips, their first frames, and how many frames there are. Crops without a text come
+        from anywhere in the data, or in epochs from the whole recording of the clip that was drawn."""
+        if self.sampling.order == "epochs":
+            begin, length = (each[clip] for each in self._recording)
+            return clip, np.where(is_crop, begin, self._start[clip]), np.where(is_crop, length, self._length[clip])
+        by_time = self._length[self._any] / self._length[self._any].sum()
+        clip = np.where(is_crop, rng.choice(self._any, len(clip), p=by_time), clip)
+        return clip, self._start[clip], self._length[clip]
+
+
+def _trimmed(most: np.ndarray, u: np.ndarray, trimmed: Trimmed) -> np.ndarray:
+    """Frames that are lost at the beginning and at the end, for `u` uniform in [0, 1): so many `most` at either, or
+    uniformly many in all, of which uniformly many at the beginning."""
+    if trimmed == "either_end":
+        return np.floor(u * (most + 1)).astype(int)
+    lost = np.floor(u[0] * (most + 1))
+    first = np.floor(u[1] * (lost + 1))
+    return np.stack([first, lost - first]).astype(int)
 
 
 def _between(low: np.ndarray, high: np.ndarray, u: np.ndarray) -> np.ndarray:

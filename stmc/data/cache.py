@@ -27,8 +27,16 @@ from stmc.untrusted import UnreadableError, cut, load_json, read_text
 
 FEATURES, TABLE = "clips.safetensors", "clips.json"
 
+HELD_OUT = ("test", "val")
+"""The splits that nothing is trained on."""
+
 MOST_BYTES = 256 * 2**20
 """Of the table; forty thousand clips take some 20 MB."""
+
+
+TOUCHING = 0.3
+"""Seconds between the end of one clip and the beginning of another within which their recording passes from one to the
+other."""
 
 
 class CacheError(ValueError):
@@ -40,7 +48,10 @@ class Clip:
     """One clip: frames `[start, end)` of the features; `texts` names its sentences in the table.
 
     `content` groups clips for balanced sampling and claims body `parts`, as a prompt would; of a `cyclic` clip any trim
-    still shows what its texts say.
+    still shows what its texts say. Clips of one `recording` (or one part of it) lie among the features as they do in
+    time, with what is between them; of a clip without, nobody knows what comes before and after it. `whole`: the frames
+    of all that was recorded before and after it, too; empty where nothing more is known. `annotations`: how many people
+    described it.
     """
 
     name: str
@@ -53,6 +64,9 @@ class Clip:
     split: str
     start: int
     end: int
+    recording: str = ""
+    annotations: int = 1
+    whole: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,6 +91,9 @@ class Cache:
         for clip in self.clips:
             if not 0 <= clip.start < clip.end <= len(self.features):
                 raise CacheError(f"clip {clip.name}: frames [{clip.start}, {clip.end}) of {len(self.features)}")
+            first, last = clip.whole or (clip.start, clip.end)
+            if not 0 <= first <= clip.start < clip.end <= last <= len(self.features):
+                raise CacheError(f"clip {clip.name}: frames [{clip.start}, {clip.end}) of recording [{first}, {last})")
             if clip.texts not in self.texts:
                 raise CacheError(f"clip {clip.name}: no sentences under {clip.texts!r}")
         finite = self.features.isfinite().all(dim=1)
@@ -84,6 +101,11 @@ class Cache:
             frame = int(finite.logical_not().nonzero()[0])
             names = [clip.name for clip in self.clips if clip.start <= frame < clip.end]
             raise CacheError(f"clip {', '.join(names)}: features that are not finite, first in frame {frame} of all")
+
+    def held_out(self, text: str) -> list[Clip]:
+        """The clips that nothing is trained on and that have `text` among their sentences."""
+        told = {key for key, rows in self.texts.items() if any(text == sentence for sentence, _ in rows)}
+        return [clip for clip in self.clips if clip.split in HELD_OUT and clip.texts in told]
 
     def write(self, folder: Path) -> None:
         """Writes both files, the table last: it marks a complete cache. A kill leaves all of it or none."""
@@ -115,7 +137,7 @@ class Cache:
                 fps=table["fps"],
                 representation=table["representation"],
                 features=numbers["features"],
-                clips=tuple(Clip(**clip | {"parts": tuple(clip["parts"])}) for clip in table["clips"]),
+                clips=tuple(_clip(clip) for clip in table["clips"]),
                 texts={key: tuple((text, share) for text, share in rows) for key, rows in table["texts"].items()},
                 skipped=tuple((name, why) for name, why in table["skipped"]),
                 fingerprint=table["fingerprint"],
@@ -152,10 +174,12 @@ def fingerprint(sources: Iterable[Path], settings: Sequence[object]) -> str:
 
 
 def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "_ features"]]]) -> tuple[tuple[Clip, ...], Tensor]:
-    """Clips and their features, with `start` and `end` set to where each comes to lie in the one tensor."""
+    """Clips and their features, with `start` and `end` set to where each comes to lie in the one tensor: end to end,
+    so none is part of a `recording` any more."""
     clips, start = [], 0
     for clip, features in rows:
-        clips.append(dataclasses.replace(clip, start=start, end=start + len(features)))
+        place = {"start": start, "end": start + len(features)}
+        clips.append(dataclasses.replace(clip, **place, recording="", whole=()))
         start += len(features)
     return tuple(clips), torch.cat([features for _, features in rows])
 
@@ -193,13 +217,23 @@ def merged(caches: Sequence[Cache]) -> Cache:
         if twice := [key for key in cache.texts if texts.get(key, cache.texts[key]) != cache.texts[key]]:
             raise CacheError(f"the texts of {', '.join(twice)} differ from one cache to the other")
         features[start : start + len(cache.features)] = cache.features
-        clips += [dataclasses.replace(clip, start=start + clip.start, end=start + clip.end) for clip in cache.clips]
+        clips += [_moved(clip, start) for clip in cache.clips]
         texts |= cache.texts
         start += len(cache.features)
     skipped = tuple(row for cache in caches for row in cache.skipped)
     return dataclasses.replace(
         first, features=features, clips=tuple(clips), texts=texts, skipped=skipped, fingerprint="", statistics=None
     )
+
+
+def _moved(clip: Clip, by: int) -> Clip:
+    whole = tuple(by + frame for frame in clip.whole)
+    return dataclasses.replace(clip, start=by + clip.start, end=by + clip.end, whole=whole)
+
+
+def _clip(row: dict) -> Clip:
+    """A clip of the table; earlier ones know neither annotations nor recordings."""
+    return Clip(**row | {"parts": tuple(row["parts"]), "whole": tuple(row.get("whole", ()))})
 
 
 def _table(folder: Path) -> dict | None:

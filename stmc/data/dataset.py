@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -18,7 +19,8 @@ from torch import Tensor
 
 from stmc import tensors
 from stmc.body import BodyPart
-from stmc.data.cache import Cache
+from stmc.data.cache import Cache, Clip
+from stmc.data.joining import Arrangement
 from stmc.geometry import matrix_to_rows, rows_to_matrix
 from stmc.representation.layout import Layout
 from stmc.statistics import Statistics
@@ -35,14 +37,20 @@ FLOOR = 1e-3
 """What a feature of no field's own floor, or a number of a word, is divided by at least."""
 
 
+MeansOver = Literal["clips", "entries"]
+"""What statistics are taken over: see `Dataset`."""
+
+
 class Dataset:
     """A cache and its texts, normalised and ready to draw from, on one device.
 
     `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
     sentences' words, unless they are given; `skeleton` is the cache's, if it has its own. Features that vary by less
     than their field's `floor` are divided by it: what hardly varies in most clips may in some. What is more than
-    `limit` standard deviations from the mean is put there. Contents with fewer than `min_clips` training clips have no
-    texts: one clip of several actions teaches no word.
+    `limit` standard deviations from the mean is put there. With `statistics_over` "entries" the statistics are over
+    each content's first clip and its first text, however many contents have the same one (as STMC's are, whose every
+    entry is a content), not over all clips and distinct texts. Contents with fewer than `min_clips` training clips
+    have no texts: one clip of several actions teaches no word.
     Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
     """
 
@@ -55,11 +63,13 @@ class Dataset:
         min_clips: int = 5,
         limit: float = math.inf,
         text: Statistics | None = None,
+        statistics_over: MeansOver = "clips",
         device: torch.device | str = "cpu",
     ) -> None:
         if cache.features.shape[1] != layout.width:
             raise ValueError(f"the cache has {cache.features.shape[1]} features, the layout {layout.width}")
         self.fps, self.layout, self.clips, self.skeleton = cache.fps, layout, cache.clips, cache.skeleton
+        self.min_clips = min_clips
         training = [clip for clip in cache.clips if clip.split == "train"]
         counts = Counter(clip.content for clip in training)
         self.described = np.array([counts[c.content] >= min_clips and any(cache.texts[c.texts]) for c in cache.clips])
@@ -74,30 +84,38 @@ class Dataset:
             owned[row, list(layout.columns[part])] = True
         self.legs, self._owned = parts.index(BodyPart.LEGS), owned.to(device)
         self.features = cache.features.to(device)
-        frames = torch.cat([torch.arange(clip.start, clip.end) for clip in training])
+        first = _first_of_entries(training, statistics_over)
+        frames = torch.cat([torch.arange(clip.start, clip.end) for clip in first or training])
         moving = cache.features[frames]
         if (moving.amax(dim=0) == moving.amin(dim=0)).all():
             raise ValueError(f"every one of the {len(frames)} training frames is the same: there is nothing to learn")
         floors = torch.tensor(layout.filled(floor or {}, FLOOR))
         self.motion, self._limit = (cache.statistics or Statistics.of(moving, floors)).to(device), limit
-        self._embed(cache, encoder, text, device)
+        self._embed(cache, encoder, text, first, device)
         # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]
         travelled = self.features[:, self.velocity].double().cumsum(dim=0)
         self._travelled = torch.cat([torch.zeros_like(travelled[:1]), travelled])
 
-    def _embed(self, cache: Cache, encoder: TextEncoder, text: Statistics | None, device: torch.device | str) -> None:
+    def _embed(
+        self,
+        cache: Cache,
+        encoder: TextEncoder,
+        text: Statistics | None,
+        first: Sequence[Clip],
+        device: torch.device | str,
+    ) -> None:
         keys = {clip.texts for clip, known in zip(cache.clips, self.described, strict=True) if known}
         self.sentences = ["", *sorted({text for key in keys for text, _ in cache.texts[key]} - {""})]
         words, lengths = encoder.encode(self.sentences)
         self.words = lengths.cpu().numpy()
         exists = tensors.mask(lengths, words.shape[1])
-        trained = {clip.texts for clip in cache.clips if clip.split == "train"} & keys
-        said = {text for key in trained for text, _ in cache.texts[key]}
-        rows = torch.tensor([text in said for text in self.sentences], device=words.device)
-        self.text = (text or Statistics.of(words[exists & rows[:, None]].float(), FLOOR)).to(device)
-        self._text = torch.where(exists[..., None].to(device), self.text.normalise(words.to(device).float()), 0.0)
         place = {text: index for index, text in enumerate(self.sentences)}
+        trained = {clip.texts for clip in cache.clips if clip.split == "train"} & keys
+        said = sorted({place[text] for key in trained for text, _ in cache.texts[key]})
+        rows = [place[cache.texts[clip.texts][0][0]] for clip in first if clip.texts in keys] or said
+        self.text = (text or Statistics.of(words[rows][exists[rows]].float(), FLOOR)).to(device)
+        self._text = torch.where(exists[..., None].to(device), self.text.normalise(words.to(device).float()), 0.0)
         self.choices = {
             key: (
                 np.array([place[text] for text, _ in cache.texts[key]]),
@@ -125,17 +143,41 @@ class Dataset:
 
     def batch(self, plan: BatchPlan) -> Batch:
         """The motion and the texts of `plan`, padded to the longest of each."""
-        frames, words = plan.body.frames, self.words[plan.sentence]
-        device = self.features.device
+        arrangement, words, device = plan.arrangement, self.words[plan.sentence], self.features.device
+        frames = arrangement.lengths
         lengths = torch.from_numpy(frames).to(device)
-        text_lengths = torch.from_numpy(words).to(device)
         mask = None if (frames == frames.max()).all() else tensors.mask(lengths, int(frames.max()))
-        text_mask = None if (words == words.max()).all() else tensors.mask(text_lengths, int(words.max()))
-        motion = self.motion.normalise(self._composed(self._cut(plan.body), plan)).clamp(-self._limit, self._limit)
+        raw = arrangement.joined(self._composed(self._cut(plan.body), plan), self._rotating)
+        motion = self.motion.normalise(raw).clamp(-self._limit, self._limit)
         if mask is not None:
             motion = torch.where(mask[..., None], motion, 0.0)
         text = self._text[torch.from_numpy(plan.sentence).to(device)][:, : int(words.max())]
-        return Batch(motion, mask, text, text_mask, int(frames.sum()))
+        segment = text_mask = None
+        if len(frames) < len(words):
+            text, segment = self._in_rows(text, plan)
+        elif (words != words.max()).any():
+            text_mask = tensors.mask(torch.from_numpy(words).to(device), int(words.max()))
+        return Batch(motion, mask, text, text_mask, int(frames.sum()), segment=segment)
+
+    def _in_rows(self, text: Float[Tensor, "crops 1 width"], plan: BatchPlan) -> tuple[Tensor, Tensor]:
+        """The crops' one-word texts as words of their rows', and which of them each frame belongs to."""
+        rows, device = plan.arrangement, text.device
+        row, place = (torch.from_numpy(each).to(device) for each in (plan.row, rows.place))
+        words = text.new_zeros(len(rows.lengths), int(rows.place.max()) + 1, text.shape[2])
+        return words.index_put((row, place), text[:, 0]), torch.from_numpy(rows.segments()).to(device)
+
+    def poses(self, plan: BatchPlan, frame: np.ndarray) -> np.ndarray:
+        """Each crop's normalised features in its frame `frame`, (crops, features), rounded to one of the source's."""
+        donor, own = plan.donor, frame - plan.offset
+        inside = torch.from_numpy((own >= 0) & (own < donor.frames)).to(self.features.device)
+        claimed = torch.from_numpy(self.claims[donor.clip]).to(self.features.device)
+        owned = (claimed[:, :, None] & self._owned).any(dim=1) & inside[:, None]
+        raw = torch.where(owned, self._at(donor, own.clip(0)), self._at(plan.body, frame))
+        return self.motion.normalise(raw).clamp(-self._limit, self._limit).cpu().numpy()
+
+    def _at(self, crops: Crops, frame: np.ndarray) -> Tensor:
+        place = np.minimum(crops.start + np.rint(frame * crops.speed).astype(int), crops.end - 1)
+        return self.features[torch.from_numpy(place).to(self.features.device)]
 
     def _composed(self, motion: Float[Tensor, "batch frames features"], plan: BatchPlan) -> Tensor:
         """Each row with its donor, if it has one, in the columns of the parts that the donor claims."""
@@ -170,7 +212,7 @@ class Dataset:
         raw[..., self.velocity] = (self._gone(start, position + speed) - self._gone(start, position)).float()
         return self._rotating(raw)
 
-    def _rotating(self, raw: Float[Tensor, "batch frames features"]) -> Tensor:
+    def _rotating(self, raw: Float[Tensor, "*batch features"]) -> Tensor:
         """`raw` after blending in place: with rotations again."""
         rows = rearrange(raw[..., self.layout["rotations"]], "... (joints six) -> ... joints six", six=6)
         rotations = matrix_to_rows(rows_to_matrix(rows))
@@ -198,21 +240,48 @@ class Crops:
     def __getitem__(self, rows: np.ndarray) -> Crops:
         return Crops(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
+    def followed_by(self, others: Crops) -> Crops:
+        """These and, behind them, the others."""
+        pairs = ((getattr(self, name), getattr(others, name)) for name in self.__dataclass_fields__)
+        return Crops(*map(np.concatenate, pairs))
+
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """Rows to be: the crop that each is, and the place of its sentence; for a composition the `donor` whose claimed
+    """Crops to be: the `body` of each, and the place of its sentence; for a composition the `donor` whose claimed
     parts it takes over from its frame `offset` on (else a crop of no frames), and the sentence of the `other` of the
-    two where the row shows it, too (else the row's own): see `Sampling.compose_prob`."""
+    two where the crop shows it, too (else the crop's own): see `Sampling.compose_prob`. Crops stand in rows one after
+    the other: see `Arrangement` for `row` and `fade`."""
 
     body: Crops
     sentence: np.ndarray
     donor: Crops
     offset: np.ndarray
     other: np.ndarray
+    row: np.ndarray
+    fade: np.ndarray
 
-    def __getitem__(self, rows: np.ndarray) -> BatchPlan:
-        return BatchPlan(self.body[rows], self.sentence[rows], self.donor[rows], self.offset[rows], self.other[rows])
+    def __getitem__(self, crops: np.ndarray) -> BatchPlan:
+        """Some of the crops; the rows keep their numbers."""
+        return BatchPlan(*(getattr(self, name)[crops] for name in self.__dataclass_fields__))
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """Where the crops stand."""
+        return Arrangement(self.row, self.body.frames, self.fade)
+
+    def rows(self, rows: np.ndarray) -> BatchPlan:
+        """Whole rows, in this order."""
+        crops = np.concatenate([np.flatnonzero(self.row == row) for row in rows])
+        chosen = self[crops]
+        return replace(chosen, row=np.cumsum(np.diff(chosen.row, prepend=chosen.row[0]) != 0))
+
+
+def _first_of_entries(training: Sequence[Clip], over: MeansOver) -> list[Clip]:
+    """What statistics over entries are over: the first clip of each content; none where they are over all clips."""
+    if over not in get_args(MeansOver):
+        raise ValueError(f"unknown statistics_over {over!r}; choose from {', '.join(get_args(MeansOver))}")
+    return list({clip.content: clip for clip in reversed(training)}.values()) if over == "entries" else []
 
 
 def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ class PairBatches:
     `sentences`, texts that it finds `similar` by more than `threshold` are taken to be true of each other's motions,
     too: the filter of TMR, for data where one clip's sentences are not another's.
 
-    Raises `ValueError` for sampling that leaves rows without a text.
+    Raises `ValueError` for sampling that leaves rows without a text, or with several.
     """
 
     def __init__(
@@ -39,6 +39,8 @@ class PairBatches:
                 f"pairs need texts: uncond_crop_prob ({sampling.uncond_crop_prob}) and text_dropout "
                 f"({sampling.text_dropout}) must be 0"
             )
+        if sampling.texts_per_row[1] > 1:
+            raise ValueError(f"pairs are of one text each: texts_per_row ({sampling.texts_per_row}) must be [1, 1]")
         self.batches, self.threshold = batches, threshold
         keys = {key: column for column, key in enumerate(dataset.choices)}
         self._true = np.zeros((len(dataset.sentences), len(keys) + 1), dtype=bool)  # the last column: of no sentence
@@ -49,9 +51,9 @@ class PairBatches:
 
     def __call__(self, step: int, process: int = 0) -> list[Pairs]:
         dataset, pieces = self.batches.dataset, []
-        random = np.random.default_rng([self.batches.seed, step, process])
+        rng = np.random.default_rng([self.batches.seed, step, process])
         for plan in self.batches.plans(step, process):
-            swapped = random.random(len(plan.sentence)) < 0.5
+            swapped = rng.random(len(plan.sentence)) < 0.5
             texts = plan.sentence, plan.other
             plan = replace(plan, sentence=np.where(swapped, *texts[::-1]), other=np.where(swapped, *texts))
             batch = dataset.batch(plan)
@@ -76,9 +78,9 @@ class PairBatches:
 
     def drawn(self, split: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """All clips of a split that have texts, and the place of one sentence of each: whom to retrieve from whom."""
-        dataset, random = self.batches.dataset, np.random.default_rng(seed)
+        dataset, rng = self.batches.dataset, np.random.default_rng(seed)
         clips = np.flatnonzero([clip.split == split for clip in dataset.clips] & dataset.described)
-        return clips, np.array([dataset.sentence(clip, random.random()) for clip in clips.tolist()], dtype=int)
+        return clips, np.array([dataset.sentence(clip, rng.random()) for clip in clips.tolist()], dtype=int)
 
 
 def similar(sentences: Float[Tensor, "batch width"], threshold: float | int = 0.8) -> Bool[Tensor, "batch batch"]:

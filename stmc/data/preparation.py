@@ -50,6 +50,14 @@ class Preparation(Protocol):
         ...
 
 
+def find_source(source: str | Path, expected: str) -> Path:
+    """Where a data set lies, `~` expanded. Raises `LayoutError`, which says what is `expected`, where nothing does."""
+    path = Path(source).expanduser()
+    if not path.exists():
+        raise LayoutError(f"source={source} does not exist; it should be {expected}")
+    return path
+
+
 def code(*places: str) -> str:
     """A name for the state of these modules and packages of the library, on which a cache depends as on its inputs."""
     library, found = Path(__file__).parents[1], []
@@ -71,25 +79,33 @@ class Piece:
 
 
 def converted(
-    pieces: Sequence[Piece], scratch: Path, workers: int, watch: Watch, skipped: Sequence[tuple[str, str]] = ()
+    pieces: Iterable[Piece],
+    total: int,
+    scratch: Path,
+    workers: int,
+    watch: Watch,
+    skipped: Sequence[tuple[str, str]] = (),
 ) -> Cache:
-    """All pieces as one cache, in their order; pieces that are in `scratch` already are not converted again.
+    """All pieces, `total` of them at most, as one cache, in their order; pieces that are in `scratch` already are not
+    converted again. A piece is asked for when its turn comes, so that they need not be in memory together.
 
-    The cache names what was `skipped` before, and every piece that was now, with the reason.
+    The cache names what was `skipped` before or while pieces were made, and every piece that was now, with the reason.
     Raises `ValueError` where no clip is left.
     """
-    caches, skipped = [], list(skipped)
-    folders = [scratch / piece.fingerprint[:32] for piece in pieces]
-    jobs = (
-        (piece.name, None if fresh(folder, piece.fingerprint) else (write_piece, piece, folder))
-        for piece, folder in zip(pieces, folders, strict=True)
-    )
-    for folder, (name, reason) in zip(folders, watch(in_parallel(jobs, workers), len(pieces)), strict=True):
+    caches, unused, folders = [], list[tuple[str, str]](), deque[Path]()
+
+    def jobs() -> Iterator[tuple[str, Job | None]]:
+        for piece in pieces:
+            folders.append(folder := scratch / piece.fingerprint[:32])
+            yield piece.name, None if fresh(folder, piece.fingerprint) else (write_piece, piece, folder)
+
+    for name, reason in watch(in_parallel(jobs(), workers), total):
+        folder = folders.popleft()
         if isinstance(reason, str):
-            skipped.append((name, reason))
+            unused.append((name, reason))
         else:
             caches.append(Cache.read(folder))
-    skipped += [row for cache in caches for row in cache.skipped]
+    skipped = [*skipped, *unused, *(row for cache in caches for row in cache.skipped)]
     if not any(cache.clips for cache in caches):
         first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
         raise ValueError(f"not one clip could be used, {len(skipped)} were skipped{first}")

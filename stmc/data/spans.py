@@ -16,7 +16,7 @@ from stmc.data.cache import Cache, Clip
 
 
 @dataclass(frozen=True)
-class Described:
+class AnnotatedSpans:
     """Spans `[begin, end)` of some features, each with its sentences. The name, the split and whether it is a mirror
     image hold for all of them."""
 
@@ -26,7 +26,7 @@ class Described:
     spans: dict[tuple[int, int], list[str]]
 
 
-class Album:
+class CacheBuilder:
     """What a piece's cache is made of, entry by entry: features, clips and texts."""
 
     def __init__(self, width: int) -> None:
@@ -35,34 +35,39 @@ class Album:
         self._texts: dict[str, tuple[tuple[str, float], ...]] = {}
         self._start = 0
 
-    def add(self, features: Float[Tensor, "frames features"], described: Described) -> None:
-        """Keeps the frames from the first to the last that a span needs, and a clip for every span.
+    def add(self, features: Float[Tensor, "frames features"], *annotated: AnnotatedSpans) -> None:
+        """Keeps a recording, if anything of it is described, and a clip for every span of each entry.
 
-        No body part is known of a clip, and its content is its own: it is like no other.
+        No body part is known of a clip, and an entry's content is its own: it is like no other.
         """
-        spans = described.spans
-        if not spans:
-            return
-        first, last = min(begin for begin, _ in spans), max(end for _, end in spans)
+        if any(each.spans for each in annotated):
+            for each in annotated:
+                self._add(each, (self._start, self._start + len(features)))
+            self._features.append(features)
+            self._start += len(features)
+
+    def _add(self, annotated: AnnotatedSpans, whole: tuple[int, int]) -> None:
+        spans = annotated.spans
         for number, ((begin, end), said) in enumerate(spans.items()):
-            name = f"{described.name}/{number}" if len(spans) > 1 else described.name
+            name = f"{annotated.name}/{number}" if len(spans) > 1 else annotated.name
             self._clips.append(
                 Clip(
                     name=name,
-                    content=described.name,
+                    content=annotated.name,
                     style="",
                     texts=name,
                     parts=(),
                     cyclic=False,
-                    mirrored=described.mirrored,
-                    split=described.split,
-                    start=self._start + begin - first,
-                    end=self._start + end - first,
+                    mirrored=annotated.mirrored,
+                    split=annotated.split,
+                    start=whole[0] + begin,
+                    end=whole[0] + end,
+                    recording=annotated.name,
+                    annotations=len(said),
+                    whole=whole,
                 )
             )
             self._texts[name] = _shares(said)
-        self._features.append(features[first:last])
-        self._start += last - first
 
     def cache(self, fps: float | int, representation: str) -> Cache:
         """Everything that was added."""

@@ -13,24 +13,24 @@ from einops import rearrange
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from stmc.denoisers.flow_mdm_layers import Layers, Sight, Turns, absolute_positions
+from stmc.denoisers.flow_mdm_layers import AttentionMask, Layers, RotaryEmbedding, absolute_positions
 from stmc.denoisers.layers import POSITIONS
 from stmc.denoisers.network import Network
 from stmc.tensors import sinusoids
 
-RELATIVE = 0.5
-"""The share of the rows in training that are shown with relative positions."""
+BPE_TRAINING_RATIO = 0.5
+"""The share of the rows in training that have relative positions, not absolute ones (blended positional encodings)."""
 
 
 class FlowMdm(Network):
     """A `Denoiser` of crops with one text each, or of sequences of many segments with a text each: see `denoise`.
 
     `features` numbers per frame, `text_width` numbers in the one word of a text; `width` of a frame inside,
-    `feedforward` width inside a layer. A frame sees at most `horizon` frames to either side. The steps from
+    `feedforward` width inside a layer. A frame sees at most `attention_window` frames to either side. The steps from
     `absolute_from` on (0 is the least noisy) are taken with absolute positions, those below with relative ones; 0: all
     absolute. More absolute steps keep more to the texts, fewer make smoother transitions (Fig. 5). In training each row
-    is relative or absolute by chance, whatever its step. `dropout` acts on the frames where they come in, `skipped` is
-    the probability to skip a layer's half.
+    is relative or absolute by chance, whatever its step. `dropout` acts on the frames where they come in,
+    `stochastic_depth` is the probability to skip a layer's half.
     """
 
     ends = "input_process.poseEmbedding", "output_process.poseFinal"
@@ -45,27 +45,29 @@ class FlowMdm(Network):
         feedforward: int = 1024,
         layers: int = 8,
         heads: int = 4,
-        horizon: int = 150,
+        attention_window: int = 150,
         dropout: float = 0.1,
-        skipped: float = 0.1,
+        stochastic_depth: float = 0.1,
     ) -> None:
         super().__init__()
         if width % 2:
             raise ValueError(f"width {width} must be even")
-        if horizon < 1 or absolute_from < 0:
-            raise ValueError(f"horizon {horizon} must be at least 1 frame, absolute_from {absolute_from} at least 0")
-        self.horizon, self.absolute_from = horizon, absolute_from
+        if attention_window < 1 or absolute_from < 0:
+            raise ValueError(
+                f"attention_window {attention_window} must be at least 1, absolute_from {absolute_from} at least 0"
+            )
+        self.attention_window, self.absolute_from = attention_window, absolute_from
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features, width)})
         time_embed = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.embed_timestep = nn.ModuleDict({"time_embed": time_embed})
         self.embed_text = nn.Linear(text_width, width)
-        self.seqTransEncoder = _Encoder(width, feedforward, layers, heads, dropout, skipped)
+        self.seqTransEncoder = _Encoder(width, feedforward, layers, heads, dropout, stochastic_depth)
         self.output_process = nn.ModuleDict({"poseFinal": nn.Linear(width, features)})
         self.register_buffer("positions", sinusoids(POSITIONS, width), persistent=False)
 
-    def read(
+    def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
-    ) -> Float[Tensor, "batch words read"]:
+    ) -> Float[Tensor, "batch words encoded"]:
         """The texts, each of them one word, as the network's own."""
         return self.embed_text(text)
 
@@ -73,7 +75,7 @@ class FlowMdm(Network):
         self,
         x: Float[Tensor, "batch frames features"],
         t: Int[Tensor, " batch"],
-        text: Float[Tensor, "batch words read"],
+        text: Float[Tensor, "batch words encoded"],
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
         segment: Int[Tensor, "batch frames"] | None = None,
@@ -83,8 +85,8 @@ class FlowMdm(Network):
         each of a row's segments; without it, a row is one segment. A segment may be interrupted by others.
         `absolute_from`: None is the network's own."""
         first = self.absolute_from if absolute_from is None else absolute_from
-        absolute = torch.rand(len(x), device=x.device) >= RELATIVE if self.training else t >= first
-        return self.encoded(x, t, text, absolute, mask, segment)
+        absolute = torch.rand(len(x), device=x.device) >= BPE_TRAINING_RATIO if self.training else t >= first
+        return self.blended(x, t, text, absolute, mask, segment)
 
     def forward(
         self,
@@ -95,14 +97,14 @@ class FlowMdm(Network):
         mask: Bool[Tensor, "batch frames"] | None = None,
         segment: Int[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """See `denoise`, for a text that was not read yet."""
-        return self.denoise(x, t, self.read(text), text_mask, mask, segment)
+        """See `denoise`, for a text that is not encoded yet."""
+        return self.denoise(x, t, self.encode_text(text), text_mask, mask, segment)
 
-    def encoded(
+    def blended(
         self,
         x: Float[Tensor, "batch frames features"],
         t: Int[Tensor, " batch"],
-        text: Float[Tensor, "batch words read"],
+        text: Float[Tensor, "batch words encoded"],
         absolute: Bool[Tensor, " batch"],
         mask: Bool[Tensor, "batch frames"] | None = None,
         segment: Int[Tensor, "batch frames"] | None = None,
@@ -111,31 +113,33 @@ class FlowMdm(Network):
         if segment is None and text.shape[1] != 1:
             raise ValueError(f"{text.shape[1]} words a text: FlowMdm reads one, or one for each segment")
         step = self.embed_timestep["time_embed"](self.positions[t])[:, None]
-        told = text if segment is None else text.take_along_dim(segment[..., None], dim=1)
-        condition = (step + told).expand(-1, x.shape[1], -1)
+        words = text if segment is None else text.take_along_dim(segment[..., None], dim=1)
+        condition = (step + words).expand(-1, x.shape[1], -1)
         alone = torch.arange(x.shape[1], device=x.device)[None]
         position = alone if segment is None else _positions(segment, text.shape[1])
-        sight = Sight(x.shape[1], self.horizon, mask, segment, absolute)
+        attention_mask = AttentionMask(x.shape[1], self.attention_window, mask, segment, absolute)
         frames = self.input_process["poseEmbedding"](x)
-        return self.output_process["poseFinal"](self.seqTransEncoder(frames, condition, position, sight))
+        return self.output_process["poseFinal"](self.seqTransEncoder(frames, condition, position, attention_mask))
 
 
 class _Encoder(nn.Module):
-    def __init__(self, width: int, feedforward: int, layers: int, heads: int, dropout: float, skipped: float) -> None:
+    def __init__(
+        self, width: int, feedforward: int, layers: int, heads: int, dropout: float, stochastic_depth: float
+    ) -> None:
         super().__init__()
         self.project_in = nn.Linear(width, width)
         self.pos_emb = nn.ModuleDict({"absolute": _Scale(width**-0.5)})
         self.dropout = nn.Dropout(dropout)
-        self.attn_layers = Layers(width, feedforward, layers, heads, skipped)
+        self.attn_layers = Layers(width, feedforward, layers, heads, stochastic_depth)
         self.project_out = nn.Linear(width, width)
 
-    def forward(self, frames: Tensor, condition: Tensor, position: Tensor, sight: Sight) -> Tensor:
+    def forward(self, frames: Tensor, condition: Tensor, position: Tensor, attention_mask: AttentionMask) -> Tensor:
         frames = self.project_in(frames)
         place = self.pos_emb["absolute"](absolute_positions(position, frames.shape[-1]))
-        absolute = rearrange(sight.confined, "batch -> batch 1 1")
+        absolute = rearrange(attention_mask.within_segment, "batch -> batch 1 1")
         frames = self.dropout(frames + torch.where(absolute, place, 0.0))
-        turns = Turns.of(frames.shape[1], ~sight.confined)
-        return self.project_out(self.attn_layers(frames, condition, turns, sight.attention()))
+        rotary = RotaryEmbedding.of(frames.shape[1], ~attention_mask.within_segment)
+        return self.project_out(self.attn_layers(frames, condition, rotary, attention_mask.attention()))
 
 
 class _Scale(nn.Module):

@@ -1,4 +1,4 @@
-"""What FlowMDM is built from: attention within a horizon, at a cost linear in the frames, whose queries alone know the
+"""What FlowMDM is built from: attention within a window, at a cost linear in the frames, whose queries alone know the
 condition (Barquero et al. 2024, sections 3.2 and 3.3).
 
 Parameter names are those of the published checkpoints. Knows frames and which of them may see each other; knows no
@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 HEAD = 64
 """Channels of a head, whatever the network's width."""
-TURNED = 32
+ROTARY_DIM = 32
 """How many of them, the first ones, rotary positions turn."""
 BASE = 10000.0
 """Of the wavelengths of both encodings."""
@@ -29,53 +29,53 @@ Attend = Callable[[Heads, Heads, Heads], Heads]
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """Which of `frames` see which, for a batch of sequences: those at most `horizon` away, in both directions, unless
-    they are padding; in rows that are `confined`, those of the same segment only. A frame always sees itself, so that
-    padding has something to look at."""
+class AttentionMask:
+    """Which of `frames` see which, for a batch of sequences: those at most `window` away, in both directions, unless
+    they are padding; in rows that stay `within_segment`, those of the same segment only. A frame always sees itself,
+    so that padding has something to look at."""
 
     frames: int
-    horizon: int
+    window: int
     mask: Bool[Tensor, "batch frames"] | None
     segment: Int[Tensor, "batch frames"] | None
-    confined: Bool[Tensor, " batch"]
+    within_segment: Bool[Tensor, " batch"]
 
     def attention(self) -> Attend:
         """All frames at once where that is no more work than blocks with their two neighbours; else in blocks, so that
         time and memory grow with the frames and not with their square."""
-        device, horizon = self.confined.device, self.horizon
-        if self.frames > 3 * horizon:
-            first = torch.arange(0, self.frames, horizon, device=device)[:, None, None]
-            own, around = torch.arange(horizon, device=device), torch.arange(-horizon, 2 * horizon, device=device)
-            return _in_blocks(self._seen(first + own[:, None], first + around), horizon)
+        device, window = self.within_segment.device, self.window
+        if self.frames > 3 * window:
+            first = torch.arange(0, self.frames, window, device=device)[:, None, None]
+            own, around = torch.arange(window, device=device), torch.arange(-window, 2 * window, device=device)
+            return _in_blocks(self._visible(first + own[:, None], first + around), window)
         frame = torch.arange(self.frames, device=device)
-        return _at_once(self._seen(frame[:, None], frame[None]))
+        return _at_once(self._visible(frame[:, None], frame[None]))
 
-    def _seen(
+    def _visible(
         self, query: Int[Tensor, "*blocks own 1"], key: Int[Tensor, "*blocks 1 around"]
     ) -> Bool[Tensor, "_ *blocks own around"]:
         """For frames that may also lie outside of the sequence, where nothing is seen; one row for all or for each."""
-        near = ((query - key).abs() <= self.horizon) & (key >= 0) & (key < self.frames)
-        seen, each = near[None], [-1, *[1] * near.ndim]
+        near = ((query - key).abs() <= self.window) & (key >= 0) & (key < self.frames)
+        visible, each = near[None], [-1, *[1] * near.ndim]
         if self.mask is not None:
-            seen = seen & self._at(self.mask, key)
+            visible = visible & self._at(self.mask, key)
         if self.segment is not None:
             same = self._at(self.segment, query) == self._at(self.segment, key)
-            seen = seen & (same | ~self.confined.reshape(each))
-        return seen | (query == key)
+            visible = visible & (same | ~self.within_segment.reshape(each))
+        return visible | (query == key)
 
     def _at(self, values: Tensor, frame: Tensor) -> Tensor:
         return values[:, frame.clamp(0, self.frames - 1)]
 
 
-def _at_once(seen: Bool[Tensor, "_ frames frames"]) -> Attend:
-    seen = rearrange(seen, "batch own around -> batch 1 own around")
-    return lambda query, key, value: F.scaled_dot_product_attention(query, key, value, attn_mask=seen)
+def _at_once(visible: Bool[Tensor, "_ frames frames"]) -> Attend:
+    visible = rearrange(visible, "batch own around -> batch 1 own around")
+    return lambda query, key, value: F.scaled_dot_product_attention(query, key, value, attn_mask=visible)
 
 
-def _in_blocks(seen: Bool[Tensor, "_ blocks own around"], size: int) -> Attend:
+def _in_blocks(visible: Bool[Tensor, "_ blocks own around"], size: int) -> Attend:
     """Queries in blocks of `size` frames, each with the keys and values of its own block and of the two beside it."""
-    blocks = seen.shape[1]
+    blocks = visible.shape[1]
 
     def around(values: Heads) -> Tensor:
         behind = blocks * size - values.shape[2]
@@ -86,7 +86,7 @@ def _in_blocks(seen: Bool[Tensor, "_ blocks own around"], size: int) -> Attend:
         batch, _, frames, _ = query.shape
         own = F.pad(query, (0, 0, 0, blocks * size - frames))
         own = rearrange(own, "batch heads (blocks own) channels -> (batch blocks) heads own channels", blocks=blocks)
-        mask = rearrange(seen.expand(batch, -1, -1, -1), "batch blocks own around -> (batch blocks) 1 own around")
+        mask = rearrange(visible.expand(batch, -1, -1, -1), "batch blocks own around -> (batch blocks) 1 own around")
         mixed = F.scaled_dot_product_attention(own, around(key), around(value), attn_mask=mask)
         return rearrange(mixed, "(batch blocks) heads own channels -> batch heads (blocks own) channels", batch=batch)[
             :, :, :frames
@@ -96,27 +96,27 @@ def _in_blocks(seen: Bool[Tensor, "_ blocks own around"], size: int) -> Attend:
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class RotaryEmbedding:
     """Rotary positions (Su et al. 2021): cosines and sines of every frame's angles, one for each pair of channels."""
 
     cosines: Float[Tensor, "batch 1 frames half"]
     sines: Float[Tensor, "batch 1 frames half"]
 
     @classmethod
-    def of(cls, frames: int, relative: Bool[Tensor, " batch"]) -> Turns:
+    def of(cls, frames: int, relative: Bool[Tensor, " batch"]) -> RotaryEmbedding:
         """Of consecutive frames, for the rows that are `relative`; the others are not turned.
 
         Angles are float64 until their sines are known: after ten minutes they are large.
         """
         frame = torch.arange(frames, dtype=torch.float64, device=relative.device)
-        angle = frame[:, None] * frequencies(TURNED // 2).to(frame)
+        angle = frame[:, None] * frequencies(ROTARY_DIM // 2).to(frame)
         angle = rearrange(relative, "batch -> batch 1 1 1") * angle
         return cls(angle.cos(), angle.sin())
 
     def __call__(self, values: Heads) -> Heads:
         """Channel i of the first half of the turned ones is turned with channel i of the second."""
         cosines, sines = self.cosines.to(values), self.sines.to(values)
-        first, second, rest = values.split([TURNED // 2, TURNED // 2, HEAD - TURNED], dim=-1)
+        first, second, rest = values.split([ROTARY_DIM // 2, ROTARY_DIM // 2, HEAD - ROTARY_DIM], dim=-1)
         return torch.cat([first * cosines - second * sines, second * cosines + first * sines, rest], dim=-1)
 
 
@@ -150,12 +150,12 @@ class PoseCentricAttention(nn.Module):
         self,
         poses: Float[Tensor, "batch frames width"],
         condition: Float[Tensor, "batch frames width"],
-        turns: Turns,
+        rotary: RotaryEmbedding,
         attend: Attend,
     ) -> Float[Tensor, "batch frames width"]:
-        told = self.custom_query_fn(torch.cat([poses, condition], dim=-1))
-        query, key, value = (self._split(each) for each in (self.to_q(told), self.to_k(poses), self.to_v(poses)))
-        mixed = attend(turns(query), turns(key), value)
+        conditioned = self.custom_query_fn(torch.cat([poses, condition], dim=-1))
+        query, key, value = (self._split(each) for each in (self.to_q(conditioned), self.to_k(poses), self.to_v(poses)))
+        mixed = attend(rotary(query), rotary(key), value)
         return self.to_out(rearrange(mixed, "batch heads frames channels -> batch frames (heads channels)"))
 
     def _split(self, values: Tensor) -> Heads:
@@ -177,24 +177,24 @@ class Feedforward(nn.Module):
 class Layers(nn.Module):
     """Attention and feed-forward in turn, each behind a norm and beside a residual stream; a norm at the end.
 
-    In training each of them is left out with probability `skipped`, for the whole batch (Huang et al. 2016).
+    In training each of them is left out with probability `stochastic_depth`, for the whole batch (Huang et al. 2016).
     """
 
-    def __init__(self, width: int, inner: int, count: int, heads: int, skipped: float) -> None:
+    def __init__(self, width: int, inner: int, count: int, heads: int, stochastic_depth: float) -> None:
         super().__init__()
         inside = [
             block for _ in range(count) for block in (PoseCentricAttention(width, heads), Feedforward(width, inner))
         ]
         self.layers = nn.ModuleList(nn.ModuleList([nn.ModuleList([nn.LayerNorm(width)]), block]) for block in inside)
         self.final_norm = nn.LayerNorm(width)
-        self.skipped = skipped
+        self.stochastic_depth = stochastic_depth
 
-    def forward(self, frames: Float[Tensor, "batch frames width"], *seen: object) -> Tensor:
+    def forward(self, frames: Float[Tensor, "batch frames width"], *attention: object) -> Tensor:
         for (norm,), block in self.layers:
             normed = norm(frames)
-            out = block(normed, *seen) if isinstance(block, PoseCentricAttention) else block(normed)
-            if self.training and self.skipped:
+            out = block(normed, *attention) if isinstance(block, PoseCentricAttention) else block(normed)
+            if self.training and self.stochastic_depth:
                 # Multiplied by 0, not left out of the graph: distributed training wants a gradient for every weight.
-                out = out * (torch.rand((), device=out.device) >= self.skipped)
+                out = out * (torch.rand((), device=out.device) >= self.stochastic_depth)
             frames = frames + out
         return self.final_norm(frames)

@@ -43,9 +43,9 @@ class _Mdm(Network):
         self.dropout = nn.Dropout(dropout)
         self.register_buffer("positions", sinusoids(POSITIONS, width), persistent=False)
 
-    def read(
+    def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
-    ) -> Float[Tensor, "batch words read"]:
+    ) -> Float[Tensor, "batch words encoded"]:
         """The words as tokens."""
         return self.embed_text(text)
 
@@ -93,7 +93,7 @@ class MdmEncoder(_Mdm):
         self,
         x: Float[Tensor, "batch frames features"],
         t: Int[Tensor, " batch"],
-        text: Float[Tensor, "batch words read"],
+        text: Float[Tensor, "batch words encoded"],
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
@@ -132,7 +132,7 @@ class MdmDecoder(_Mdm):
         self,
         x: Float[Tensor, "batch frames features"],
         t: Int[Tensor, " batch"],
-        text: Float[Tensor, "batch words read"],
+        text: Float[Tensor, "batch words encoded"],
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:

@@ -56,9 +56,9 @@ class MdmSmpl(Network):
         self.dropout = nn.Dropout(dropout)
         self.register_buffer("positions", sinusoids(POSITIONS, width), persistent=False)
 
-    def read(
+    def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
-    ) -> Float[Tensor, "batch words read"]:
+    ) -> Float[Tensor, "batch words encoded"]:
         """The words as tokens."""
         return self.tx_embedding(text)
 
@@ -66,7 +66,7 @@ class MdmSmpl(Network):
         self,
         x: Float[Tensor, "batch frames features"],
         t: Int[Tensor, " batch"],
-        text: Float[Tensor, "batch words read"],
+        text: Float[Tensor, "batch words encoded"],
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:

@@ -19,7 +19,7 @@ from stmc.denoisers.network import Network
 
 
 class MotionDiffuse(Network):
-    """Blocks of self-attention, attention to the text and feed-forward, each steered by step and text.
+    """Blocks of self-attention, attention to the text and feed-forward, each stylized by step and text.
 
     `features` numbers per frame, `text_width` numbers per word of text; `width` of a frame's token, `frames` the most
     it has learned positions for. The first word stands for the whole text: it has to be the one at the end of the text
@@ -37,33 +37,35 @@ class MotionDiffuse(Network):
         layers: int = 8,
         heads: int = 8,
         frames: int = 196,
-        read_width: int = 256,
-        read_feedforward: int = 2048,
-        read_layers: int = 4,
-        read_heads: int = 4,
+        text_latent_width: int = 256,
+        text_feedforward: int = 2048,
+        text_layers: int = 4,
+        text_heads: int = 4,
         dropout: float = 0.0,
     ) -> None:
         super().__init__()
         if width % heads or width % 2:
             raise ValueError(f"width {width} must be even and a multiple of heads ({heads})")
         self.sequence_embedding = nn.Parameter(torch.randn(frames, width))
-        self.text_pre_proj = nn.Linear(text_width, read_width)
+        self.text_pre_proj = nn.Linear(text_width, text_latent_width)
         self.textTransEncoder = Stack(
-            [PostNormLayer(read_width, read_feedforward, read_heads, dropout) for _ in range(read_layers)]
+            [PostNormLayer(text_latent_width, text_feedforward, text_heads, dropout) for _ in range(text_layers)]
         )
-        self.text_ln = nn.LayerNorm(read_width)
-        steering = 4 * width
-        self.text_proj = nn.Sequential(nn.Linear(read_width, steering))
+        self.text_ln = nn.LayerNorm(text_latent_width)
+        stylization_width = 4 * width
+        self.text_proj = nn.Sequential(nn.Linear(text_latent_width, stylization_width))
         self.joint_embed = nn.Linear(features, width)
-        self.time_embed = nn.Sequential(nn.Linear(width, steering), nn.SiLU(), nn.Linear(steering, steering))
+        self.time_embed = nn.Sequential(
+            nn.Linear(width, stylization_width), nn.SiLU(), nn.Linear(stylization_width, stylization_width)
+        )
         self.temporal_decoder_blocks = nn.ModuleList(
-            _Block(width, feedforward, heads, read_width, steering, dropout) for _ in range(layers)
+            _Block(width, feedforward, heads, text_latent_width, stylization_width, dropout) for _ in range(layers)
         )
         self.out = nn.Linear(width, features)
 
-    def read(
+    def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
-    ) -> Float[Tensor, "batch words read"]:
+    ) -> Float[Tensor, "batch words encoded"]:
         """The words through the text transformer."""
         return self.text_ln(self.textTransEncoder(self.text_pre_proj(text), heads_of(text_mask)))
 
@@ -71,7 +73,7 @@ class MotionDiffuse(Network):
         self,
         x: Float[Tensor, "batch frames features"],
         t: Int[Tensor, " batch"],
-        text: Float[Tensor, "batch words read"],
+        text: Float[Tensor, "batch words encoded"],
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
@@ -79,10 +81,10 @@ class MotionDiffuse(Network):
         frames, known = x.shape[1], len(self.sequence_embedding)
         if frames > known:
             raise ValueError(f"{frames} frames exceed the {known} that MotionDiffuse knows")
-        steering = self.time_embed(self._waves(t).to(x)) + self.text_proj(text[:, 0])
+        stylization = self.time_embed(self._waves(t).to(x)) + self.text_proj(text[:, 0])
         tokens = self.joint_embed(x) + self.sequence_embedding[:frames]
         for block in self.temporal_decoder_blocks:
-            tokens = block(tokens, text, steering[:, None], text_mask, mask)
+            tokens = block(tokens, text, stylization[:, None], text_mask, mask)
         return self.out(tokens)
 
     def _waves(self, t: Int[Tensor, " batch"]) -> Float[Tensor, "batch width"]:
@@ -95,42 +97,42 @@ class MotionDiffuse(Network):
 
 class _Block(nn.Module):
     def __init__(
-        self, width: int, feedforward: int, heads: int, read_width: int, steering: int, dropout: float
+        self, width: int, feedforward: int, heads: int, text_latent_width: int, stylization_width: int, dropout: float
     ) -> None:
         super().__init__()
-        self.sa_block = _LinearAttention(width, width, heads, steering, dropout)
-        self.ca_block = _LinearAttention(width, read_width, heads, steering, dropout)
-        self.ca_block.text_norm = nn.LayerNorm(read_width)
-        self.ffn = _FeedForward(width, feedforward, steering, dropout)
+        self.sa_block = _LinearAttention(width, width, heads, stylization_width, dropout)
+        self.ca_block = _LinearAttention(width, text_latent_width, heads, stylization_width, dropout)
+        self.ca_block.text_norm = nn.LayerNorm(text_latent_width)
+        self.ffn = _FeedForward(width, feedforward, stylization_width, dropout)
 
     def forward(
-        self, tokens: Tensor, text: Tensor, steering: Tensor, text_mask: Tensor | None, mask: Tensor | None
+        self, tokens: Tensor, text: Tensor, stylization: Tensor, text_mask: Tensor | None, mask: Tensor | None
     ) -> Tensor:
         normal = self.sa_block.norm(tokens)
-        tokens = tokens + self.sa_block(normal, normal, steering, mask)
+        tokens = tokens + self.sa_block(normal, normal, stylization, mask)
         words = self.ca_block.text_norm(text)
-        tokens = tokens + self.ca_block(self.ca_block.norm(tokens), words, steering, text_mask)
-        return tokens + self.ffn(tokens, steering)
+        tokens = tokens + self.ca_block(self.ca_block.norm(tokens), words, stylization, text_mask)
+        return tokens + self.ffn(tokens, stylization)
 
 
 class _LinearAttention(nn.Module):
     """Efficient attention (Shen et al. 2021): keys become weights over the memory, queries weights over the features,
     so that the cost grows with the length and not with its square. Not scaled by the root of the width."""
 
-    def __init__(self, width: int, memory_width: int, heads: int, steering: int, dropout: float) -> None:
+    def __init__(self, width: int, memory_width: int, heads: int, stylization_width: int, dropout: float) -> None:
         super().__init__()
         self.heads = heads
         self.norm = nn.LayerNorm(width)
         self.query = nn.Linear(width, width)
         self.key = nn.Linear(memory_width, width)
         self.value = nn.Linear(memory_width, width)
-        self.proj_out = _Steered(width, steering, dropout)
+        self.proj_out = _Stylization(width, stylization_width, dropout)
 
     def forward(
         self,
         tokens: Float[Tensor, "batch _ width"],
         memory: Float[Tensor, "batch words _"],
-        steering: Float[Tensor, "batch 1 _"],
+        stylization: Float[Tensor, "batch 1 _"],
         mask: Bool[Tensor, "batch words"] | None,
     ) -> Float[Tensor, "batch _ width"]:
         query, key, value = (self._by_head(part) for part in (self.query(tokens), self.key(memory), self.value(memory)))
@@ -138,35 +140,35 @@ class _LinearAttention(nn.Module):
             key = key.masked_fill(~mask[:, None, :, None], float("-inf"))
         gathered = key.softmax(dim=-2).mT @ value
         mixed = query.softmax(dim=-1) @ gathered
-        return self.proj_out(rearrange(mixed, "batch heads words width -> batch words (heads width)"), steering)
+        return self.proj_out(rearrange(mixed, "batch heads words width -> batch words (heads width)"), stylization)
 
     def _by_head(self, tokens: Tensor) -> Tensor:
         return rearrange(tokens, "batch words (heads width) -> batch heads words width", heads=self.heads)
 
 
 class _FeedForward(nn.Module):
-    """Without a norm of its own in front: that is in `_Steered`."""
+    """Without a norm of its own in front: that is in `_Stylization`."""
 
-    def __init__(self, width: int, feedforward: int, steering: int, dropout: float) -> None:
+    def __init__(self, width: int, feedforward: int, stylization_width: int, dropout: float) -> None:
         super().__init__()
         self.linear1 = nn.Linear(width, feedforward)
         self.linear2 = nn.Linear(feedforward, width)
         self.dropout = nn.Dropout(dropout)
-        self.proj_out = _Steered(width, steering, dropout)
+        self.proj_out = _Stylization(width, stylization_width, dropout)
 
-    def forward(self, tokens: Tensor, steering: Tensor) -> Tensor:
-        return self.proj_out(self.linear2(self.dropout(F.gelu(self.linear1(tokens)))), steering)
+    def forward(self, tokens: Tensor, stylization: Tensor) -> Tensor:
+        return self.proj_out(self.linear2(self.dropout(F.gelu(self.linear1(tokens)))), stylization)
 
 
-class _Steered(nn.Module):
+class _Stylization(nn.Module):
     """A norm whose scale and shift follow from step and text, and a projection."""
 
-    def __init__(self, width: int, steering: int, dropout: float) -> None:
+    def __init__(self, width: int, stylization_width: int, dropout: float) -> None:
         super().__init__()
-        self.emb_layers = nn.Sequential(nn.SiLU(), nn.Linear(steering, 2 * width))
+        self.emb_layers = nn.Sequential(nn.SiLU(), nn.Linear(stylization_width, 2 * width))
         self.norm = nn.LayerNorm(width)
         self.out_layers = nn.Sequential(nn.SiLU(), nn.Dropout(dropout), nn.Linear(width, width))
 
-    def forward(self, tokens: Tensor, steering: Tensor) -> Tensor:
-        scale, shift = self.emb_layers(steering).chunk(2, dim=-1)
+    def forward(self, tokens: Tensor, stylization: Tensor) -> Tensor:
+        scale, shift = self.emb_layers(stylization).chunk(2, dim=-1)
         return self.out_layers(self.norm(tokens) * (1 + scale) + shift)

@@ -8,19 +8,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from stmc.denoisers.protocol import Denoiser
-from stmc.statistics import Statistics
-
-WIDEST = 1.5
-"""How much more than before the first layer may make of a feature whose statistics have changed: of its noise, too."""
+from stmc.statistics import Statistics, restate
 
 
 class Network(nn.Module, ABC):
-    """A `Denoiser` in two parts: `read` a text once, then `denoise` with what was read, at every step."""
+    """A `Denoiser` in two parts: `encode_text` once, then `denoise` with the encoded text, at every step."""
 
     fixed_length: int | None = None
     """How many frames it always sees, from a crop's first one on: also those behind the crop's end, where the timeline
@@ -40,25 +36,15 @@ class Network(nn.Module, ABC):
     ends: ClassVar[tuple[str, str]]
     """Names of the linear layers that take features in and give them out."""
 
-    @torch.no_grad()
     def restate(self, old: Statistics, new: Statistics) -> None:
-        """Makes weights that were trained on features normalised by `old` ones for features normalised by `new`.
-
-        What comes out is the same motion, for an input that is. What goes in is the same but for features that `new`
-        divides by far more, whose noise would be blown up as well: these count `WIDEST` times as much as before.
-        """
-        first, last = map(self.get_submodule, self.ends)
-        narrower, moved = (old.std / new.std).to(last.weight), ((new.mean - old.mean) / new.std).to(last.weight)
-        last.bias.mul_(narrower).sub_(moved)
-        last.weight.mul_(narrower[:, None])
-        scale = (1 / narrower).clamp(max=WIDEST)
-        first.bias.add_(first.weight @ (scale * moved))
-        first.weight.mul_(scale)
+        """Makes weights that were trained on features normalised by `old` ones for features normalised by `new`: see
+        `statistics.restate`."""
+        restate(*map(self.get_submodule, self.ends), old, new)
 
     @abstractmethod
-    def read(
+    def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
-    ) -> Float[Tensor, "batch words read"]:
+    ) -> Float[Tensor, "batch words encoded"]:
         """What there is to know of texts at every step: as many words, of the network's own width."""
 
     @abstractmethod
@@ -66,11 +52,11 @@ class Network(nn.Module, ABC):
         self,
         x: Float[Tensor, "batch frames features"],
         t: Int[Tensor, " batch"],
-        text: Float[Tensor, "batch words read"],
+        text: Float[Tensor, "batch words encoded"],
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """The prediction, as `Denoiser` says, for a `text` that was read."""
+        """The prediction, as `Denoiser` says, for an encoded `text`."""
 
     def forward(
         self,
@@ -81,11 +67,11 @@ class Network(nn.Module, ABC):
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
         """See `Denoiser`."""
-        return self.denoise(x, t, self.read(text, text_mask), text_mask, mask)
+        return self.denoise(x, t, self.encode_text(text, text_mask), text_mask, mask)
 
 
 def as_network(denoiser: Denoiser) -> Network:
-    """The denoiser itself, or any function with a denoiser's signature as one that has nothing to read beforehand.
+    """The denoiser itself, or any function with a denoiser's signature as one that has nothing to encode beforehand.
 
     Attributes of the function's, such as `fixed_length`, say what it can; without them it is taken to be as `Network`
     says. Raises `ValueError` for what cannot be called.
@@ -104,7 +90,7 @@ class _Called(Network):
         for name in ("fixed_length", "supports_padding", "per_frame_text", "absolute_from"):
             setattr(self, name, getattr(denoiser, name, getattr(Network, name)))
 
-    def read(self, text: Tensor, text_mask: Tensor | None = None) -> Tensor:
+    def encode_text(self, text: Tensor, text_mask: Tensor | None = None) -> Tensor:
         return text
 
     def denoise(self, x: Tensor, t: Tensor, text: Tensor, *others: Tensor | None, **settings: int) -> Tensor:

@@ -2,7 +2,8 @@
 
 from stmc.evaluators.evaluator import Evaluator
 from stmc.evaluators.guo import GuoEvaluator
+from stmc.evaluators.matching import MatchingEvaluator
 from stmc.evaluators.objective import TmrObjective
 from stmc.evaluators.tmr import Posterior, Tmr
 
-__all__ = ["Evaluator", "GuoEvaluator", "Posterior", "Tmr", "TmrObjective"]
+__all__ = ["Evaluator", "GuoEvaluator", "MatchingEvaluator", "Posterior", "Tmr", "TmrObjective"]

@@ -37,6 +37,11 @@ class Evaluator:
     fps: float | int
     config: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        weights = sum(each.numel() for each in self.network.parameters())
+        encoder, representation = (type(part).__name__ for part in (self.text_encoder, self.representation))
+        return f"Evaluator({weights:,} weights on {self.device}, {encoder} and {representation}, {self.fps:g} fps)"
+
     @property
     def device(self) -> torch.device:
         """Where the networks are."""

@@ -13,6 +13,7 @@ from einops import repeat
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from stmc.statistics import Statistics, restate
 from stmc.tensors import sinusoids
 
 POSITIONS = 5000
@@ -26,11 +27,11 @@ class Posterior(NamedTuple):
     mean: Float[Tensor, "batch width"]
     log_variance: Float[Tensor, "batch width"] | None
 
-    def whole(self) -> Posterior:
+    def float(self) -> Posterior:
         """In full precision: variances are exponentials."""
         return Posterior(*(None if value is None else value.float() for value in self))
 
-    def draw(self, generator: torch.Generator | None = None) -> Float[Tensor, "batch width"]:
+    def rsample(self, generator: torch.Generator | None = None) -> Float[Tensor, "batch width"]:
         """A point of each distribution; the mean itself where there is no variance."""
         if self.log_variance is None:
             return self.mean
@@ -103,7 +104,7 @@ class SequenceDecoder(nn.Module):
         return self.final_layer(decoded) * mask[..., None]
 
 
-class Meeting(NamedTuple):
+class Output(NamedTuple):
     """What a pair's two sides become: their posteriors, a point of each, and the motion that each point decodes to."""
 
     text: Posterior
@@ -140,13 +141,21 @@ class Tmr(nn.Module):
         motion: Float[Tensor, "batch frames features"],
         mask: Bool[Tensor, "batch frames"] | None,
         generator: torch.Generator | None = None,
-    ) -> Meeting:
-        """Everything that training looks at, text first; points are drawn from the posteriors."""
-        posteriors = self.text_encoder(text, text_mask).whole(), self.motion_encoder(motion, mask).whole()
-        points = tuple(posterior.draw(generator) for posterior in posteriors)
+        rebuild_every: int = 1,
+    ) -> Output:
+        """Everything that training looks at, text first; points are drawn from the posteriors. Every so many rows are
+        rebuilt."""
+        posteriors = self.text_encoder(text, text_mask).float(), self.motion_encoder(motion, mask).float()
+        points = tuple(posterior.rsample(generator) for posterior in posteriors)
         exists = torch.ones_like(motion[..., 0], dtype=torch.bool) if mask is None else mask
-        rebuilt = tuple(self.motion_decoder(point, exists).float() for point in points)
-        return Meeting(*posteriors, points, rebuilt)
+        chosen = slice(None, None, rebuild_every)
+        rebuilt = tuple(self.motion_decoder(point[chosen], exists[chosen]).float() for point in points)
+        return Output(*posteriors, points, rebuilt)
+
+    def restate(self, old: Statistics, new: Statistics) -> None:
+        """Makes weights that were trained on features normalised by `old` ones for features normalised by `new`: see
+        `statistics.restate`."""
+        restate(self.motion_encoder.projection, self.motion_decoder.final_layer, old, new)
 
 
 def _first(positions: Tensor, tokens: int) -> Float[Tensor, "_ width"]:

@@ -1,4 +1,4 @@
-"""Motions as files: AMASS-like `.npz` and `.bvh`. Knows nothing of models, timelines or pictures."""
+"""Motions as files for other software. Knows nothing of models or pictures; a timeline goes along as it is."""
 
 from stmc.export.files import read, write
 

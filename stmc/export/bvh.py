@@ -15,28 +15,30 @@ import torch
 from einops import rearrange
 from jaxtyping import Float
 
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
+from stmc.export.axes import Z_UP_TO_Y_UP
 from stmc.motion import Motion
+from stmc.timeline import Timeline
 
-_Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 _TURN = "Zrotation Xrotation Yrotation"
 _TIPS = {"head": (0.0, 0.18, 0.02), "left_foot": (0.0, 0.0, 0.07), "right_foot": (0.0, 0.0, 0.07)}
 """End sites of the joints that no joint follows, from the joint in metres; the wrists end in SMPL's hands."""
 
 
-def save_bvh(motion: Motion, file: IO[bytes], skeleton: Skeleton) -> None:
+def save_bvh(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None) -> None:
     """Write the motion on `skeleton`: a T-pose at rest (SMPL's zero pose), 22 joints, the pelvis' path, ZXY angles.
 
-    Angles are continued from frame to frame, so curves do not jump by 360 degrees.
+    Angles are continued from frame to frame, so curves do not jump by 360 degrees. The format has no place for a
+    `timeline`.
     """
     lines = ["HIERARCHY", *_joint(0, skeleton, ""), "MOTION", f"Frames: {motion.frames}"]
     lines.append(f"Frame Time: {1.0 / motion.fps:.8f}")
     file.write(("\n".join(lines) + "\n").encode("ascii"))
     rotations = motion.rotations.double().cpu().numpy()
-    rotations = np.concatenate([_Z_UP_TO_Y_UP @ rotations[:, :1], rotations[:, 1:]], axis=1)
-    pelvis = motion.translation.double().cpu().numpy() @ _Z_UP_TO_Y_UP.T
-    order = [index for index in _depth_first(0) if index < ROTATED]
+    rotations = np.concatenate([Z_UP_TO_Y_UP @ rotations[:, :1], rotations[:, 1:]], axis=1)
+    pelvis = motion.translation.double().cpu().numpy() @ Z_UP_TO_Y_UP.T
+    order = [index for index in _depth_first(0) if index < NUM_ROTATIONS]
     angles = rearrange(np.degrees(_angles(rotations)[:, order]), "frames joints angles -> frames (joints angles)")
     text = io.BytesIO()
     np.savetxt(text, np.concatenate([pelvis, angles], axis=1), fmt="%.6f")
@@ -59,7 +61,7 @@ def _joint(joint: int, skeleton: Skeleton, indent: str) -> list[str]:
     lines = [f"{indent}{'ROOT' if joint == 0 else 'JOINT'} {name}", f"{indent}{{"]
     lines += [f"{inner}{_offset(offset)}", f"{inner}CHANNELS {channels}"]
     for child in _children(joint):
-        end = child >= ROTATED
+        end = child >= NUM_ROTATIONS
         lines += _end(inner, skeleton.offsets[child].tolist()) if end else _joint(child, skeleton, inner)
     if name in _TIPS:
         lines += _end(inner, _TIPS[name])

@@ -6,23 +6,36 @@ from pathlib import Path
 
 from stmc.body_model import Skeleton
 from stmc.export.bvh import save_bvh
+from stmc.export.glb import save_glb
+from stmc.export.mujoco import save_csv, save_mjcf
 from stmc.export.npz import load_npz, save_npz
 from stmc.files import write_whole
 from stmc.motion import Motion
+from stmc.timeline import Timeline
 
-_WRITERS = {".npz": save_npz, ".bvh": save_bvh}
+_WRITERS = {".npz": save_npz, ".bvh": save_bvh, ".glb": save_glb, ".csv": save_csv, ".xml": save_mjcf}
 
 
-def write(motion: Motion, path: str | Path, skeleton: Skeleton | None = None, fps: float | int | None = None) -> None:
-    """Write a motion in the format of `path`'s suffix: `.npz` as AMASS has it, or `.bvh` for animation software.
+def write(
+    motion: Motion,
+    path: str | Path,
+    skeleton: Skeleton | None = None,
+    fps: float | int | None = None,
+    timeline: Timeline | None = None,
+) -> None:
+    """Write a motion in the format of `path`'s suffix: `.npz` as AMASS has it, `.bvh` for animation software, `.glb`
+    (a skinned figure) for animation software, game engines and the web, `.csv` (MuJoCo's `qpos`) and `.xml` (its model)
+    for robotics.
 
     `skeleton`: the body to write, by default the one the motion moves (its own bones; the bundled rest pelvis).
-    `fps`: the file's frame rate, by default the motion's own; rotations are resampled on the sphere. Folders are made;
-    a file already there is replaced once the new one is whole. Another suffix is a `ValueError`.
+    `fps`: the file's frame rate, by default the motion's own; rotations are resampled on the sphere. `timeline`: goes
+    along where the format has a place for it (`.npz`, `.glb`, `.xml`). Folders are made; a file already there is
+    replaced once the new one is whole. Another suffix is a `ValueError`.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
         >>> stmc.write(motion, "walk.bvh", fps=30)
+        >>> stmc.write(motion, "walk.glb", timeline=stmc.Timeline.parse("walk # 0 # 1"))
     """
     path = Path(path)
     save = _WRITERS.get(path.suffix.lower())
@@ -34,7 +47,7 @@ def write(motion: Motion, path: str | Path, skeleton: Skeleton | None = None, fp
 
     def fill(temporary: Path) -> None:
         with temporary.open("wb") as file:
-            save(motion, file, skeleton)
+            save(motion, file, skeleton, timeline)
 
     write_whole(path, fill)
 

@@ -11,32 +11,40 @@ import torch
 from einops import rearrange
 
 from stmc.arrays import npz_names, read_npz
-from stmc.body import JOINTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS
 from stmc.body_model import Skeleton
 from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle
 from stmc.motion import Motion
+from stmc.timeline import Timeline
 
 _BETAS = 16
+_FINGERS = 30
+"""Joints of SMPL-H's two hands, which follow the body's 22."""
 _RATES = ("mocap_framerate", "mocap_frame_rate")
 """AMASS's two spellings: SMPL-H files, SMPL-X files."""
 
 
-def save_npz(motion: Motion, file: IO[bytes], skeleton: Skeleton) -> None:
-    """Write `poses` [frames, 66] (axis-angle), `trans` [frames, 3], `betas` [16] (zeros), `gender`, `mocap_framerate`
-    as AMASS has them (float64, z up, metres), and `joints` [frames, 24, 3].
+def save_npz(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None) -> None:
+    """Write `poses` [frames, 156] (axis-angle, SMPL-H's 52 joints, fingers unturned), `trans` [frames, 3], `betas` [16]
+    (zeros), `gender`, `mocap_framerate` as AMASS has them (float64, z up, metres), `joints` [frames, 24, 3], and a
+    timeline's JSON as `timeline`.
 
     `trans` is SMPL's: the pelvis position less `skeleton`'s rest pelvis, so that a body posed by SMPL stands where the
     joints are.
     """
-    poses = matrix_to_axis_angle(motion.rotations.double().cpu())
+    body = rearrange(
+        matrix_to_axis_angle(motion.rotations.double().cpu()), "frames joints axes -> frames (joints axes)"
+    )
+    told = {} if timeline is None else {"timeline": np.array(timeline.to_json())}
     np.savez_compressed(
         file,
-        poses=rearrange(poses, "frames joints angles -> frames (joints angles)").numpy(),
+        poses=np.pad(body.numpy(), ((0, 0), (0, 3 * _FINGERS))),
         trans=skeleton.smpl_translation(motion.translation.double()).cpu().numpy(),
         betas=np.zeros(_BETAS),
         gender=np.array("neutral"),
         mocap_framerate=np.array(float(motion.fps)),
         joints=motion.joints.double().cpu().numpy(),
+        **told,
     )
 
 
@@ -52,9 +60,9 @@ def load_npz(path: Path, skeleton: Skeleton) -> Motion:
     trans = _shaped(arrays, path, "trans", (len(poses), 3))
     fps = float(_shaped(arrays, path, rate, ()))
     joints = _shaped(arrays, path, "joints", (len(poses), len(JOINTS), 3)) if "joints" in arrays else None
-    if poses.shape[1] < 3 * ROTATED:
-        raise ValueError(f"{path}: poses has {poses.shape[1]} columns; need at least {3 * ROTATED}")
-    body = torch.from_numpy(poses[:, : 3 * ROTATED])
+    if poses.shape[1] < 3 * NUM_ROTATIONS:
+        raise ValueError(f"{path}: poses has {poses.shape[1]} columns; need at least {3 * NUM_ROTATIONS}")
+    body = torch.from_numpy(poses[:, : 3 * NUM_ROTATIONS])
     rotations = axis_angle_to_matrix(rearrange(body, "frames (joints angles) -> frames joints angles", angles=3))
     if joints is None:
         pelvis = torch.from_numpy(trans) + skeleton.offsets[0].double()

@@ -2,12 +2,11 @@
 
 from stmc.metrics.matching import matching_score, multimodality, r_precision
 from stmc.metrics.realism import fid, frechet_distance
-from stmc.metrics.retrieval import Retrieval, both_ways, cosines, ranks
+from stmc.metrics.retrieval import Retrieval, cosines, ranks, t2m_m2t
 from stmc.metrics.smoothness import jerk, peak_jerk, transition_distance
 
 __all__ = [
     "Retrieval",
-    "both_ways",
     "cosines",
     "fid",
     "frechet_distance",
@@ -17,5 +16,6 @@ __all__ = [
     "peak_jerk",
     "r_precision",
     "ranks",
+    "t2m_m2t",
     "transition_distance",
 ]

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from stmc.metrics.retrieval import ranks
 
-BATCH = 32
+POOL_SIZE = 32
 """Candidates among which R-precision looks for the right motion."""
 
 TOP = (1, 2, 3)
@@ -29,16 +29,16 @@ def matching_score(texts: Float[Tensor, "pairs width"], motions: Float[Tensor, "
 def r_precision(
     texts: Float[Tensor, "pairs width"],
     motions: Float[Tensor, "pairs width"],
-    true: Bool[Tensor, "pairs pairs"] | None = None,
+    positives: Bool[Tensor, "pairs pairs"] | None = None,
 ) -> tuple[float, ...]:
     """Shares of texts whose own motion is among the nearest 1, 2 and 3 of the 32 in their batch, in the given order;
     what is left over is dropped.
 
-    `true[i, j]` that text i is true of motion j, too: then j is no candidate for i, so that equally right motions
+    `positives[i, j]` that text i is true of motion j, too: then j is no candidate for i, so that equally right motions
     neither spoil nor save the text's own. Raises `ValueError` for less than one batch.
     """
     hits = [
-        _hits(texts[batch], motions[batch], None if true is None else true[batch, batch])
+        _hits(texts[batch], motions[batch], None if positives is None else positives[batch, batch])
         for batch in _batches(len(texts))
     ]
     return _shares(hits)
@@ -75,18 +75,18 @@ def multimodality(embeddings: Float[Tensor, "texts repetitions width"], pairs: i
     return float((embeddings[:, first] - embeddings[:, second]).norm(dim=-1).double().mean())
 
 
-def _hits(texts: Tensor, motions: Tensor, true: Tensor | None = None) -> list[float]:
+def _hits(texts: Tensor, motions: Tensor, positives: Tensor | None = None) -> list[float]:
     table = -torch.cdist(texts, motions, compute_mode="donot_use_mm_for_euclid_dist")
-    if true is not None:
-        table = table.masked_fill(true & ~torch.eye(len(true), dtype=torch.bool), -torch.inf)
+    if positives is not None:
+        table = table.masked_fill(positives & ~torch.eye(len(positives), dtype=torch.bool), -torch.inf)
     found = ranks(table)
     return [float((found < top).double().mean()) for top in TOP]
 
 
 def _batches(pairs: int) -> list[slice]:
-    if pairs < BATCH:
-        raise ValueError(f"{pairs} pairs make no batch of {BATCH}")
-    return [slice(start, start + BATCH) for start in range(0, pairs - BATCH + 1, BATCH)]
+    if pairs < POOL_SIZE:
+        raise ValueError(f"{pairs} pairs make no batch of {POOL_SIZE}")
+    return [slice(start, start + POOL_SIZE) for start in range(0, pairs - POOL_SIZE + 1, POOL_SIZE)]
 
 
 def _shares(hits: Sequence[Sequence[float]]) -> tuple[float, ...]:
@@ -96,5 +96,5 @@ def _shares(hits: Sequence[Sequence[float]]) -> tuple[float, ...]:
 def _pairs(count: int, pairs: int, seed: int) -> tuple[Tensor, Tensor]:
     if count < pairs:
         raise ValueError(f"{pairs} pairs without replacement need as many embeddings, not {count}")
-    random = np.random.RandomState(seed)  # the generator of the published numbers
-    return tuple(torch.from_numpy(random.choice(count, pairs, replace=False)) for _ in range(2))
+    rng = np.random.RandomState(seed)  # the generator of the published numbers
+    return tuple(torch.from_numpy(rng.choice(count, pairs, replace=False)) for _ in range(2))

@@ -48,8 +48,8 @@ def fid(generated: Float[Tensor, "_ width"], real: Float[Tensor, "_ width"]) -> 
 def crop_starts(lengths: Sequence[int], crop: int, seed: int, count: int = CROPS) -> list[tuple[int, ...]]:
     """Where the `count` crops of `crop` frames begin in each motion, uniform over all places that hold a whole crop; a
     motion that is shorter is its own crop."""
-    random = np.random.default_rng(seed)
-    return [tuple(random.integers(max(0, length - crop) + 1, size=count).tolist()) for length in lengths]
+    rng = np.random.default_rng(seed)
+    return [tuple(rng.integers(max(0, length - crop) + 1, size=count).tolist()) for length in lengths]
 
 
 def published_crop_starts(features: int = 263, crop: int = 100, count: int = CROPS) -> tuple[int, ...]:

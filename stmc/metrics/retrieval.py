@@ -66,23 +66,25 @@ def summary(found: Float[Tensor, " queries"], candidates: int) -> Retrieval:
     return Retrieval(recall, float(np.median(found.numpy(force=True))) + 1, candidates)
 
 
-def both_ways(
+def t2m_m2t(
     table: Float[Tensor, "pairs pairs"], right: Bool[Tensor, "pairs pairs"] | None = None
 ) -> tuple[Retrieval, Retrieval]:
     """Text-to-motion and motion-to-text, from scores [text, motion] of pairs: the protocol "all".
 
-    `right[i, j]` that text i is true of motion j, too: the protocol "threshold", e.g. with texts that are `near`.
+    `right[i, j]` that text i is true of motion j, too: the protocol "threshold", e.g. of `similar_texts`.
     """
     back = None if right is None else right.T
     return summary(ranks(table, right), len(table)), summary(ranks(table.T, back), len(table))
 
 
-def near(sentences: Float[Tensor, "pairs width"], threshold: float | int = 0.95) -> Bool[Tensor, "pairs pairs"]:
+def similar_texts(
+    sentences: Float[Tensor, "pairs width"], threshold: float | int = 0.95
+) -> Bool[Tensor, "pairs pairs"]:
     """Which texts say almost the same, by the scores of their sentence embeddings: those above `threshold`."""
     return (scores(cosines(sentences, sentences)) > threshold).fill_diagonal_(True)
 
 
-def in_batches(
+def small_batches(
     table: Float[Tensor, "pairs pairs"], names: Sequence[str], size: int = 32
 ) -> tuple[Retrieval, Retrieval]:
     """The protocol "guo": pairs in the order of their `names`, shuffled by a fixed seed, are retrieved within batches
@@ -95,7 +97,7 @@ def in_batches(
     order = np.argsort(np.array(names), kind="stable")
     np.random.RandomState(0).shuffle(order)
     batches = torch.from_numpy(order[: len(order) // size * size]).reshape(-1, size)
-    results = [both_ways(table[batch][:, batch]) for batch in batches]
+    results = [t2m_m2t(table[batch][:, batch]) for batch in batches]
     return _mean([first for first, _ in results]), _mean([second for _, second in results])
 
 

@@ -33,7 +33,7 @@ def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ..
     spans = timeline.spans(fps)
     frames = timeline.frames(fps)
     if frames == 0:
-        seconds = f"{timeline.duration:g} s are no frame at {fps:g} fps"
+        seconds = f"{timeline.duration:g} s are less than a frame at {fps:g} fps"
         raise TimelineError(f"{timeline.place}: the timeline's {seconds}; make it longer")
     _advise_of_moments(timeline, spans, fps)
     precedence = Precedence([prompt.parts for prompt in timeline.prompts])

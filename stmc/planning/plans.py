@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate, chain, pairwise
@@ -111,7 +111,9 @@ class Plan:
         return draw(self.frames, self.crops, self.tiles)
 
 
-def plan(timeline: Timeline, fps: int | float, overlap: int, longest: int | None = None) -> Plan:
+def plan(
+    timeline: Timeline, fps: int | float, overlap: int, longest: int | None = None, once: Collection[str] = ()
+) -> Plan:
     """Lay a timeline out in crops and tiles.
 
     Every prompt, and every gap, becomes a crop, widened by half the overlap on both sides within the timeline. Around
@@ -127,6 +129,8 @@ def plan(timeline: Timeline, fps: int | float, overlap: int, longest: int | None
             body part is then selected from one crop, as in SINC (R11).
         longest: Frames that the denoiser can take at once. A prompt or gap whose widened crop would be longer is split
             into the fewest equal pieces that are not, of the same text, joined like any other transition.
+        once: Texts of what happens once, however long it is asked for: of such a prompt's pieces the first alone has
+            the text, the others have none. Nobody sits down every ten seconds.
 
     Raises:
         TimelineError: If the timeline lasts no frame, or more than `stmc.timeline.prompts.MOST_FRAMES`.
@@ -144,7 +148,7 @@ def plan(timeline: Timeline, fps: int | float, overlap: int, longest: int | None
     runs = {part: _pieces_owned(owners[part], spans, split) for part in BodyPart}
     pieces = sorted({owned.piece for part in BodyPart for owned in runs[part]}, key=_row_order)
     changes = sorted({owned.start for part in BodyPart for owned in runs[part][1:]}) if overlap else []
-    texts = [None if piece.prompt is None else timeline.prompts[piece.prompt].text for piece in pieces]
+    texts = [_text(timeline, piece, spans, once) for piece in pieces]
     crops = [Crop(text, *window.widen(piece.start, piece.end)) for text, piece in zip(texts, pieces, strict=True)]
     crops += [Crop(None, *window.widen(frame, frame)) for frame in changes]
     rows: dict[_Piece | int, int] = {key: row for row, key in enumerate([*pieces, *changes])}
@@ -213,6 +217,13 @@ def _pieces_owned(runs: Sequence[Run], spans: Sequence[Span], split: Callable[[i
         for left, right in pieces[first : bisect_left(pieces, end, key=itemgetter(0))]:
             owned.append(_Owned(_Piece(prompt, left, right), max(left, start), min(right, end)))
     return owned
+
+
+def _text(timeline: Timeline, piece: _Piece, spans: Sequence[Span], once: Collection[str]) -> str | None:
+    if piece.prompt is None:
+        return None
+    text = timeline.prompts[piece.prompt].text
+    return None if text in once and piece.start > spans[piece.prompt][0] else text
 
 
 def _row_order(piece: _Piece) -> tuple[bool, int, int]:

@@ -2,6 +2,6 @@
 
 from stmc.published.checkpoint import CheckpointError
 from stmc.published.conversion import convert, read
-from stmc.published.evaluators import read_guo
+from stmc.published.evaluators import read_guo, read_guo_evaluator
 
-__all__ = ["CheckpointError", "convert", "read", "read_guo"]
+__all__ = ["CheckpointError", "convert", "read", "read_guo", "read_guo_evaluator"]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from pathlib import Path
 
 from stmc import run
 from stmc.evaluators import Evaluator
+from stmc.files import write_whole_folder
 from stmc.published import evaluators, flow_mdm, mdm, mdm_smpl, motion_diffuse
 from stmc.published.checkpoint import CheckpointError, Imported
 
@@ -29,15 +28,8 @@ def convert(
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise CheckpointError(f"{output} exists already: choose another output, or remove it first")
     imported = read(source, statistics, text_model)
-    unfinished = output.with_name(f".{output.name}.{os.getpid()}")
-    try:
-        write = run.save_evaluator if isinstance(imported.model, Evaluator) else run.save
-        write(imported.model, unfinished, _card(imported))
-        if output.exists():
-            output.rmdir()
-        unfinished.rename(output)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+    save = run.save_evaluator if isinstance(imported.model, Evaluator) else run.save
+    write_whole_folder(output, lambda unfinished: save(imported.model, unfinished, _card(imported)))
     return output
 
 

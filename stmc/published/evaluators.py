@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
-from stmc.evaluators import Evaluator, GuoEvaluator
+from stmc.arrays import ArraysError, read_npy
+from stmc.evaluators import Evaluator, GuoEvaluator, MatchingEvaluator
 from stmc.published.checkpoint import (
     CheckpointError,
     Imported,
@@ -25,6 +27,9 @@ from stmc.published.checkpoint import (
 )
 from stmc.representation import HumanML3DRepresentation
 from stmc.run import EVALUATOR_PARTS
+from stmc.statistics import Statistics
+from stmc.tensors import found_device
+from stmc.text.glove import Glove
 
 WEIGHTS, CHECKPOINT = Path("last_weights"), Path("logs/checkpoints/last.ckpt")
 PARTS = ("motion_encoder", "text_encoder", "motion_decoder")
@@ -100,6 +105,34 @@ def read_guo(file: Path) -> GuoEvaluator:
     )
     fill(evaluator, weights, str(file))
     return evaluator
+
+
+def read_guo_evaluator(
+    weights: str | Path, statistics: str | Path, glove: str | Path, device: torch.device | str = "cpu"
+) -> MatchingEvaluator:
+    """The whole evaluator of Guo et al. from their files: `weights` is `text_mot_match/model/finest.tar`, `statistics`
+    the folder of the evaluator's own `mean.npy` and `std.npy` (`Comp_v6_KLD01/meta`, not HumanML3D's `Mean.npy`),
+    `glove` that of the word vectors.
+
+    Raises `CheckpointError` for the weights and statistics, `ArraysError` for the word vectors, where they are missing
+    or do not fit.
+    """
+    network = read_guo(Path(weights).expanduser()).to(found_device(device))
+    words, vectors = network.text_encoder.pos_emb.out_features, Glove.read(glove)
+    if vectors.vectors.shape[1] != words:
+        raise ArraysError(f"{glove}: vectors of {vectors.vectors.shape[1]} numbers, but {weights} knows {words}")
+    return MatchingEvaluator(network, _own_statistics(Path(statistics).expanduser()), vectors)
+
+
+def _own_statistics(folder: Path) -> Statistics:
+    width, moments = HumanML3DRepresentation().width, []
+    for name in ("mean.npy", "std.npy"):
+        if not (folder / name).is_file():
+            raise CheckpointError(f"{folder / name} does not exist; it is in Comp_v6_KLD01/meta beside the evaluator")
+        moments.append(torch.from_numpy(read_npy(folder / name)).float())
+        if moments[-1].shape != (width,):
+            raise CheckpointError(f"{folder / name} must hold {width} numbers, not {list(moments[-1].shape)}")
+    return Statistics(*moments)
 
 
 def is_tmr(folder: Path) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from stmc.denoisers.flow_mdm_layers import HEAD, TURNED, frequencies
+from stmc.denoisers.flow_mdm_layers import HEAD, ROTARY_DIM, frequencies
 from stmc.model import Model
 from stmc.published.checkpoint import (
     CheckpointError,
@@ -56,7 +56,7 @@ FREQUENCIES = f"{ROTARY}relative.inv_freq"
 
 
 def is_flow_mdm(args: Path) -> bool:
-    """Whether an `args.json` is one of FlowMDM's, and not MDM's: it names the horizon of attention."""
+    """Whether an `args.json` is one of FlowMDM's, and not MDM's: it names the window of attention."""
     return "rpe_horizon" in read_json(args)
 
 
@@ -136,7 +136,7 @@ def _described(
             "feedforward": size(f"{layers}1.1.ff.0.0.weight", 0),
             "layers": sum(name.endswith(".to_q.weight") for name in weights),
             "heads": size(f"{layers}0.1.to_q.weight", 0) // HEAD,
-            "horizon": settings["rpe_horizon"],
+            "attention_window": settings["rpe_horizon"],
         },
         "schedule": {"_target_": f"stmc.diffusion.Schedule.{settings['noise_schedule']}", "steps": steps},
         "text_encoder": {
@@ -148,7 +148,7 @@ def _described(
 
 
 def _check_frequencies(weights: Mapping[str, Tensor], path: Path) -> None:
-    ours = frequencies(TURNED // 2).float()
+    ours = frequencies(ROTARY_DIM // 2).float()
     theirs = weights.get(FREQUENCIES, ours).float()
     if theirs.shape != ours.shape or not torch.allclose(theirs, ours, rtol=1e-2):
         raise CheckpointError(f"{path}: {FREQUENCIES} {list(theirs.shape)} are other rotary positions")

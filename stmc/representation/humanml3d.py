@@ -19,7 +19,7 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.geometry import rows_to_matrix, shortest_arc
 from stmc.inverse_kinematics import motion_of_joints
@@ -66,7 +66,7 @@ class HumanML3DRepresentation(Representation):
 
         Raises `ValueError` for a motion of one frame, and where a bone has no length.
         """
-        return joints_to_features(y_up(motion.joints[:, :ROTATED]))
+        return joints_to_features(y_up(motion.joints[:, :NUM_ROTATIONS]))
 
     def decode(
         self,
@@ -92,7 +92,7 @@ def uniform_skeleton() -> Skeleton:
     skeleton's, which also gives the hands.
     """
     table, default = _table(), Skeleton.default().offsets
-    lengths = torch.cat([_target_offsets(default).norm(dim=-1), default[ROTATED:].norm(dim=-1)])
+    lengths = torch.cat([_target_offsets(default).norm(dim=-1), default[NUM_ROTATIONS:].norm(dim=-1)])
     directions = default.clone()
     for joint, direction in table["rest_directions"].items():
         directions[JOINTS.index(joint)] = torch.tensor(direction)
@@ -122,7 +122,7 @@ def uniform(joints: Float[Tensor, "frames 22 3"]) -> Float[Tensor, "frames 22 3"
     own = torch.stack([joints[0, joint] - joints[0, PARENTS[joint]] for joint in leg]).norm(dim=-1).sum()
     bones = _directions(joints) * lengths[:, None]
     places = [joints[:, 0] * (lengths[leg].sum() / own)]
-    for joint in range(1, ROTATED):
+    for joint in range(1, NUM_ROTATIONS):
         places.append(places[PARENTS[joint]] + bones[:, joint])
     return torch.stack(places, dim=1)
 
@@ -192,7 +192,7 @@ def features_to_posed_joints(features: Float[Tensor, "*batch frames _"]) -> Floa
     local = rows_to_matrix(_per_joint(features, "rotations", 6)).mT  # the format's two columns are the transpose's rows
     offsets = _target_offsets(features)
     turned, places = [_rotation_y(-heading)], [pelvis]
-    for joint in range(1, ROTATED):
+    for joint in range(1, NUM_ROTATIONS):
         turned.append(turned[_TURNS_WITH[joint]] @ local[..., joint - 1, :, :])
         places.append(places[PARENTS[joint]] + turned[joint] @ offsets[joint])
     return torch.stack(places, dim=-2)
@@ -215,12 +215,14 @@ def _table() -> dict[str, Any]:
 def _target_offsets(like: Tensor) -> Float[Tensor, "22 3"]:
     """HumanML3D's bones, each along the axis that its rotation starts from (not the bones of a rest pose)."""
     table = _table()["offsets"]
-    return torch.tensor([table[joint] for joint in JOINTS[:ROTATED]], dtype=like.dtype, device=like.device)
+    return torch.tensor([table[joint] for joint in JOINTS[:NUM_ROTATIONS]], dtype=like.dtype, device=like.device)
 
 
 def _directions(joints: Tensor) -> Float[Tensor, "frames 22 3"]:
     """Unit vectors along the bones that end in each joint; zero for the pelvis."""
-    bones = torch.cat([torch.zeros_like(joints[:, :1]), joints[:, 1:] - joints[:, list(PARENTS[1:ROTATED])]], dim=1)
+    bones = torch.cat(
+        [torch.zeros_like(joints[:, :1]), joints[:, 1:] - joints[:, list(PARENTS[1:NUM_ROTATIONS])]], dim=1
+    )
     lengths = bones.norm(dim=-1, keepdim=True)
     if (empty := lengths[:, 1:, 0] == 0).any():
         frame, bone = (int(index) for index in empty.nonzero()[0])
@@ -252,7 +254,7 @@ def _rotations(joints: Tensor, heading: Tensor) -> Float[Tensor, "frames 22 3 3"
     axes = torch.nn.functional.normalize(_target_offsets(joints), dim=-1).expand_as(joints)
     arcs = shortest_arc(axes[:, 1:], _directions(joints)[:, 1:])
     turned = torch.cat([_rotation_y(-heading)[:, None], arcs], dim=1)
-    return turned[:, list(_TURNS_WITH[:ROTATED])].mT @ turned
+    return turned[:, list(_TURNS_WITH[:NUM_ROTATIONS])].mT @ turned
 
 
 def _root(features: Tensor) -> tuple[Float[Tensor, "*batch frames"], Float[Tensor, "*batch frames 3"]]:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from stmc.body import JOINTS, ROTATED, BodyPart
+from stmc.body import JOINTS, NUM_ROTATIONS, BodyPart
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ SMPL_LAYOUT = Layout(
         Field("root_height", 1),
         Field("root_velocity", 2),
         Field("yaw_velocity", 1),
-        Field("rotations", 6, JOINTS[:ROTATED]),
+        Field("rotations", 6, JOINTS[:NUM_ROTATIONS]),
         Field("positions", 3, JOINTS[1:]),
     )
 )
@@ -111,7 +111,7 @@ BABEL_LAYOUT = Layout(
     (
         Field("root_height", 1),
         Field("root_velocity", 2),
-        Field("rotations", 6, JOINTS[:ROTATED]),
+        Field("rotations", 6, JOINTS[:NUM_ROTATIONS]),
     )
 )
 """The 135 numbers of models of BABEL; see `BabelRepresentation`."""

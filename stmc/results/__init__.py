@@ -5,6 +5,7 @@ imported here: what only reads and writes records need not wait for what draws.
 """
 
 from stmc.results.intervals import Estimate, estimate
+from stmc.results.published import published_results, single_text_table, with_published
 from stmc.results.records import Result, ResultError, by_setting, read_results, write_results
 from stmc.results.tables import Table, comparison_table, sweep_table
 
@@ -16,7 +17,10 @@ __all__ = [
     "by_setting",
     "comparison_table",
     "estimate",
+    "published_results",
     "read_results",
+    "single_text_table",
     "sweep_table",
+    "with_published",
     "write_results",
 ]

@@ -61,7 +61,7 @@ def _draw_curves(axes: Axes, groups: Groups) -> None:
     )
     labels = [", ".join(filter(None, (setting.denoiser, variant(setting)))) for setting in made]
     if twice := [label for label in labels if labels.count(label) > 1]:
-        raise ResultError(f"{twice[0]} is there with several settings; choose one")
+        raise ResultError(f"{twice[0]} has several settings; choose one")
     for setting, label, colour in zip(made, labels, palette(len(made)), strict=True):
         frames, found = _curve(groups[setting])
         mean, half = np.array([each.mean for each in found]), np.array([each.half or 0.0 for each in found])

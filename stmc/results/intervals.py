@@ -1,4 +1,5 @@
-"""Means over seeds with their confidence intervals. Knows numbers alone."""
+"""Means over seeds with their confidence intervals: by the chance of seeds alone, or of what was asked for, too. Knows
+numbers alone."""
 
 from __future__ import annotations
 
@@ -6,20 +7,23 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from scipy.stats import t
+import numpy as np
+from scipy.stats import norm, t
 
-from stmc.results.records import Result
+from stmc.results.records import Result, ResultError
 
 CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean of `count` values; the interval is `mean` ± `half`, None where one value alone says nothing of chance."""
+    """A mean of `count` values; the interval is `mean` ± `half`, None where one value alone says nothing of chance.
+    `bootstrapped`: of the chance of the timelines, too, else of the seeds' alone."""
 
     mean: float
     half: float | None
     count: int
+    bootstrapped: bool = False
 
 
 def estimate(values: Sequence[float | int]) -> Estimate:
@@ -37,8 +41,32 @@ def estimate(values: Sequence[float | int]) -> Estimate:
     return Estimate(mean, float(t.ppf((1 + CONFIDENCE) / 2, count - 1)) * deviation / math.sqrt(count), count)
 
 
+def bootstrap(values: Sequence[float | int], resampled: Sequence[Sequence[float | int]]) -> Estimate:
+    """The mean of each seed's value, and its 95 % interval when timelines and seeds are both drawn anew with
+    replacement: 1.96 standard deviations of the mean over drawn seeds of the value on drawn timelines.
+
+    `resampled` has each seed's values on the same draws of timelines, so that timelines and seeds are crossed, as they
+    are in a benchmark (Owen 2007, the pigeonhole bootstrap). Few seeds tell little of seeds: of n of them a bootstrap
+    sees (n - 1) / n of the variance. Raises `ResultError` for draws of different numbers.
+    """
+    if len({len(row) for row in resampled}) != 1:
+        raise ResultError("records are resampled by different draws of the timelines: they do not compare")
+    table = np.asarray(resampled, dtype=np.float64)
+    seeds = np.random.default_rng(0).integers(len(table), size=(table.shape[1], len(table)))
+    means = table[seeds, np.arange(table.shape[1])[:, None]].mean(axis=1)
+    half = float(norm.ppf((1 + CONFIDENCE) / 2)) * float(means.std(ddof=1))
+    return Estimate(math.fsum(values) / len(values), half, len(values), bootstrapped=True)
+
+
 def estimates(results: Iterable[Result]) -> dict[str, Estimate]:
-    """Each metric that all runs of a setting have, over these runs."""
+    """Each metric that all runs of a setting have, over these runs; by `bootstrap` where all have draws of it."""
     runs = list(results)
     shared = [name for name in runs[0].metrics if all(name in run.metrics for run in runs)]
-    return {name: estimate([run.metrics[name] for run in runs]) for name in shared}
+    return {name: _estimated(name, runs) for name in shared}
+
+
+def _estimated(name: str, runs: Sequence[Result]) -> Estimate:
+    values = [run.metrics[name] for run in runs]
+    if all(name in run.resampled for run in runs):
+        return bootstrap(values, [run.resampled[name] for run in runs])
+    return estimate(values)

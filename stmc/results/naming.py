@@ -22,13 +22,15 @@ HEADINGS = {"method": "Method", "denoiser": "Denoiser"} | {
 
 @dataclass(frozen=True)
 class Measure:
-    """A metric as it is shown: `key` in `Result.metrics`, its heading, the better direction, the decimals."""
+    """A metric as it is shown: `key` in `Result.metrics`, its heading, the better direction, the decimals; `chance` is
+    the key of what it is by chance, where that is measured."""
 
     key: str
     heading: str
     better: Literal["higher", "lower", "real"]
     decimals: int
     unit: str = ""
+    chance: str = ""
 
     @property
     def arrow(self) -> str:
@@ -41,7 +43,7 @@ class Measure:
 
 
 MEASURES = (
-    Measure("shown", "Action success rate", "higher", 0, "%"),
+    Measure("shown", "Action success rate", "higher", 0, "%", chance="shown_chance"),
     Measure("recall_1", "R@1", "higher", 1, "%"),
     Measure("recall_3", "R@3", "higher", 1, "%"),
     Measure("m2t", "TMR-Score M2T", "higher", 3),
@@ -57,6 +59,12 @@ MEASURES = (
     Measure("mm_dist", "MM-Dist", "lower", 3),
     Measure("transition_fid", "FID (transitions)", "lower", 3),
     Measure("transition_diversity", "Div (transitions)", "real", 2),
+    Measure("r_precision_1", "R-precision (top 1)", "higher", 3),
+    Measure("r_precision_2", "R-precision (top 2)", "higher", 3),
+    Measure("r_precision_3", "R-precision (top 3)", "higher", 3),
+    Measure("motion_fid", "FID", "lower", 3),
+    Measure("diversity", "Diversity", "real", 2),
+    Measure("multimodality", "MultiModality", "higher", 2),
     Measure("peak_jerk", "PJ", "real", 4),
     Measure("area_under_jerk", "AUJ", "lower", 2),
 )

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from stmc.files import write_whole
+from stmc.renamed import RENAMED_IN_RECORDS
 from stmc.sampling import Sampling
 from stmc.settings import SettingError, about, record_of, shown
 
@@ -48,7 +49,8 @@ class Result:
     motion; the sampler is a name.
 
     `method` is a name of `composing.METHODS` or any other; `metrics` has the keys of `naming.MEASURES` or others,
-    `curves` what was measured frame by frame. Raises `ResultError` for a number that is not finite.
+    `curves` what was measured frame by frame, `resampled` what metrics are on draws of what was asked for: the same
+    draws for every seed. Raises `ResultError` for a number that is not finite.
     """
 
     method: str
@@ -57,14 +59,17 @@ class Result:
     denoiser: str = ""
     sampling: Sampling = Sampling()
     curves: Mapping[str, Sequence[float | int]] = field(default_factory=dict)
+    resampled: Mapping[str, Sequence[float | int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         numbers = {f"metrics.{name}": value for name, value in self.metrics.items()}
-        numbers |= {f"curves.{name}[{i}]": value for name, row in self.curves.items() for i, value in enumerate(row)}
+        for kind in _ROWS:
+            rows = getattr(self, kind).items()
+            numbers |= {f"{kind}.{name}[{i}]": value for name, row in rows for i, value in enumerate(row)}
         for name, value in numbers.items():
             if isinstance(value, float) and not math.isfinite(value):
                 raise ResultError(f"{name}: {value} is not a finite number")
-        for name in ("metrics", "curves"):
+        for name in ("metrics", *_ROWS):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @property
@@ -73,7 +78,8 @@ class Result:
         return Setting(self.method, self.denoiser, self.sampling)
 
 
-_KINDS: Mapping[str, type] = {"method": str, "seed": int, "denoiser": str, "curves": dict, "metrics": dict}
+_ROWS = ("curves", "resampled")
+_KINDS: Mapping[str, type] = {"method": str, "seed": int, "denoiser": str, "metrics": dict} | dict.fromkeys(_ROWS, dict)
 
 
 def _check(name: str, value: Any, *kinds: type) -> None:
@@ -118,11 +124,12 @@ def write_results(results: Sequence[Result], path: str | Path) -> None:
 
 def _flat(result: Result) -> dict[str, Any]:
     chosen = {name: result.setting.value(name) for name in SETTINGS}
-    return chosen | {"seed": result.seed, "metrics": dict(result.metrics), "curves": dict(result.curves)}
+    return chosen | {"seed": result.seed} | {name: dict(getattr(result, name)) for name in ("metrics", *_ROWS)}
 
 
 def read_results(path: str | Path) -> list[Result]:
-    """The records of a file that `write_results` wrote. Raises `ResultError` naming the line and the key."""
+    """The records of a file that `write_results` wrote, with today's names of the settings. Raises `ResultError` naming
+    the line and the key."""
     results = []
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
@@ -145,7 +152,9 @@ def _of_line(line: str) -> Result:
         raise ResultError(f"not JSON ({error})") from None
     if not isinstance(data, dict):
         raise ResultError(f'a record is an object, {{"method": "stmc", "seed": 0, "metrics": {{…}}}}, not {line[:60]}')
-    known = (*SETTINGS, "seed", "metrics", "curves")
+    old = {RENAMED_IN_RECORDS[key]: data.pop(key) for key in RENAMED_IN_RECORDS if key in data}
+    data = old | data
+    known = (*SETTINGS, "seed", "metrics", *_ROWS)
     if unknown := [key for key in data if key not in known]:
         raise ResultError(f"unknown key {shown(unknown[0])}; choose from {', '.join(known)}")
     if missing := [key for key in ("method", "seed", "metrics") if key not in data]:
@@ -155,10 +164,11 @@ def _of_line(line: str) -> Result:
             _check(name, data[name], kind)
     for name, value in data["metrics"].items():
         _check(f"metrics.{name}", value, int, float)
-    for name, row in data.get("curves", {}).items():
-        _check(f"curves.{name}", row, list)
+    rows = {f"{kind}.{name}": row for kind in _ROWS for name, row in data.get(kind, {}).items()}
+    for name, row in rows.items():
+        _check(name, row, list)
         for value in row:
-            _check(f"curves.{name}", value, int, float)
+            _check(name, value, int, float)
     try:
         sampling = record_of(Sampling, {name: data.pop(name) for name in about(Sampling) if name in data})
     except SettingError as error:

@@ -1,4 +1,4 @@
-"""The paper's tables from records, as text and LaTeX: means over seeds ± 95 % intervals, each column's best marked.
+"""The paper's tables from records, as text and LaTeX: means ± 95 % intervals, each column's best marked.
 
 Knows rows and columns; how a mean and its interval are found is `intervals`' matter.
 """
@@ -43,7 +43,7 @@ class Table:
 
     def text(self) -> str:
         """Aligned columns; the best have a *."""
-        heads = [*self.headings, *(f"{each.heading}{_unit(each)} {each.arrow} " for each in self.measures)]
+        heads = [*self.headings, *(f"{self._heading(each)} {each.arrow} " for each in self.measures)]
         bodies = [[[*row.labels, *self._cells(block, row, _plain)] for row in block] for block in self.blocks]
         wide = [max(len(cells[column]) for cells in chain([heads], *bodies)) for column in range(len(heads))]
         rule = "-" * (sum(wide) + 2 * (len(wide) - 1))
@@ -56,7 +56,7 @@ class Table:
         """A `table` that needs the package booktabs; the best are bold."""
         arrows = {"higher": r"$\uparrow$", "lower": r"$\downarrow$", "real": r"$\rightarrow$"}
         heads = [_escaped(name) for name in self.headings]
-        heads += [f"{_escaped(each.heading + _unit(each))} {arrows[each.better]}" for each in self.measures]
+        heads += [f"{_escaped(self._heading(each))} {arrows[each.better]}" for each in self.measures]
         lines = [r"\begin{table}", r"\centering", rf"\begin{{tabular}}{{{'l' * len(self.headings)}"]
         lines[-1] += "c" * len(self.measures) + "}"
         lines += [r"\toprule", _latex_line(heads)]
@@ -67,6 +67,13 @@ class Table:
                 lines.append(_latex_line([*(_escaped(label) for label in row.labels), *cells]))
         lines += [r"\bottomrule", r"\end{tabular}", rf"\caption{{{_escaped(self.caption)}}}", r"\end{table}"]
         return "\n".join(lines) + "\n"
+
+    def _heading(self, measure: Measure) -> str:
+        """With the unit, and with what would be there by chance, where the rows say it."""
+        levels = [row.estimates[measure.chance].mean for row in chain(*self.blocks) if measure.chance in row.estimates]
+        told = f"by chance {measure.shown(sum(levels) / len(levels))}" if levels else ""
+        behind = "; ".join(filter(None, (measure.unit, told)))
+        return f"{measure.heading} ({behind})" if behind else measure.heading
 
     def _cells(self, block: Sequence[Row], row: Row, show) -> list[str]:
         return [
@@ -94,7 +101,7 @@ def comparison_table(results: Iterable[Result]) -> Table:
     ordered = sorted(blocks.items(), key=lambda block: block[0] != "")
     rows = tuple(tuple(row for _, row in sorted(block, key=lambda each: each[0])) for _, block in ordered)
     headings = ("Denoiser", "Method", "#tracks", "#crops")
-    return Table(_caption("Comparison with baselines", groups), headings, _columns(rows), rows)
+    return _table("Comparison with baselines", headings, rows, groups)
 
 
 def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
@@ -114,7 +121,7 @@ def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
         for setting, runs in sorted(groups.items(), key=lambda group: _order(group[0], varied))
     ]
     blocks, headings = (tuple(rows),), tuple(HEADINGS[name] for name in varied)
-    return Table(_caption(f"Influence of {' and '.join(headings).lower()}", groups), headings, _columns(blocks), blocks)
+    return _table(f"Influence of {' and '.join(headings).lower()}", headings, blocks, groups)
 
 
 def _order(setting: Setting, varied: Sequence[str]) -> tuple:
@@ -136,23 +143,38 @@ def _refuse_ambiguous(groups: Mapping[Setting, Sequence[Result]]) -> None:
             raise ResultError(f"{name} is there with {difference(other, setting)}; choose one")
 
 
-def _columns(blocks: Iterable[Iterable[Row]]) -> tuple[Measure, ...]:
-    return measures(key for block in blocks for row in block for key in row.estimates)
-
-
-def _caption(subject: str, groups: Mapping[Setting, Sequence[Result]]) -> str:
+def _table(
+    subject: str, headings: tuple[str, ...], blocks: tuple[tuple[Row, ...], ...], groups: Mapping[Setting, Sequence]
+) -> Table:
+    columns = measures(key for block in blocks for row in block for key in row.estimates)
     counts = sorted({len(runs) for setting, runs in groups.items() if setting.method != REAL})
     seeds = " to ".join(str(count) for count in dict.fromkeys([*counts[:1], *counts[-1:]]))
-    if counts[-1:] in ([], [1]):
-        return f"{subject}: one seed each."
-    return f"{subject}: means over {seeds} seeds ± 95% confidence intervals (t distribution)."
+    one = counts[-1:] in ([], [1])
+    means = "one seed each" if one else f"means over {seeds} seeds"
+    made = [estimates(runs) for setting, runs in groups.items() if setting.method != REAL]
+    return Table(f"{subject}: {means}{_interval(made, columns, one)}.", headings, columns, blocks)
+
+
+def _interval(made: Sequence[Mapping[str, Estimate]], columns: Sequence[Measure], one: bool) -> str:
+    """What ± is, in words, and of which columns it is something else."""
+    kinds = {each: {row[each.key].bootstrapped for row in made if each.key in row} for each in columns}
+    if not any(True in found for found in kinds.values()):
+        return "" if one else " ± 95% confidence intervals (t distribution)"
+    told = f" ± 95% confidence intervals (bootstrap over timelines{'' if one else ' and seeds'}"
+    if alone := [each for each, found in kinds.items() if found == {False}]:
+        told += (
+            f"; {', '.join(each.heading for each in alone)}: {'none' if one else 'over seeds alone, t distribution'}"
+        )
+    if mixed := [each for each, found in kinds.items() if len(found) > 1]:
+        told += f"; {', '.join(each.heading for each in mixed)}: some rows {'without' if one else 'over seeds alone'}"
+    return f"{told})"
 
 
 def _is_best(block: Sequence[Row], row: Row, measure: Measure) -> bool:
     if measure.better == "real":
         return False  # what is nearest is for the reader to see: real motion stands in the table
-    rivals = [other.estimates[measure.key] for other in block if other.competes and measure.key in other.estimates]
-    means = [float(measure.shown(rival.mean)) for rival in rivals]
+    compared = [other.estimates[measure.key] for other in block if other.competes and measure.key in other.estimates]
+    means = [float(measure.shown(estimate.mean)) for estimate in compared]
     best = max(means) if measure.better == "higher" else min(means)
     return len(means) > 1 and float(measure.shown(row.estimates[measure.key].mean)) == best
 
@@ -177,10 +199,6 @@ def _line(cells: Sequence[str], wide: Sequence[int], labels: int) -> str:
 
 def _latex_line(cells: Sequence[str]) -> str:
     return " & ".join(cells) + r" \\"
-
-
-def _unit(measure: Measure) -> str:
-    return f" ({measure.unit})" if measure.unit else ""
 
 
 def _escaped(text: str) -> str:

@@ -9,6 +9,7 @@ from stmc.run.directories import (
     EVALUATOR_PARTS,
     PARTS,
     STATISTICS,
+    VOCABULARY,
     WEIGHTS,
     build,
     build_fitting,
@@ -20,6 +21,7 @@ from stmc.run.directories import (
     save,
     save_evaluator,
 )
+from stmc.run.suggestions import suggest_parts, with_suggested_parts
 
 __all__ = [
     "BUNDLED",
@@ -29,6 +31,7 @@ __all__ = [
     "EVALUATOR_PARTS",
     "PARTS",
     "STATISTICS",
+    "VOCABULARY",
     "WEIGHTS",
     "RunError",
     "build",
@@ -40,4 +43,6 @@ __all__ = [
     "load_evaluator",
     "save",
     "save_evaluator",
+    "suggest_parts",
+    "with_suggested_parts",
 ]

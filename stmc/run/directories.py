@@ -1,8 +1,9 @@
 """Run directories: a model or an evaluator as files, and back.
 
 A run directory holds `config.yaml` (how to build the parts, and a digest of the numbers), `weights.safetensors`,
-`statistics.safetensors` and a card, `README.md`. All of it is data: nothing is unpickled, interpolated or imported on a
-file's behalf, and before memory is asked for the network is compared with the weights' header.
+`statistics.safetensors` and a card, `README.md`; a model's perhaps `vocabulary.safetensors`. All of it is data: nothing
+is unpickled, interpolated or imported on a file's behalf, and before memory is asked for the network is compared with
+the weights' header.
 """
 
 from __future__ import annotations
@@ -35,9 +36,12 @@ from stmc.settings import shown
 from stmc.statistics import Statistics
 from stmc.tensors import found_device
 from stmc.text import TextEncoder
+from stmc.vocabulary import Vocabulary, VocabularyError, read_vocabulary, write_vocabulary
 
-BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_bandai", "tmr_bandai"
+BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_wide", "tmr_wide"
 CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
+VOCABULARY = "vocabulary.safetensors"
+"""What a model was trained to hear; runs may have none."""
 PARTS = {
     "denoiser": Part("stmc.denoisers", Network),
     "schedule": Part("stmc.diffusion", Schedule),
@@ -110,6 +114,7 @@ def load(
         config=config,
         precision=precision,
         sampling=sampling,
+        vocabulary=_vocabulary(folder, config),
     )
     return model.to(place)
 
@@ -178,7 +183,7 @@ def save(
     Examples:
         >>> folder = stmc.save(stmc.load(), "my_model", card="What it was trained on.")
         >>> sorted(path.name for path in folder.iterdir())
-        ['README.md', 'config.yaml', 'statistics.safetensors', 'weights.safetensors']
+        ['README.md', 'config.yaml', 'statistics.safetensors', 'vocabulary.safetensors', 'weights.safetensors']
     """
     return _written(Path(folder).expanduser(), model, check(model, trusted), card, dtype)
 
@@ -278,20 +283,27 @@ def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any],
 
     write_whole(folder / WEIGHTS, write_weights)
     write_whole(folder / STATISTICS, lambda path: save_file(numbers, path))
+    vocabulary = record.vocabulary if isinstance(record, Model) else None
+    if vocabulary is None:
+        (folder / VOCABULARY).unlink(missing_ok=True)
+    else:
+        write_vocabulary(vocabulary, folder / VOCABULARY)
     write_whole(folder / CARD, lambda path: path.write_text(card, encoding="utf-8"))
     write_text(folder / CONFIG, config_text({**config, "digest": _digest(folder)}))
     return folder
 
 
-_DIGESTED = {"weights": WEIGHTS, "statistics": STATISTICS}
+_DIGESTED = {"weights": WEIGHTS, "statistics": STATISTICS, "vocabulary": VOCABULARY}
+_NEEDED = {"weights", "statistics"}
 
 
 def _digest(folder: Path) -> dict[str, str]:
-    """SHA-256 of the files with numbers."""
+    """SHA-256 of the files with numbers that there are."""
     digests = {}
     for name, file_name in _DIGESTED.items():
-        with (folder / file_name).open("rb") as file:
-            digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
+        if (folder / file_name).exists():
+            with (folder / file_name).open("rb") as file:
+                digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
     return digests
 
 
@@ -300,11 +312,22 @@ def _check_digest(folder: Path, config: Mapping[str, Any]) -> None:
     told = config.get("digest")
     if told is None:
         return
-    if not isinstance(told, Mapping) or set(told) != set(_DIGESTED):
-        raise RunError(f"{folder / CONFIG}: digest={shown(told)}: must give {' and '.join(_DIGESTED)}")
-    for name, digest in _digest(folder).items():
-        if told[name] != digest:
+    if not isinstance(told, Mapping) or not _NEEDED <= set(told) <= set(_DIGESTED):
+        raise RunError(f"{folder / CONFIG}: digest={shown(told)}: must give weights, statistics and perhaps vocabulary")
+    found = _digest(folder)
+    for name, digest in told.items():
+        if found.get(name) != digest:
             raise RunError(f"{folder / _DIGESTED[name]} is damaged: its SHA-256 is not the digest in {CONFIG}")
+
+
+def _vocabulary(folder: Path, config: Mapping[str, Any]) -> Vocabulary | None:
+    """The model's vocabulary; a file that the digest does not name is of another model that lay here before."""
+    if not (folder / VOCABULARY).is_file() or "vocabulary" not in config.get("digest", ("vocabulary",)):
+        return None
+    try:
+        return read_vocabulary(folder / VOCABULARY)
+    except VocabularyError as error:
+        raise RunError(str(error)) from error
 
 
 def _config(folder: Path, parts: Mapping[str, Part]) -> dict[str, Any]:

@@ -52,12 +52,12 @@ def design(pairs: Sequence[Pair], methods: tuple[str, str], seed: int = 0, size:
     """
     _check(pairs, methods, size)
     named = sorted(pairs, key=lambda pair: pair.name)
-    chance = random.Random(json.dumps([seed, methods, [pair.name for pair in named]]))
-    order = chance.sample(named, len(named))
+    rng = random.Random(json.dumps([seed, methods, [pair.name for pair in named]]))
+    order = rng.sample(named, len(named))
     surveys, entries = [], {}
     for start in range(0, len(order), size):
         asked = [order[place % len(order)] for place in range(start, start + size)]
-        survey, own = _survey(asked, order, methods, chance)
+        survey, own = _survey(asked, order, methods, rng)
         surveys.append(survey)
         entries[survey.id] = own
     return surveys, Key(methods, entries)
@@ -81,31 +81,31 @@ def stranger(timeline: Timeline, others: Sequence[Pair]) -> Pair:
 
 
 def _survey(
-    asked: Sequence[Pair], pairs: Sequence[Pair], methods: tuple[str, str], chance: random.Random
+    asked: Sequence[Pair], pairs: Sequence[Pair], methods: tuple[str, str], rng: random.Random
 ) -> tuple[Survey, dict[str, Entry]]:
     names = {pair.name for pair in asked}
-    apart = chance.sample([pair for pair in pairs if pair.name not in names], _APART)
-    first = chance.sample([index % 2 == 0 for index in range(len(asked))], len(asked))
-    counted = [_compared(Kind.PAIR, pair, methods, left, chance) for pair, left in zip(asked, first, strict=True)]
-    warm = [_compared(Kind.WARM_UP, pair, methods, chance.random() < 0.5, chance) for pair in apart[:WARM_UPS]]
-    limbs, lost = apart[WARM_UPS:]
-    counted.append(_honeypot(Kind.REALISM_HONEYPOT, limbs, Clip.of(limbs.second).stretched(), chance))
+    others = rng.sample([pair for pair in pairs if pair.name not in names], _APART)
+    first = rng.sample([index % 2 == 0 for index in range(len(asked))], len(asked))
+    counted = [_compared(Kind.PAIR, pair, methods, left, rng) for pair, left in zip(asked, first, strict=True)]
+    warm = [_compared(Kind.WARM_UP, pair, methods, rng.random() < 0.5, rng) for pair in others[:WARM_UPS]]
+    limbs, lost = others[WARM_UPS:]
+    counted.append(_honeypot(Kind.REALISM_HONEYPOT, limbs, Clip.of(limbs.second).stretched(), rng))
     other = stranger(lost.timeline, [pair for pair in pairs if pair is not lost])
-    counted.append(_honeypot(Kind.TIMELINE_HONEYPOT, lost, Clip.of(other.first), chance))
-    questions = [*warm, *chance.sample(counted, len(counted))]
-    survey = Survey(_id(chance), tuple(question for question, _ in questions))
+    counted.append(_honeypot(Kind.TIMELINE_HONEYPOT, lost, Clip.of(other.first), rng))
+    questions = [*warm, *rng.sample(counted, len(counted))]
+    survey = Survey(_id(rng), tuple(question for question, _ in questions))
     return survey, {question.id: entry for question, entry in questions}
 
 
 def _compared(
-    kind: Kind, pair: Pair, methods: tuple[str, str], first_left: bool, chance: random.Random
+    kind: Kind, pair: Pair, methods: tuple[str, str], first_left: bool, rng: random.Random
 ) -> tuple[Question, Entry]:
     clips = (Clip.of(pair.first), Clip.of(pair.second))
-    return _question(kind, pair, clips, methods, first_left, chance)
+    return _question(kind, pair, clips, methods, first_left, rng)
 
 
-def _honeypot(kind: Kind, pair: Pair, wrong: Clip, chance: random.Random) -> tuple[Question, Entry]:
-    return _question(kind, pair, (Clip.of(pair.first), wrong), (RIGHT, WRONG), chance.random() < 0.5, chance)
+def _honeypot(kind: Kind, pair: Pair, wrong: Clip, rng: random.Random) -> tuple[Question, Entry]:
+    return _question(kind, pair, (Clip.of(pair.first), wrong), (RIGHT, WRONG), rng.random() < 0.5, rng)
 
 
 def _question(
@@ -114,11 +114,11 @@ def _question(
     clips: tuple[Clip, Clip],
     behind: tuple[str, str],
     first_left: bool,
-    chance: random.Random,
+    rng: random.Random,
 ) -> tuple[Question, Entry]:
-    ids = (_id(chance), _id(chance))
+    ids = (_id(rng), _id(rng))
     sides = tuple(zip(ids, clips, strict=True))
-    question = Question(_id(chance), pair.timeline, sides if first_left else sides[::-1])
+    question = Question(_id(rng), pair.timeline, sides if first_left else sides[::-1])
     return question, Entry(kind, pair.name, dict(sorted(zip(ids, behind, strict=True))))
 
 
@@ -140,5 +140,5 @@ def _words(timeline: Timeline) -> set[str]:
     return set(" ".join(prompt.text.lower() for prompt in timeline.prompts).split())
 
 
-def _id(chance: random.Random) -> str:
-    return f"{chance.getrandbits(64):016x}"
+def _id(rng: random.Random) -> str:
+    return f"{rng.getrandbits(64):016x}"

@@ -6,20 +6,25 @@ import sys
 import warnings
 from types import FrameType
 
-_INSIDE = {"stmc", "jaxtyping", "beartype"}
-"""Packages whose lines are nobody's to mend: ours, and those that check our signatures under test."""
+_INSIDE = {"stmc", "jaxtyping", "beartype", "torch"}
+"""Packages whose lines are nobody's to mend: ours, those that check our signatures under test, and PyTorch's, whose
+decorators stand between."""
 
 
 class TimelineWarning(UserWarning):
     """Something a timeline can mean but hardly wants, such as one body part claimed by two prompts at once."""
 
 
-def advise(message: str) -> None:
-    """A `TimelineWarning` at the innermost line outside of this library."""
+class UnknownPromptWarning(UserWarning):
+    """A prompt that is far from all that a model was trained with: it will do something else."""
+
+
+def advise(message: str, category: type[UserWarning] = TimelineWarning) -> None:
+    """A warning at the innermost line outside of this library."""
     depth, frame = 1, sys._getframe()
     while frame.f_back is not None and _inside(frame):
         depth, frame = depth + 1, frame.f_back
-    warnings.warn(message, TimelineWarning, stacklevel=depth)
+    warnings.warn(message, category, stacklevel=depth)
 
 
 def _inside(frame: FrameType) -> bool:

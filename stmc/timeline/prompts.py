@@ -233,6 +233,17 @@ class Timeline:
         """
         self.write_all([self], path)
 
+    def to_json(self) -> str:
+        """What `write` puts into a `.json` file.
+
+        Examples:
+            >>> print(stmc.Timeline.parse("walk # 0 # 4 # legs").to_json())
+            {"name": "", "tracks": [
+              [{"text": "walk", "start": 0.0, "end": 4.0, "body_parts": ["legs"]}]]}
+            <BLANKLINE>
+        """
+        return files.to_json([_draft(self)])
+
     @property
     def duration(self) -> float:
         """Seconds from 0 to the last end."""

@@ -12,7 +12,8 @@ from stmc.training.loss import Batch, Denoising, Objective, draw_noise, squared_
 from stmc.training.pairs import Pairs
 from stmc.training.resuming import SettingsChanged
 
-_LATER = {"Batches": "loop", "Callback": "loop", "Settings": "loop", "Trainer": "loop", "find_accelerator": "device"}
+_LATER = {name: "loop" for name in ("Batches", "Callback", "Settings", "Trainer")}
+_LATER |= {name: "device" for name in ("begin", "find_accelerator")}
 
 __all__ = [
     "Batch",

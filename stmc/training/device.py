@@ -1,9 +1,16 @@
-"""Where training runs: the accelerator if there is one, or what was asked for. Knows no network."""
+"""Where training runs: the accelerator if there is one, or what was asked for; and that one run at a time writes to a
+folder. Knows no network."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
 import torch
 from accelerate import Accelerator
+
+from stmc.files import locked
 
 
 def find_accelerator(device: str) -> Accelerator:
@@ -18,3 +25,14 @@ def find_accelerator(device: str) -> Accelerator:
     if device == "cuda" and not torch.cuda.is_available():
         raise ValueError("device=cuda: no GPU is available, or PyTorch was installed without it; try device=cpu")
     return Accelerator(cpu=device == "cpu" or not torch.cuda.is_available())
+
+
+@contextmanager
+def begin(run: str | Path, device: str, threads: int | None) -> Iterator[Accelerator]:
+    """The accelerator (see `find_accelerator`), with the folder `run` locked by the main process; `threads` of the CPU,
+    None: PyTorch's own choice. Raises `FolderInUse`."""
+    if threads:
+        torch.set_num_threads(threads)
+    accelerator = find_accelerator(device)
+    with locked(Path(run).expanduser()) if accelerator.is_main_process else nullcontext():
+        yield accelerator

@@ -52,7 +52,7 @@ class Callback:
 class Settings:
     """How to train. `lr` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
     `final_lr_ratio` of it at `lr_decay_steps` (None: at `steps`), where it stays. `grad_clip` bounds the gradient's
-    norm. `*_every` count steps.
+    norm (None: nothing does). `ema_decay` is the moving average's (0: it is the network itself). `*_every` count steps.
 
     A run can be made longer: with the `steps` it had as `lr_decay_steps` it goes on at its final learning rate.
     """
@@ -63,7 +63,7 @@ class Settings:
     final_lr_ratio: float = 0.02
     lr_decay_steps: int | None = None
     weight_decay: float = 0.01
-    grad_clip: float = 1.0
+    grad_clip: float | None = 1.0
     ema_decay: float = 0.999
     precision: Literal["bf16", "fp32"] = "bf16"
     compile: bool = False
@@ -184,7 +184,8 @@ class Trainer:
                     terms = self._terms(self._prepared, piece, generator)
                     self.accelerator.backward(self.objective.weigh(terms) / share)
                 total = total + terms.detach()
-        norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), settings.grad_clip)
+        most = math.inf if settings.grad_clip is None else settings.grad_clip
+        norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), most)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
         self.ema.update(self.network, self.step)

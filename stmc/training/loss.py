@@ -25,7 +25,9 @@ AuxiliaryLoss = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor,
 class Batch:
     """Clean motion and its texts, both normalised. `mask` is True where a frame exists; None where nothing is padded.
 
-    `frames`: how many frames exist, known without waiting for an accelerator.
+    `frames`: how many frames exist, known without waiting for an accelerator. With `segment`, rows have several texts
+    of one word each, and it says of every frame which of the row's words it belongs to, in the padding any: for
+    denoisers with `per_frame_text`.
     """
 
     motion: Float[Tensor, "batch frames features"]
@@ -33,12 +35,14 @@ class Batch:
     text: Float[Tensor, "batch words width"]
     text_mask: Bool[Tensor, "batch words"] | None
     frames: int
+    segment: Int[Tensor, "batch frames"] | None = field(default=None, kw_only=True)
 
     def denoised(
         self, denoiser: Denoiser, noisy: Float[Tensor, "batch frames features"], t: Int[Tensor, " batch"]
     ) -> Float[Tensor, "batch frames features"]:
         """What the denoiser predicts for the batch's noisy motion, told all that the batch knows."""
-        return denoiser(noisy, t, self.text, self.text_mask, self.mask)
+        told = () if self.segment is None else (self.segment,)
+        return denoiser(noisy, t, self.text, self.text_mask, self.mask, *told)
 
 
 @runtime_checkable

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from stmc.untrusted import cut
+
 MAY_CHANGE = (
     *("run", "data.folder", "data.preparation", "text_cache"),  # places: what lies there has a fingerprint
     *("device", "threads", "training.compile", "trusted"),  # the machine, and whose code may run there
@@ -24,8 +26,6 @@ MAY_CHANGE = (
 `training.steps` is among them, since what the steps depend on is where the learning rate's fall ends:
 `training.lr_decay_steps`.
 """
-
-_ABSENT = object()
 
 
 class SettingsChanged(ValueError):
@@ -44,9 +44,9 @@ def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """`path: old → new` for each setting that differs."""
     return [
-        f"{path}: {_shown(old.get(path, _ABSENT))} → {_shown(new.get(path, _ABSENT))}"
+        f"{path}: {cut(str(old.get(path, 'absent')))} → {cut(str(new.get(path, 'absent')))}"
         for path in dict.fromkeys((*old, *new))
-        if old.get(path, _ABSENT) != new.get(path, _ABSENT)
+        if path not in old or path not in new or old[path] != new[path]
     ]
 
 
@@ -55,8 +55,3 @@ def _flat(node: Any, path: str) -> dict[str, Any]:
         below = (_flat(value, f"{path}.{key}" if path else str(key)) for key, value in node.items())
         return {name: value for found in below for name, value in found.items()}
     return {path: node}
-
-
-def _shown(value: Any) -> str:
-    text = "absent" if value is _ABSENT else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

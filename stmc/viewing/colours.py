@@ -61,12 +61,12 @@ def owners(timeline: Timeline, fps: int | float, frames: int) -> dict[BodyPart, 
     return owned
 
 
-def transition(motion: Motion, overlap: int | float | None) -> int | float:
+def transition_seconds(motion: Motion, overlap: int | float | None) -> int | float:
     """Seconds of the transitions to show: `overlap`, or else those that the motion was sampled with."""
     return (motion.overlap or 0.0) if overlap is None else overlap
 
 
-def hand_overs(spans: Spans, fps: int | float, overlap: int | float) -> list[tuple[float, float]]:
+def transitions(spans: Spans, fps: int | float, overlap: int | float) -> list[tuple[float, float]]:
     """Where one owner hands over to the next: (start, end) in frames, `overlap` seconds long, within the spans."""
     if overlap <= 0:
         return []
@@ -75,7 +75,7 @@ def hand_overs(spans: Spans, fps: int | float, overlap: int | float) -> list[tup
     return [(max(start - half, 0.0), min(start + half, last)) for _, start, _ in spans[1:]]
 
 
-def worn(
+def part_colours(
     timeline: Timeline | None, fps: int | float, frames: int, overlap: int | float = 0.0
 ) -> Float[np.ndarray, "frames parts 3"]:
     """The colour (0 to 1) of each of the five body parts, in `BodyPart`'s order, in each frame.
@@ -93,7 +93,7 @@ def worn(
     for index, part in enumerate(BodyPart):
         for owner, start, end in owned[part]:
             result[start:end, index] = neutral if owner is None else colours[owner]
-        for start, end in hand_overs(owned[part], fps, overlap):
+        for start, end in transitions(owned[part], fps, overlap):
             centre, half = (start + end) / 2, max((end - start) / 2, 1e-9)
             near = slice(int(start), math.ceil(end))
             share = np.clip(1.0 - np.abs(middle[near] - centre) / half, 0.0, 1.0)[:, None]

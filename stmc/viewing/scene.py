@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from stmc.body import BodyPart
 from stmc.motion import Motion
+from stmc.skins import PARTS, Skin
 from stmc.viewing.camera import framing
-from stmc.viewing.skin import PARTS, Skin
 
 FOV = math.radians(38.0)
 ASPECTS = (0.35, 0.5, 0.7, 1.0, 1.4, 1.9, 2.6)
@@ -109,9 +109,10 @@ def _ground(server: viser.ViserServer, motion: Motion, colours: Float[np.ndarray
     if motion.frames < 2:
         return
     path = motion.translation.double().cpu().numpy() * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.004]
-    worn = np.round(255 * colours[:, _LEGS] ** 2.2).astype(np.uint8)  # viser takes the colours of lines as linear light
+    # viser takes the colours of lines as linear light
+    linear = np.round(255 * colours[:, _LEGS] ** 2.2).astype(np.uint8)
     server.scene.add_line_segments(
-        "/path", np.stack([path[:-1], path[1:]], axis=1), np.stack([worn[:-1], worn[1:]], axis=1), thickness=0.022
+        "/path", np.stack([path[:-1], path[1:]], axis=1), np.stack([linear[:-1], linear[1:]], axis=1), thickness=0.022
     )
 
 

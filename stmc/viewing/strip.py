@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +14,9 @@ from matplotlib.patches import Polygon
 
 from stmc.body_model import Body
 from stmc.motion import Motion
+from stmc.skins import PARTS, Skin, skin_of
 from stmc.timeline import Timeline
-from stmc.viewing.colours import as_rgb, mix, transition, worn
-from stmc.viewing.mannequin import dressed
-from stmc.viewing.skin import PARTS, Skin
+from stmc.viewing.colours import as_rgb, mix, part_colours, transition_seconds
 from stmc.viewing.tracks import FAINT, INK, draw_tracks
 
 _ELEVATION = math.radians(14.0)
@@ -38,7 +38,7 @@ def film_strip(
     """`frames` moments of the motion from one direction, its path from above, and the timeline below.
 
     All pictures have one scale and one camera direction, and follow the pelvis over a floor of half-metre tiles, on
-    which an arrow shows where the pelvis faces. Colours are those of `worn`; transitions last
+    which an arrow shows where the pelvis faces. Colours are those of `part_colours`; transitions last
     `overlap` seconds, if not told otherwise those that the motion was sampled with. The figure is not known to pyplot.
 
     Examples:
@@ -48,13 +48,14 @@ def film_strip(
     if frames < 1:
         raise ValueError(f"frames must be 1 or more, not {frames}")
     shown = np.unique(np.linspace(0, motion.frames - 1, frames).round().astype(int))
-    overlap = transition(motion, overlap)
-    colours = worn(timeline, motion.fps, motion.frames, overlap)
-    camera = _camera(motion)
+    overlap = transition_seconds(motion, overlap)
+    colours = part_colours(timeline, motion.fps, motion.frames, overlap)
+    stage = Stage.of(motion, body, colours, shown)
     plot = Figure(figsize=(1.72 * (len(shown) + 1), 3.0 + (0 if timeline is None else 2.4)), layout="constrained")
     tall = [1.0] if timeline is None else [3.0, 2.4]
     grid = plot.add_gridspec(len(tall), len(shown) + 1, height_ratios=tall)
-    _moments([plot.add_subplot(grid[0, column]) for column in range(len(shown))], motion, body, shown, colours, camera)
+    for column, frame in enumerate(shown.tolist()):
+        stage.paint(plot.add_subplot(grid[0, column]), frame)
     _from_above(plot.add_subplot(grid[0, -1]), motion, shown, colours)
     if timeline is not None:
         axes = plot.add_subplot(grid[1, :])
@@ -67,46 +68,61 @@ def film_strip(
     return plot
 
 
-def _camera(motion: Motion) -> Float[np.ndarray, "3 3"]:
+@dataclass(frozen=True)
+class Stage:
+    """What one direction shows of a motion: a figure that stays in the middle, over a floor that goes by beneath."""
+
+    motion: Motion
+    skin: Skin
+    colours: Float[np.ndarray, "frames parts 3"]
+    camera: Float[np.ndarray, "3 3"]
     """Rows: right, up and towards the eye, in the world. It sees the body's mean front from the side."""
-    x, y = motion.facing[:, :2].double().mean(dim=0).tolist()
-    azimuth = math.atan2(y, x) - _ASIDE
-    away = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    right = np.array([-away[1], away[0], 0.0])
-    eye = math.cos(_ELEVATION) * away + math.sin(_ELEVATION) * np.array([0.0, 0.0, 1.0])
-    return np.stack([right, np.cross(eye, right), eye])
+    frame: tuple[float, float, float]
+    """Metres: to both sides, down and up."""
 
+    @classmethod
+    def of(
+        cls, motion: Motion, body: Body | None, colours: Float[np.ndarray, "frames parts 3"], shown: np.ndarray
+    ) -> Stage:
+        """As large as the frames `shown` need."""
+        x, y = motion.facing[:, :2].double().mean(dim=0).tolist()
+        azimuth = math.atan2(y, x) - _ASIDE
+        away = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        right = np.array([-away[1], away[0], 0.0])
+        eye = math.cos(_ELEVATION) * away + math.sin(_ELEVATION) * np.array([0.0, 0.0, 1.0])
+        stage = cls(
+            motion, skin_of(motion, body), colours, np.stack([right, np.cross(eye, right), eye]), (0.0, 0.0, 0.0)
+        )
+        seen = np.stack([(stage.vertices(frame) - stage.ground[frame]) @ stage.camera.T for frame in shown.tolist()])
+        wide = max(0.55, float(np.abs(seen[..., 0]).max()) + 0.06)
+        low, high = min(-0.16, float(seen[..., 1].min()) - 0.05), max(1.5, float(seen[..., 1].max()) + 0.08)
+        return replace(stage, frame=(wide, low, high))
 
-def _moments(
-    panels: list[Axes],
-    motion: Motion,
-    body: Body | None,
-    shown: np.ndarray,
-    colours: np.ndarray,
-    camera: Float[np.ndarray, "3 3"],
-) -> None:
-    skin = dressed(motion, body)
-    kept = Motion(motion.rotations[shown], motion.translation[shown], motion.joints[shown], motion.fps)
-    ground = kept.translation.double().cpu().numpy() * [1.0, 1.0, 0.0]
-    vertices = skin.posed(kept)
-    seen = (vertices - ground[:, None]) @ camera.T
-    wide = max(0.55, float(np.abs(seen[..., 0]).max()) + 0.06)
-    low, high = min(-0.16, float(seen[..., 1].min()) - 0.05), max(1.5, float(seen[..., 1].max()) + 0.08)
-    facing = kept.facing.double().cpu().numpy()
-    path = motion.translation.double().cpu().numpy() * [1.0, 1.0, 0.0]
-    for index, (axes, frame) in enumerate(zip(panels, shown, strict=True)):
+    @property
+    def ground(self) -> Float[np.ndarray, "frames 3"]:
+        """The pelvis' path over the floor."""
+        return self.motion.translation.double().cpu().numpy() * [1.0, 1.0, 0.0]
+
+    def vertices(self, frame: int) -> Float[np.ndarray, "vertices 3"]:
+        """The body of one frame, in the world."""
+        return self.skin.posed(self.motion.trimmed(frame, frame + 1))[0]
+
+    def paint(self, axes: Axes, frame: int) -> None:
+        """One frame of the motion, and the whole path."""
+        wide, low, high = self.frame
         axes.set(xlim=(-wide, wide), ylim=(low, high), aspect="equal", xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
-        rim = _floor(axes, ground[index], camera, wide)
-        walked = (path - ground[index]) @ camera.T
+        path, legs, camera = self.ground, self.colours[:, _LEGS], self.camera
+        rim = _floor(axes, path[frame], camera, wide)
+        walked = (path - path[frame]) @ camera.T
         for line in (
-            _path(axes, walked[: frame + 1], colours[: frame + 1, _LEGS], 2.2),
-            _path(axes, walked[frame:], colours[frame:, _LEGS], 2.2, 0.25),
-            _figure(axes, vertices[index] - ground[index], skin, colours[frame], camera),
+            _path(axes, walked[: frame + 1], legs[: frame + 1], 2.2),
+            _path(axes, walked[frame:], legs[frame:], 2.2, 0.25),
+            _figure(axes, self.vertices(frame) - path[frame], self.skin, self.colours[frame], camera),
         ):
             line.set_clip_path(rim)
-        _arrow(axes, facing[index], camera)
-        axes.set_title(f"{frame / motion.fps:.1f} s", fontsize=9, color=INK, pad=2)
+        _arrow(axes, self.motion.facing[frame].double().cpu().numpy(), camera)
+        axes.set_title(f"{frame / self.motion.fps:.1f} s", fontsize=9, color=INK, pad=2)
 
 
 def _floor(axes: Axes, centre: Float[np.ndarray, " 3"], camera: Float[np.ndarray, "3 3"], reach: float) -> Polygon:

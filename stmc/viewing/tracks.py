@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from stmc.body import BodyPart
 from stmc.timeline import Timeline
-from stmc.viewing.colours import NEUTRAL, hand_overs, ink, owners, palette
+from stmc.viewing.colours import NEUTRAL, ink, owners, palette, transitions
 
 INK, FAINT = "#1d2330", "#8a919e"
 _TRACK, _PART = 1.0, 0.46
@@ -81,7 +81,7 @@ def _parts(axes: Axes, timeline: Timeline, fps: int | float, overlap: int | floa
             colour = NEUTRAL if owner is None else colours[owner]
             width = (end - start) / fps
             axes.add_patch(Rectangle((start / fps, low), width, tall, facecolor=colour, linewidth=0, alpha=0.9))
-        for start, end in hand_overs(spans, fps, overlap):
+        for start, end in transitions(spans, fps, overlap):
             axes.add_patch(
                 Rectangle(
                     (start / fps, low), (end - start) / fps, tall, facecolor=NEUTRAL, edgecolor="white", hatch="//////",

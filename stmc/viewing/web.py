@@ -6,15 +6,17 @@ import html
 import json
 import tempfile
 import webbrowser
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 
 from stmc.body_model import Body
 from stmc.motion import Motion
+from stmc.skins import skin_of
 from stmc.timeline import Prompt, Timeline
-from stmc.viewing.colours import NEUTRAL, hand_overs, ink, owners, palette, transition, worn
-from stmc.viewing.mannequin import dressed
+from stmc.viewing.colours import NEUTRAL, ink, owners, palette, part_colours, transition_seconds, transitions
 from stmc.viewing.scene import cameras, record
+from stmc.vocabulary import Recognition
 
 _ALONE = (
     '<meta http-equiv="Content-Security-Policy" content="default-src data: blob:; '
@@ -32,6 +34,7 @@ def render_html(
     title: str = "",
     overlap: int | float | None = None,
     body: Body | None = None,
+    unknown: Sequence[Recognition] = (),
 ) -> str:
     """A self-contained HTML page (some 1.5 MB, and as much again for every minute) that loads nothing from anywhere and
     opens from a file.
@@ -43,7 +46,8 @@ def render_html(
     opens it paused at 2.5 seconds. The camera sees the whole motion in a window of any shape, or follows the body: a
     button says which, and the page follows by itself where the body would be too small to see.
 
-    The body is a mannequin with the motion's own bones, or the mesh of `body`.
+    The body is a mannequin with the motion's own bones, or the mesh of `body`. Prompts that are `unknown` to the model
+    (see `Model.unknown`) bear a mark, with the nearest known ones as its tooltip.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -52,12 +56,12 @@ def render_html(
         True
     """
     title = title or (timeline.name if timeline is not None else "")
-    overlap = transition(motion, overlap)
-    colours = worn(timeline, motion.fps, motion.frames, overlap)
-    content = record(motion, dressed(motion, body), colours)
+    overlap = transition_seconds(motion, overlap)
+    colours = part_colours(timeline, motion.fps, motion.frames, overlap)
+    content = record(motion, skin_of(motion, body), colours)
     assets = files("stmc") / "assets"
     style, script = ((assets / f"page.{kind}").read_text("utf-8") for kind in ("css", "js"))
-    below = "" if timeline is None else _tracks(timeline, motion, overlap)
+    below = "" if timeline is None else _tracks(timeline, motion, overlap, {each.text: each.advice for each in unknown})
     heading = f'<div id="stmc-heading"><h1>{html.escape(title)}</h1><p>{_chips(timeline)}</p>{_FOLLOW}</div>'
     for old, new in (
         ("<head>", f"<head>{_ALONE}"),
@@ -127,14 +131,15 @@ def _chips(timeline: Timeline | None) -> str:
     )
 
 
-def _tracks(timeline: Timeline, motion: Motion, overlap: int | float) -> str:
-    """The rows below the scene: tracks of prompts, the five body parts, seconds."""
+def _tracks(timeline: Timeline, motion: Motion, overlap: int | float, advice: Mapping[str, str]) -> str:
+    """The rows below the scene: tracks of prompts, the five body parts, seconds. `advice`: for texts that have some."""
     colours = palette(len(timeline.prompts))
     bars: list[list[str]] = [[] for _ in timeline.tracks]
     for prompt, row, colour in zip(timeline.prompts, timeline.rows, colours, strict=True):
-        text = html.escape(prompt.text)
+        text, told = html.escape(prompt.text), html.escape(advice.get(prompt.text, prompt.text))
+        kind = "bar unknown" if prompt.text in advice else "bar"
         style = _place(prompt.start, prompt.end, motion.duration) + _paint(colour)
-        bars[row].append(f'<div class="bar" {_while(prompt)} title="{text}" style="{style}">{text}</div>')
+        bars[row].append(f'<div class="{kind}" {_while(prompt)} title="{told}" style="{style}">{text}</div>')
     rows = [_row(f"track {row + 1}" if len(bars) > 1 else "prompts", "row", pieces) for row, pieces in enumerate(bars)]
     rows.append('<div class="gap"></div>')
     for part, spans in owners(timeline, motion.fps, motion.frames).items():
@@ -142,7 +147,7 @@ def _tracks(timeline: Timeline, motion: Motion, overlap: int | float) -> str:
             _span("span", start, end, motion, f"background:{NEUTRAL if owner is None else colours[owner]}")
             for owner, start, end in spans
         ]
-        pieces += [_span("span change", start, end, motion) for start, end in hand_overs(spans, motion.fps, overlap)]
+        pieces += [_span("span change", start, end, motion) for start, end in transitions(spans, motion.fps, overlap)]
         rows.append(_row(part, "row part", pieces))
     return f'<div id="stmc-tracks">{"".join(rows)}<div id="stmc-time"></div>{_ruler(motion.duration)}</div>'
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.data.sources.bandai import SOURCE_JOINTS, rest_rotations
 from stmc.geometry import axis_angle_to_matrix, global_rotations, rotation_z
@@ -37,7 +37,7 @@ def about(axis: str, angle: torch.Tensor) -> torch.Tensor:
 def posed(axis_angle: dict[str, torch.Tensor], pelvis: torch.Tensor, heading: torch.Tensor | None = None) -> Motion:
     """A motion at 30 fps, upright and in a T-pose but for these joints' rotations [frames, 3]; the root's own comes
     from `heading`."""
-    turns = torch.zeros(len(pelvis), ROTATED, 3, dtype=torch.float64)
+    turns = torch.zeros(len(pelvis), NUM_ROTATIONS, 3, dtype=torch.float64)
     for name, values in axis_angle.items():
         turns[:, JOINTS.index(name)] = values
     rotations = axis_angle_to_matrix(turns)
@@ -49,7 +49,7 @@ def posed(axis_angle: dict[str, torch.Tensor], pelvis: torch.Tensor, heading: to
 def tumbling(frames: int = 20, seed: int = 0) -> Motion:
     """Any pose at all, anywhere; only spine2, which the dataset does not have, is at rest."""
     generator = torch.Generator().manual_seed(seed)
-    axis_angle = 2 * torch.randn(frames, ROTATED, 3, generator=generator, dtype=torch.float64)
+    axis_angle = 2 * torch.randn(frames, NUM_ROTATIONS, 3, generator=generator, dtype=torch.float64)
     axis_angle[:, JOINTS.index("spine2")] = 0
     pelvis = torch.randn(frames, 3, generator=generator, dtype=torch.float64)
     return Motion.posed(axis_angle_to_matrix(axis_angle), pelvis, 30.0, skeleton())

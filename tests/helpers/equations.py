@@ -209,7 +209,14 @@ def stylised(weights: Weights, tokens: np.ndarray, style: np.ndarray) -> np.ndar
 
 
 def flow_mdm(
-    weights: Weights, heads: int, horizon: int, absolute: bool, x: np.ndarray, t: int, words: np.ndarray, segment: list
+    weights: Weights,
+    heads: int,
+    window: int,
+    absolute: bool,
+    x: np.ndarray,
+    t: int,
+    words: np.ndarray,
+    segment: list,
 ) -> np.ndarray:
     """FlowMDM (Barquero et al. 2024), section 3: blended positional encodings, pose-centric cross-attention.
 
@@ -226,7 +233,7 @@ def flow_mdm(
         frames = frames + np.stack([scale * _halves(i - segment.index(n), width) for i, n in enumerate(segment)])
 
     def seen(query: int, key: int) -> bool:
-        return abs(query - key) <= horizon and (not absolute or segment[query] == segment[key])
+        return abs(query - key) <= window and (not absolute or segment[query] == segment[key])
 
     layers = encoder.layers("attn_layers.layers")
     for norm_and_attention, norm_and_inner in zip(layers[::2], layers[1::2], strict=True):

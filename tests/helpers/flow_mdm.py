@@ -30,7 +30,7 @@ def parameters(name: str) -> dict[str, tuple[int, ...]]:
 
 
 @functools.cache
-def flow_mdm(name: str, seed: int, absolute_from: int, horizon: int) -> FlowMdm:
+def flow_mdm(name: str, seed: int, absolute_from: int, attention_window: int) -> FlowMdm:
     """The network "small_humanml", "full_babel", … with golden weights, all of them."""
     shapes = parameters(name)
     features, text_width = shapes["output_process.poseFinal.weight"][0], shapes["embed_text.weight"][1]
@@ -41,7 +41,7 @@ def flow_mdm(name: str, seed: int, absolute_from: int, horizon: int) -> FlowMdm:
         "layers": sum(key.endswith("to_q.weight") for key in shapes),
         "heads": shapes[f"{layers}0.1.to_q.weight"][0] // HEAD,
     }
-    network = FlowMdm(features, text_width, absolute_from, horizon=horizon, **sizes)
+    network = FlowMdm(features, text_width, absolute_from, attention_window=attention_window, **sizes)
     weights = {
         key: weight(key, shape, entries(name)[key]["kind"] == "norm_weight", seed) for key, shape in shapes.items()
     }

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from stmc.body import JOINTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS
 from stmc.body_model import Skeleton
 from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle, rotation_z
 from stmc.motion import Motion
@@ -20,7 +20,7 @@ def walking(seconds: float = 6.0, fps: float = 20.0, speed: float = 1.1, turn: f
     time = torch.arange(int(seconds * fps), dtype=torch.float64) / fps
     step = 2 * math.pi * 0.9 * time
     zero = torch.zeros_like(time)
-    poses = torch.zeros(len(time), ROTATED, 3, dtype=torch.float64)
+    poses = torch.zeros(len(time), NUM_ROTATIONS, 3, dtype=torch.float64)
 
     def bend(joint: str, x=zero, y=zero, z=zero) -> None:
         poses[:, JOINTS.index(joint)] = torch.stack([x, y, z], dim=-1)

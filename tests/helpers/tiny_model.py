@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from stmc.body import ROTATED
+from stmc.body import NUM_ROTATIONS
 from stmc.body_model import Skeleton
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule
@@ -61,7 +61,7 @@ def tiny(fps: float | int = 20, longest: int = 100) -> Model:
         arguments = {key: value for key, value in CONFIG["denoiser"].items() if key != "_target_"}
         denoiser = MdmSmpl(**arguments).eval().requires_grad_(False)
     upright = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    rotations = torch.eye(3).repeat(1, ROTATED, 1, 1)
+    rotations = torch.eye(3).repeat(1, NUM_ROTATIONS, 1, 1)
     rotations[:, 0] = upright
     standing = Motion.posed(rotations, torch.tensor([[0.0, 0.0, 1.0]]), fps, Skeleton.default())
     representation = SmplRepresentation()

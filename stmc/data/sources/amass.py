@@ -6,19 +6,24 @@ Knows AMASS's files and the names that its data sets had and have; knows no anno
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor
 
 from stmc.arrays import ArraysError, npz_names, read_npz
-from stmc.body import ROTATED
+from stmc.body import NUM_ROTATIONS
 from stmc.body_model import Skeleton
+from stmc.data.cache import fingerprint
 from stmc.data.preparation import LayoutError
 from stmc.geometry import axis_angle_to_matrix
 from stmc.motion import Motion
+from stmc.representation import Representation
 
 COLUMNS: Mapping[str, int] = {"smplh": 156, "smplx": 165}
 """Of `poses`, for each kind of body. Both begin with the root's and the 21 body joints' 66, in one order: SMPL-X has
@@ -55,7 +60,7 @@ def read_recording(path: Path, skeleton: Skeleton) -> Motion:
     except ArraysError as error:
         raise RecordingError(f"damaged: {error}") from error
     _check_shapes(arrays, path)
-    poses = arrays["poses"][:, : 3 * ROTATED].astype(np.float64)
+    poses = arrays["poses"][:, : 3 * NUM_ROTATIONS].astype(np.float64)
     trans = arrays["trans"].astype(np.float64)
     for name, values in (("poses", poses), ("trans", trans)):
         broken = np.flatnonzero(~np.isfinite(values).all(axis=1))
@@ -130,8 +135,34 @@ def unmirrored(path: str) -> tuple[str, bool]:
     return name.removeprefix("M/"), name.startswith("M/")
 
 
+@dataclass(frozen=True)
+class AmassRecording:
+    """One recording of AMASS's; see `annotated_amass.Recording`."""
+
+    path: Path
+    split: None = None
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the file."""
+        return fingerprint([self.path], [])
+
+    def motion(self, skeleton: Skeleton, fps: float | int) -> Motion:
+        """The recording at `fps`. A frame stands for the middle of its time (`geometry.sampling_positions`), and both
+        rates cover the same seconds. Raises `RecordingError`, and `ValueError` for one that is too short."""
+        recorded = read_recording(self.path, skeleton)
+        try:
+            return recorded.resampled(fps)
+        except ValueError as error:
+            raise ValueError(f"too short: {error}") from error
+
+    def features(self, motion: Motion, representation: Representation) -> Float[Tensor, "frames features"]:
+        """As published: the floor is where the lowest joint of the whole recording is."""
+        return representation.encode(motion)
+
+
 class Recordings:
-    """The recordings in a folder of AMASS, by the paths that annotations give.
+    """The recordings in a folder of AMASS, by the paths that annotations give; see `annotated_amass.Recordings`.
 
     Data set, subject and recording are compared, whatever lies above them, under old and new names of the data sets and
     with either release's endings (`_poses`, `_stageii`). Where both releases are there, SMPL-H's file is taken.
@@ -139,7 +170,7 @@ class Recordings:
     """
 
     def __init__(self, folder: Path) -> None:
-        folder = Path(folder)
+        self._folder = folder = Path(folder)
         if not folder.is_dir():
             raise LayoutError(
                 f"source={folder} is not a directory; it should hold AMASS's data sets: ACCAD/, BMLmovi/, CMU/ …"
@@ -159,6 +190,24 @@ class Recordings:
     def find(self, path: str) -> Path | None:
         """The file of AMASS's path (`KIT/3/kick_high_left02_poses`, see `unmirrored`), or None."""
         return self._files.get(_key(path))
+
+    def check(self, paths: Collection[str], representation: Representation) -> None:
+        """Raises `LayoutError` where not one of `paths` is there."""
+        if not self.inputs(paths):
+            raise LayoutError(
+                f"source={self._folder} has none of the {len(paths)} annotated recordings; expected for instance "
+                f"{next(iter(paths))}.npz, found {', '.join(self.examples)}"
+            )
+
+    def inputs(self, paths: Collection[str]) -> list[Path]:
+        """The files of those paths that are there."""
+        return [file for file in map(self.find, paths) if file is not None]
+
+    def read(self, paths: Collection[str]) -> Iterator[tuple[str, AmassRecording | str]]:
+        """Every path with its recording, or the reason why there is none."""
+        for path in paths:
+            file = self.find(path)
+            yield path, f"no file: {path}.npz" if file is None else AmassRecording(file)
 
 
 def _key(path: str) -> tuple[str, ...]:

@@ -1,32 +1,74 @@
-"""AMASS and annotations by its paths → a cache: HumanML3D, KIT-ML and BABEL as the paper's training has them.
+"""Annotations by AMASS's paths and the recordings that they are of → a cache: HumanML3D, KIT-ML and BABEL as the
+paper's training has them, or their sentences on CMU's own recordings.
 
-Knows how a recording becomes features and clips; knows neither AMASS's files (see `amass`) nor the annotations'
-(see `annotations`).
+Knows how a recording becomes clips; knows neither the recordings' files (see `amass` and `cmu_recordings`) nor the
+annotations' (see `annotations`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from stmc.body_model import Skeleton, load_body
 from stmc.data.cache import Cache, fingerprint
 from stmc.data.preparation import LayoutError, Piece, Watch, code, converted
-from stmc.data.sources.amass import Recordings, read_recording, reposed
+from stmc.data.sources.amass import Recordings, reposed
 from stmc.data.sources.annotations import Annotated, Annotations, Segment, read_annotations, with_mirror_images
-from stmc.data.spans import Album, Described
+from stmc.data.spans import AnnotatedSpans, CacheBuilder
 from stmc.motion import Motion
 from stmc.representation import Representation
 
 TOLERANCE = 0.5
 """Seconds that an annotation may go on after its recording has ended: clocks and roundings differ."""
 
-_CODE = ("arrays", "representation", "body", "body_model", "geometry", "motion")
-_SOURCES = ("amass", "annotated_amass", "annotations", "bandai_sentences")
+_CODE = ("arrays", "representation", "body", "body_model", "geometry", "inverse_kinematics", "motion", "untrusted")
+_SOURCES = ("amass", "annotat*", "archives", "asf", "bandai_sentences", "bvh", "cmu*", "humanml3d_texts", "segments")
+
+
+@runtime_checkable
+class Recording(Protocol):
+    """A recording on its way to clips; it can be pickled. `split`: where it belongs whatever its annotations say, or
+    None."""
+
+    split: str | None
+
+    @property
+    def fingerprint(self) -> str:
+        """A name for its contents."""
+        ...
+
+    def motion(self, skeleton: Skeleton, fps: float | int) -> Motion:
+        """The whole recording on `skeleton` at `fps`. Raises `ValueError` for one that cannot be used."""
+        ...
+
+    def features(self, motion: Motion, representation: Representation) -> Float[Tensor, "frames features"]:
+        """The features of this motion, or of its mirror image, above the recording's floor."""
+        ...
+
+
+@runtime_checkable
+class RecordingSource(Protocol):
+    """Where the recordings at AMASS's paths are to be found."""
+
+    def check(self, paths: Collection[str], representation: Representation) -> None:
+        """Raises `LayoutError` where it can be told that not one is there, or can become such features."""
+        ...
+
+    def inputs(self, paths: Collection[str]) -> Iterable[Path]:
+        """The files and folders that they depend on."""
+        ...
+
+    def read(self, paths: Collection[str]) -> Iterator[tuple[str, Recording | str]]:
+        """Every path with its recording, or the reason why there is none; one at a time is in memory."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -42,44 +84,34 @@ class Conversion:
     shortest: float | int
     longest: float | int
 
-    def __call__(self, path: Path, entries: Sequence[Annotated]) -> Cache:
+    def __call__(self, recording: Recording, entries: Sequence[Annotated]) -> Cache:
         """The clips of one recording; every entry is left out, with the reason, where it cannot be read.
 
-        Features are those of the whole recording (its lowest joint is the floor), cut at the segments' times, as
-        published. So is the time grid: a frame stands for the middle of its time (`geometry.sampling_positions`), and
-        both rates cover the same seconds. Rotations between frames are on the sphere, which is not as published.
+        Features are those of the whole recording, cut at the segments' times, as published. Rotations between frames
+        are on the sphere, which is not as published.
         """
-        skeleton, album = Skeleton(torch.tensor(self.offsets)), Album(self.representation.width)
+        skeleton, builder = Skeleton(torch.tensor(self.offsets)), CacheBuilder(self.representation.width)
         name = type(self.representation).__name__.removesuffix("Representation").lower()
+        entries = [replace(entry, split=recording.split or entry.split) for entry in entries]
         try:
-            for image, moved in self._both(path, skeleton):
+            motion = recording.motion(skeleton, self.fps)
+            for image in (False, True):
                 if chosen := [entry for entry in entries if entry.mirrored == image]:
-                    features = self.representation.encode(moved).float()
-                    for entry in chosen:
-                        album.add(features, self._described(entry, len(features), album))
+                    features = recording.features(reposed(motion, skeleton, image), self.representation).float()
+                    builder.add(features, *(self._annotated(entry, len(features), builder) for entry in chosen))
         except ValueError as error:
-            album = Album(self.representation.width)
-            album.skipped += [(entry.name, str(error)) for entry in entries]
-        return album.cache(self.fps, name)
+            builder = CacheBuilder(self.representation.width)
+            builder.skipped += [(entry.name, str(error)) for entry in entries]
+        return builder.cache(self.fps, name)
 
-    def _both(self, path: Path, skeleton: Skeleton) -> Iterator[tuple[bool, Motion]]:
-        """The recording and its mirror image at the new frame rate."""
-        recorded = read_recording(path, skeleton)
-        try:
-            motion = recorded.resampled(self.fps)
-        except ValueError as error:
-            raise ValueError(f"too short: {error}") from error
-        for image in (False, True):
-            yield image, reposed(motion, skeleton, image)
-
-    def _described(self, entry: Annotated, frames: int, album: Album) -> Described:
+    def _annotated(self, entry: Annotated, frames: int, builder: CacheBuilder) -> AnnotatedSpans:
         spans: dict[tuple[int, int], list[str]] = {}
         for segment in entry.segments:
             try:
                 spans.setdefault(self._span(segment, frames, entry.split), []).append(segment.text)
             except ValueError as error:
-                album.skipped.append((entry.name, str(error)))
-        return Described(entry.name, entry.split, entry.mirrored, spans)
+                builder.skipped.append((entry.name, str(error)))
+        return AnnotatedSpans(entry.name, entry.split, entry.mirrored, spans)
 
     def _span(self, segment: Segment, frames: int, split: str) -> tuple[int, int]:
         """First and last frame (excluded) of a segment; `ValueError` for one that cannot be used."""
@@ -100,8 +132,10 @@ class Conversion:
 class AnnotatedAmass:
     """`source` is AMASS's folder, `annotations` that of `annotations.read_annotations`; a `Preparation`.
 
-    `body`: the folder of the SMPL-H files, or one of them, to pose the joints with its neutral body (no betas), as
-    published; without it the default skeleton's joints are posed. For `shortest` and `longest` see `Conversion`.
+    `recordings` says how to read the source: AMASS's own files, or the recordings of CMU's that AMASS is made of
+    (`cmu_recordings.CmuRecordings`). `body`: the folder of the SMPL-H files, or one of them, to pose the joints with
+    its neutral body (no betas), as published; without it the default skeleton's joints are posed. For `shortest` and
+    `longest` see `Conversion`.
     """
 
     source: str | Path
@@ -111,14 +145,15 @@ class AnnotatedAmass:
     body: str | Path | None = None
     shortest: float | int = 2.0
     longest: float | int = 10.0
+    recordings: Callable[[Path], RecordingSource] = Recordings
 
     @cached_property
     def _annotated(self) -> Annotations:
         return with_mirror_images(read_annotations(Path(self.annotations).expanduser()))
 
     @cached_property
-    def _recordings(self) -> Recordings:
-        return Recordings(Path(self.source).expanduser())
+    def _recordings(self) -> RecordingSource:
+        return self.recordings(Path(self.source).expanduser())
 
     @cached_property
     def _skeleton(self) -> Skeleton:
@@ -136,23 +171,13 @@ class AnnotatedAmass:
 
     def check(self) -> None:
         """Raises `LayoutError` where a folder is not what it should be, `FileNotFoundError` where no body is."""
-        if self._skeleton and self._files:
-            return
         skipped = self._annotated.skipped
         if not self._jobs:
             raise LayoutError(
                 f"annotations={self.annotations}: not one can be used; the first: {': '.join(skipped[0])}"
             )
-        wanted = next(iter(self._jobs))
-        raise LayoutError(
-            f"source={self.source} has none of the {len(self._jobs)} annotated recordings; expected for instance "
-            f"{wanted}.npz, found {', '.join(self._recordings.examples)}"
-        )
-
-    @cached_property
-    def _files(self) -> dict[str, Path]:
-        found = {path: self._recordings.find(path) for path in self._jobs}
-        return {path: file for path, file in found.items() if file is not None}
+        self._recordings.check(self._jobs, self.representation)
+        assert self._skeleton  # read now, not after an hour
 
     @cached_property
     def _settings(self) -> tuple[object, ...]:
@@ -164,23 +189,22 @@ class AnnotatedAmass:
 
     def fingerprint(self) -> str:
         """Of every recording that is annotated, all annotations, the skeleton, the code and the settings."""
-        return fingerprint(self._files.values(), [*self._settings, self._annotated])
+        return fingerprint(self._recordings.inputs(self._jobs), [*self._settings, self._annotated])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`."""
         offsets = tuple(tuple(row) for row in self._skeleton.offsets.tolist())
         convert = Conversion(self.fps, self.representation, offsets, self.shortest, self.longest)
-        pieces = [
-            Piece(
-                path, fingerprint([file], [*self._settings, self._jobs[path]]), partial(convert, file, self._jobs[path])
-            )
-            for path, file in self._files.items()
-        ]
-        absent = [
-            (entry.name, f"no file: {path}.npz")
-            for path, entries in self._jobs.items()
-            if path not in self._files
-            for entry in entries
-        ]
-        cache = converted(pieces, scratch, workers, watch, [*self._annotated.skipped, *absent])
+        skipped = list(self._annotated.skipped)
+
+        def pieces() -> Iterator[Piece]:
+            for path, recording in self._recordings.read(self._jobs):
+                entries = self._jobs[path]
+                if isinstance(recording, str):
+                    skipped.extend((entry.name, recording) for entry in entries)
+                else:
+                    inputs = fingerprint([], [recording.fingerprint, *self._settings, entries])
+                    yield Piece(path, inputs, partial(convert, recording, entries))
+
+        cache = converted(pieces(), len(self._jobs), scratch, workers, watch, skipped)
         return cache if self.body is None else replace(cache, skeleton=self._skeleton)

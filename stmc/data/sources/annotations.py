@@ -1,11 +1,13 @@
-"""Who does what, when, in AMASS's recordings: texts with seconds, as TMR and STMC publish them, and as BABEL does.
+"""Who does what, when, in AMASS's recordings: texts with seconds, as TMR and STMC publish them, as HumanML3D does, and
+as BABEL does.
 
-Knows these two formats of files; knows no recording and no features. An annotation that cannot be used is named and
+Knows these formats of files; knows no recording and no features. An annotation that cannot be used is named and
 left out; a file that is not in the format at all is an error.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -16,6 +18,7 @@ from typing import Any
 from stmc.data.preparation import LayoutError
 from stmc.data.sources.amass import unmirrored
 from stmc.data.sources.bandai_sentences import mirrored
+from stmc.data.sources.humanml3d_texts import WHOLE, Caption, Cut, read_captions, read_index
 
 SPLITS = ("train", "val", "test")
 
@@ -52,8 +55,8 @@ class Annotations:
 
 
 def read_annotations(folder: Path) -> Annotations:
-    """The annotations in `folder`: `annotations.json` with `splits/` (TMR's and STMC's, for HumanML3D and KIT-ML), or
-    BABEL's `train.json` and `val.json`.
+    """The annotations in `folder`: `annotations.json` with `splits/` (TMR's and STMC's, for HumanML3D and KIT-ML),
+    HumanML3D's own `texts/` and lists with `index.csv`, or BABEL's `train.json` and `val.json`.
 
     Raises `LayoutError` for a folder that holds neither, and for files in another format.
     """
@@ -62,10 +65,15 @@ def read_annotations(folder: Path) -> Annotations:
         return _published(folder)
     if (folder / "train.json").is_file() and (folder / "val.json").is_file():
         return _babel(folder)
+    for inner in (folder, folder / "HumanML3D"):
+        if (inner / "texts").is_dir() and (inner / "train.txt").is_file():
+            return _humanml3d(inner)
     found = sorted(path.name for path in folder.iterdir())[:8] if folder.is_dir() else "no such folder"
+    hint = "; texts.zip must be unpacked" if any(folder.glob("**/texts.zip")) else ""
     raise LayoutError(
         f"annotations={folder}: expected annotations.json with splits/train.txt and splits/val.txt (as in TMR's and "
-        f"STMC's datasets/annotations/humanml3d), or BABEL's train.json and val.json; found {found}"
+        f"STMC's datasets/annotations/humanml3d), HumanML3D's index.csv, texts/ and lists, or BABEL's train.json and "
+        f"val.json; found {found}{hint}"
     )
 
 
@@ -106,6 +114,56 @@ def _published(folder: Path) -> Annotations:
     unlisted = set(table) - {name for names in lists.values() for name in names}
     skipped += [(name, "in no split") for name in sorted(unlisted)]
     return Annotations(tuple(entries), tuple(skipped))
+
+
+def _humanml3d(folder: Path) -> Annotations:
+    """HumanML3D as its authors share it: `texts/` and `train.txt`, `val.txt`, `test.txt` in `folder`, `index.csv` there
+    or above. A name `M…` is the mirror image of the clip without its M, with captions of its own."""
+    index = next((path for path in (folder / "index.csv", folder.parent / "index.csv") if path.is_file()), None)
+    if index is None:
+        raise LayoutError(
+            f"annotations={folder}: index.csv is missing, there and above; it says what a clip is cut from"
+        )
+    try:
+        cuts = read_index(index)
+    except (ValueError, csv.Error) as error:
+        raise LayoutError(f"{index} is not HumanML3D's: {error}") from error
+    entries, skipped = [], []
+    for split in SPLITS:
+        for name in _listed(folder / f"{split}.txt", split):
+            try:
+                image = name not in cuts and name[:1] == "M"
+                entry, wrong = _captioned(name, cuts.get(name[1:] if image else name), image, split, folder / "texts")
+                skipped += [(name, reason) for reason in wrong]
+                entries.append(entry)
+            except ValueError as error:
+                skipped.append((name, str(error)))
+    return Annotations(tuple(entries), tuple(skipped))
+
+
+def _captioned(name: str, cut: Cut | str | None, image: bool, split: str, texts: Path) -> tuple[Annotated, list[str]]:
+    """The entry of a clip, and what is wrong with captions that cannot be used; `ValueError` where none can."""
+    if not isinstance(cut, Cut):
+        raise ValueError(cut or "listed but not in index.csv")
+    path, _ = _path(cut.path)
+    try:
+        captions = read_captions(texts / f"{PurePosixPath(name).name}.txt")
+    except FileNotFoundError as error:
+        raise ValueError(f"no file: texts/{name}.txt") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"damaged: texts/{name}.txt is not text: {error}") from error
+    segments = tuple(_said(caption, cut) for caption in captions if isinstance(caption, Caption))
+    wrong = [caption for caption in captions if isinstance(caption, str)]
+    if not segments:
+        raise ValueError(wrong[0] if wrong else "no caption: the file is empty")
+    return Annotated(name, path, image, split, segments), wrong
+
+
+def _said(caption: Caption, cut: Cut) -> Segment:
+    if (caption.start, caption.end) == WHOLE:
+        return Segment(caption.text, cut.start, cut.end)
+    end = cut.start + caption.end
+    return Segment(caption.text, cut.start + caption.start, end if cut.end is None else min(end, cut.end))
 
 
 def _entry(name: str, value: Any, split: str) -> Annotated:
@@ -185,7 +243,7 @@ def _object(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise LayoutError(f"{path} is no JSON: {error}") from error
+        raise LayoutError(f"{path} is not JSON: {error}") from error
     if not isinstance(content, dict) or not content:
         raise LayoutError(f"{path} must be a JSON object with an entry for every sequence")
     return content

@@ -56,7 +56,7 @@ def _archive(path: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath
             while unpacked.read(2**20):
                 pass
     except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
-        raise ValueError(f"{path} is no .tar.xz, or a half or damaged one (read up to {name}): {error}") from error
+        raise ValueError(f"{path} is not a .tar.xz, or a half or damaged one (read up to {name}): {error}") from error
 
 
 def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> str | UnreadableError:

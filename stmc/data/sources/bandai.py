@@ -19,7 +19,7 @@ from einops import einsum
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
@@ -46,7 +46,7 @@ CLIPS = 3076
 FARTHEST = 1e4
 """Metres from the origin that no person goes in a clip, nor in a second: float32 then has a millimetre left."""
 
-UNSAID = ""
+UNLABELLED = ""
 """The key of clips that no sentence describes: they are learnt from, but not by name."""
 
 MISNAMED = frozenset(
@@ -111,16 +111,6 @@ def read_sources(source: Path) -> Iterator[tuple[str, str | UnreadableError]]:
         raise ValueError(f"{source} holds no .bvh file; it should be the dataset's .tar.xz or its unpacked folder")
 
 
-def inputs(source: Path) -> list[Path]:
-    """Everything that the prepared data depends on: the clips, the code that converts them, and the skeleton."""
-    code = ("body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
-    code += ("data/sources/bandai", "data/sources/bvh", "data/cache", "data/sources/bandai_sentences", "untrusted")
-    code += ("data/sources/archives", "data/sources/segments")
-    here = Path(__file__).parents[2]
-    files = [here / f"{name}.py" for name in code]
-    return [Path(source), *files, here / "assets/skeleton.json", here / "assets/segments.json"]
-
-
 def rest_rotations(names: Iterable[str]) -> Float[Tensor, "joints 3 3"]:
     """World rotation of each named joint's frame in SMPL's rest pose: the constants of the retargeting."""
     rotations = []
@@ -144,13 +134,13 @@ def retarget(bvh: Bvh, skeleton: Skeleton) -> Motion:
     if missing:
         raise BvhError(f"joints {', '.join(missing)} are missing; this is not a clip of the dataset")
     rotations, positions = bvh.world()
-    index = [bvh.names.index(SOURCE_JOINTS.get(joint, "Spine")) for joint in JOINTS[:ROTATED]]
+    index = [bvh.names.index(SOURCE_JOINTS.get(joint, "Spine")) for joint in JOINTS[:NUM_ROTATIONS]]
     rest = rest_rotations([bvh.names[joint] for joint in index])
     up = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)  # y up → z up
     world = einsum(up, rotations[:, index], rest, "a b, frames joints b c, joints d c -> frames joints a d")
     local = torch.stack([
         world[:, joint] if parent < 0 else world[:, parent].mT @ world[:, joint]
-        for joint, parent in enumerate(PARENTS[:ROTATED])
+        for joint, parent in enumerate(PARENTS[:NUM_ROTATIONS])
     ], dim=1)  # fmt: skip
     centimetre = 0.01
     pelvis = einsum(up, positions[:, bvh.names.index("Hips")] * centimetre, "a b, frames b -> frames a")
@@ -190,12 +180,12 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
     ):
         posed = Motion.posed(moved.rotations, moved.translation, fps, skeleton)
         cuts = read_segments("bandai").get(name, ())
-        unsaid = name in MISNAMED or content in {cut.content for cut in cuts}  # one of several actions
+        unlabelled = name in MISNAMED or content in {cut.content for cut in cuts}  # one of several actions
         clip = Clip(
             name=f"M/{name}" if mirrored else name,
             content=content,
             style=named.style,
-            texts=UNSAID if unsaid else f"{content}/{named.style}",
+            texts=UNLABELLED if unlabelled else f"{content}/{named.style}",
             parts=tuple(sorted(CONTENTS[content].parts)),
             cyclic=CONTENTS[content].cyclic,
             mirrored=mirrored,
@@ -259,13 +249,13 @@ def gather(clips: Iterable[tuple[str, list | str]], fps: float | int) -> Cache:
         for clip, features in converted[name]
     ]
     table, features = assemble(rows)
-    labels = sorted({(clip.texts, clip.content, clip.style) for clip in table if clip.texts != UNSAID})
+    labels = sorted({(clip.texts, clip.content, clip.style) for clip in table if clip.texts != UNLABELLED})
     return Cache(
         fps=fps,
         representation="smpl",
         features=features,
         clips=table,
-        texts={UNSAID: ()} | {key: describe(content, style) for key, content, style in labels},
+        texts={UNLABELLED: ()} | {key: describe(content, style) for key, content, style in labels},
         skipped=tuple(skipped),
     )
 
@@ -279,7 +269,7 @@ def measured_offsets(bvh: Bvh) -> dict[str, tuple[float, float, float]]:
     index = {joint: bvh.names.index(name) for joint, name in SOURCE_JOINTS.items()}
     local = bvh.positions.mean(dim=0) * 0.01
     offsets = {"pelvis": (-0.0018, -0.2233, 0.0282), "left_hand": (0.08, 0.0, 0.0), "right_hand": (-0.08, 0.0, 0.0)}
-    for joint in JOINTS[1:ROTATED]:
+    for joint in JOINTS[1:NUM_ROTATIONS]:
         if joint.startswith("right_"):  # half a millimetre apart from the left ones
             x, y, z = offsets[joint.replace("right", "left")]
             offsets[joint] = (-x + 0.0, y, z)

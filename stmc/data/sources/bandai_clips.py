@@ -9,8 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stmc.data.cache import Cache, fingerprint
-from stmc.data.preparation import LayoutError, Watch
+from stmc.data.preparation import Watch, code, find_source
 from stmc.data.sources import bandai
+
+_CODE = tuple(f"data/sources/{name}" for name in ("archives", "bandai*", "bvh", "segments"))
+_CODE += ("data/cache", "body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
+_CODE += ("untrusted",)
 
 
 @dataclass(frozen=True)
@@ -21,22 +25,18 @@ class BandaiClips:
     source: str | Path
     fps: float | int
 
-    @property
-    def _source(self) -> Path:
-        return Path(self.source).expanduser()
-
-    def check(self) -> None:
-        """Raises `LayoutError` where there is no such file or folder."""
-        if not self._source.exists():
-            raise LayoutError(
-                f"source={self.source} does not exist; it should be the dataset's .tar.xz or its unpacked folder"
-            )
+    def check(self) -> Path:
+        """The archive or folder. Raises `LayoutError` where there is none."""
+        return find_source(self.source, "the dataset's .tar.xz or its unpacked folder")
 
     def fingerprint(self) -> str:
         """Of the archive or every file of the folder, the code and the frame rate."""
-        return fingerprint(bandai.inputs(self._source), [self.fps])
+        assets = Path(__file__).parents[2] / "assets"
+        inputs = [self.check(), assets / "segments.json", assets / "skeleton.json"]
+        return fingerprint(inputs, [self.fps, code(*_CODE)])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`."""
-        total = bandai.CLIPS if self._source.is_file() else sum(1 for _ in self._source.rglob("*.bvh"))
-        return bandai.gather(watch(bandai.read_clips(self._source, self.fps, workers), total), self.fps)
+        source = self.check()
+        total = bandai.CLIPS if source.is_file() else sum(1 for _ in source.rglob("*.bvh"))
+        return bandai.gather(watch(bandai.read_clips(source, self.fps, workers), total), self.fps)

@@ -19,7 +19,7 @@ from scipy.ndimage import median_filter
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from stmc.body import JOINTS, PARENTS, ROTATED
+from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.data.sources.archives import read_texts
 from stmc.data.sources.asf import parse_amc, parse_asf
@@ -218,7 +218,7 @@ def _world(
 ) -> Float[Tensor, "frames 22 3 3"]:
     """World rotations of SMPL's joints."""
     ours, columns = skeleton.rest.double(), []
-    for joint in JOINTS[:ROTATED]:
+    for joint in JOINTS[:NUM_ROTATIONS]:
         source = {"spine2": "spine1", "left_foot": "left_ankle", "right_foot": "right_ankle"}.get(joint, joint)
         rotation = turned[:, index[source]]
         side, _, kind = joint.partition("_")
@@ -231,14 +231,14 @@ def _world(
 
 
 def _local(world: Float[Tensor, "frames 22 3 3"]) -> Float[Tensor, "frames 22 3 3"]:
-    return torch.cat([world[:, :1], world[:, list(PARENTS[1:ROTATED])].mT @ world[:, 1:]], dim=1)
+    return torch.cat([world[:, :1], world[:, list(PARENTS[1:NUM_ROTATIONS])].mT @ world[:, 1:]], dim=1)
 
 
 def _posed(raw: Motion, skeleton: Skeleton) -> Motion:
     """Without spikes, and with limbs that share their twist as `joints_to_rotations` has it."""
-    world = without_spikes(global_rotations(raw.rotations, PARENTS[:ROTATED]))
+    world = without_spikes(global_rotations(raw.rotations, PARENTS[:NUM_ROTATIONS]))
     repaired = Motion.posed(_local(world), raw.translation, raw.fps, skeleton)
-    hinged = global_rotations(joints_to_rotations(repaired.joints, skeleton), PARENTS[:ROTATED])
+    hinged = global_rotations(joints_to_rotations(repaired.joints, skeleton), PARENTS[:NUM_ROTATIONS])
     limbs = [JOINTS.index(limb) for limb in LIMBS]
     world = world.index_copy(1, torch.tensor(limbs), hinged[:, limbs])
     return Motion.posed(_local(world), raw.translation, raw.fps, skeleton)

@@ -7,15 +7,16 @@ Knows what preparing is and which segments of the recordings show what; how reco
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from stmc.body_model import Skeleton
-from stmc.data.cache import Cache, Clip, assemble, fingerprint
-from stmc.data.preparation import Job, LayoutError, Watch, code, in_parallel
+from stmc.data.cache import TOUCHING, Cache, Clip, fingerprint
+from stmc.data.preparation import Job, Watch, code, find_source, in_parallel
 from stmc.data.sources import cmu
 from stmc.data.sources.bandai_sentences import CONTENTS, describe, mirrored_content
 from stmc.data.sources.segments import Segment, read_segments, splits
@@ -29,7 +30,8 @@ _CODE = tuple(f"data/sources/{name}" for name in ("archives", "asf", "bandai_sen
 _CODE += ("data/sources/cmu*", "data/cache", "body", "body_model", "geometry", "inverse_kinematics", "motion")
 _CODE += ("representation/layout", "representation/smpl", "untrusted")
 
-Rows = list[tuple[Clip, Float[Tensor, "frames features"]]]
+Rows = list[tuple[list[Clip], Float[Tensor, "frames features"]]]
+"""Parts of recordings, each with its clips, which may touch and overlap."""
 
 
 @dataclass(frozen=True)
@@ -40,19 +42,14 @@ class CmuClips:
     source: str | Path
     fps: float | int
 
-    @property
-    def _source(self) -> Path:
-        return Path(self.source).expanduser()
-
-    def check(self) -> None:
-        """Raises `LayoutError` where there is no such file or folder."""
-        if not self._source.exists():
-            raise LayoutError(f"source={self.source} does not exist; it should be a folder of recordings or a .tar.xz")
+    def check(self) -> Path:
+        """The archive or folder. Raises `LayoutError` where there is none."""
+        return find_source(self.source, "a folder of recordings or a .tar.xz")
 
     def fingerprint(self) -> str:
         """Of the archive or every file of the folder, the code, the segments and the frame rate."""
         assets = Path(__file__).parents[2] / "assets"
-        inputs = [self._source, assets / "segments.json", assets / "skeleton.json"]
+        inputs = [self.check(), assets / "segments.json", assets / "skeleton.json"]
         return fingerprint(inputs, [self.fps, code(*_CODE)])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
@@ -60,7 +57,7 @@ class CmuClips:
         wanted, left_out = read_segments("cmu"), list[tuple[str, str]]()
 
         def jobs() -> Iterator[tuple[str, Job]]:
-            for source in cmu.read_sources(self._source):
+            for source in cmu.read_sources(self.check()):
                 if isinstance(source, tuple):
                     left_out.append(source)
                 elif source.name in wanted:
@@ -73,7 +70,8 @@ class CmuClips:
 
 
 def convert(source: cmu.Source, fps: float | int) -> Rows:
-    """The segments of one recording and their mirror images as 205 features on the default skeleton.
+    """The segments of one recording and their mirror images as 205 features on the default skeleton: parts of it from
+    one segment on to the last that touches the others.
 
     The recording is encoded as a whole, and heights are those above its own floor: a segment that does not touch the
     ground does not know where that is. Raises `ValueError` with what is wrong with the recording.
@@ -83,12 +81,32 @@ def convert(source: cmu.Source, fps: float | int) -> Rows:
     rows: Rows = []
     for mirrored, moved in ((False, motion), (True, motion.mirrored())):
         features = encoded(Motion.posed(moved.rotations, moved.translation, fps, skeleton))
+        clips = []
         for number, segment in enumerate(read_segments("cmu")[source.name]):
             first, last = round(segment.start * fps), min(round(segment.end * fps), len(features))
             if last - first < 2:
                 raise cmu.CmuError(f"{len(features) / fps:g} s are too short for a segment from {segment.start:g} s on")
-            rows.append((_clip(segment, number, mirrored), features[first:last]))
+            clips.append(replace(_clip(segment, number, mirrored), start=first, end=last))
+        rows += [_part(part, features) for part in _touching(clips, fps)]
     return rows
+
+
+def _touching(clips: Sequence[Clip], fps: float | int) -> Iterator[list[Clip]]:
+    """Clips of one recording, those together that pass into each other."""
+    part, end = list[Clip](), 0
+    for clip in sorted(clips, key=lambda clip: clip.start):
+        if part and clip.start - end > TOUCHING * fps:
+            yield part
+            part = []
+        part.append(clip)
+        end = max(clip.end, end)
+    yield part
+
+
+def _part(clips: list[Clip], features: Float[Tensor, "frames features"]) -> tuple[list[Clip], Tensor]:
+    first, last = clips[0].start, max(clip.end for clip in clips)
+    moved = [replace(clip, start=clip.start - first, end=clip.end - first, recording=clips[0].name) for clip in clips]
+    return moved, features[first:last]
 
 
 def encoded(motion: Motion) -> Float[Tensor, "frames features"]:
@@ -110,9 +128,13 @@ def gather(recordings: Mapping[str, Rows | str], fps: float | int, left_out: Seq
     if not converted:
         first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
         raise ValueError(f"no recording could be used, {len(skipped)} were skipped{first}")
-    clips, features = assemble([row for rows in converted for row in rows])
+    clips, start = list[Clip](), 0
+    for part, features in (row for rows in converted for row in rows):
+        clips += [replace(clip, start=start + clip.start, end=start + clip.end) for clip in part]
+        start += len(features)
+    every = torch.cat([features for rows in converted for _, features in rows])
     texts = {clip.texts: describe(clip.content, clip.style) for clip in clips}
-    return Cache(fps, "smpl", features, clips, texts, tuple(skipped))
+    return Cache(fps, "smpl", every, tuple(clips), texts, tuple(skipped))
 
 
 def _clip(segment: Segment, number: int, mirrored: bool) -> Clip:

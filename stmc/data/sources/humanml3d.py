@@ -6,7 +6,6 @@ formula of the features (see `representation.humanml3d`) and nothing of AMASS.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -21,7 +20,8 @@ from stmc.arrays import ArraysError, read_npy
 from stmc.data.cache import Cache, fingerprint
 from stmc.data.preparation import LayoutError, Piece, Watch, code, converted
 from stmc.data.sources.annotations import SPLITS
-from stmc.data.spans import Album, Described
+from stmc.data.sources.humanml3d_texts import WHOLE, Caption, read_captions
+from stmc.data.spans import AnnotatedSpans, CacheBuilder
 from stmc.representation.layout import HUMANML3D_LAYOUT
 from stmc.statistics import Statistics
 
@@ -30,9 +30,6 @@ FPS = 20
 SHORTEST, LONGEST = 40, 199
 """Frames of the clips that are used, both included: as all published training on HumanML3D."""
 
-WHOLE = (0.0, 0.0)
-"""Start and end of a caption that describes its whole clip."""
-
 KIT_WIDTH = 251
 """Features of KIT-ML's clips, which have 21 joints of another skeleton."""
 
@@ -40,43 +37,6 @@ AT_ONCE = 256
 """Clips that are converted together: each is too small for a piece of its own."""
 
 _FOLDERS, _FILES = ("new_joint_vecs", "texts"), ("Mean.npy", "Std.npy", "train.txt", "val.txt", "test.txt")
-
-
-@dataclass(frozen=True)
-class Caption:
-    """What somebody wrote about a clip, or about `start` to `end` seconds of it (`WHOLE`: all of it)."""
-
-    text: str
-    start: float
-    end: float
-
-
-def read_captions(path: Path) -> list[Caption | str]:
-    """Every line of a file of `texts/`: a caption, or what is wrong with it.
-
-    A line is `caption#caption/DET tagged/VERB#start#end`; a time of `nan` is 0, as published.
-    """
-    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
-    return [_caption(line, number) for number, line in lines if line.strip()]
-
-
-def _caption(line: str, number: int) -> Caption | str:
-    text, *others = line.split("#")
-    times = [_seconds(value) for value in others[1:]]
-    if len(others) != 3 or None in times or not text.strip():
-        return f"malformed caption: line {number} is not caption#tagged words#start#end but {line[:80]!r}"
-    start, end = times
-    if (start, end) != WHOLE and not 0 <= start < end < math.inf:
-        return f"malformed caption: line {number} is from {start:g} to {end:g} s"
-    return Caption(" ".join(text.split()), start, end)
-
-
-def _seconds(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return 0.0 if math.isnan(value) else value
 
 
 @dataclass(frozen=True)
@@ -146,7 +106,7 @@ class ProcessedHumanML3D:
 
     @cached_property
     def _code(self) -> str:
-        return code("arrays", "representation/layout", "data/sources/humanml3d", "data/cache", "data/spans")
+        return code("arrays", "representation/layout", "data/sources/humanml3d*", "data/cache", "data/spans")
 
     def fingerprint(self) -> str:
         """Of every clip in the lists, its captions, the statistics, the lists and the code."""
@@ -163,22 +123,22 @@ class ProcessedHumanML3D:
             inputs = [path for name in batch for path in self._inputs(name)]
             convert = partial(convert_clips, self._folder, batch)
             pieces.append(Piece(f"{names[start]} ...", fingerprint(inputs, [self._code, batch]), convert))
-        return replace(converted(pieces, scratch, workers, watch, unsafe), statistics=self._statistics)
+        return replace(converted(pieces, len(pieces), scratch, workers, watch, unsafe), statistics=self._statistics)
 
 
 def convert_clips(folder: Path, splits: Mapping[str, str]) -> Cache:
     """The clips of these names, each in its split; those that cannot be used are left out, with the reason."""
-    album = Album(HUMANML3D_LAYOUT.width)
+    builder = CacheBuilder(HUMANML3D_LAYOUT.width)
     for name, split in splits.items():
         try:
-            features, captions = _read(folder, name)
+            features, captions = read_clip(folder, name)
         except (ValueError, OSError) as error:
-            album.skipped.append((name, str(error)))
+            builder.skipped.append((name, str(error)))
             continue
         spans: dict[tuple[int, int], list[str]] = {}
         for caption in captions:
             if isinstance(caption, str):
-                album.skipped.append((name, caption))
+                builder.skipped.append((name, caption))
                 continue
             begin, end = 0, len(features)
             if (caption.start, caption.end) != WHOLE:
@@ -187,13 +147,16 @@ def convert_clips(folder: Path, splits: Mapping[str, str]) -> Cache:
                 spans.setdefault((begin, end), []).append(caption.text)
             else:
                 kind = "too long" if end - begin > LONGEST else "too short"
-                album.skipped.append((name, f"{kind}: {end - begin} frames, not {SHORTEST} to {LONGEST}"))
-        album.add(features, Described(name, split, name[:1] == "M", spans))
-    return album.cache(FPS, "humanml3d")
+                builder.skipped.append((name, f"{kind}: {end - begin} frames, not {SHORTEST} to {LONGEST}"))
+        builder.add(features, AnnotatedSpans(name, split, name[:1] == "M", spans))
+    return builder.cache(FPS, "humanml3d")
 
 
-def _read(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], list[Caption | str]]:
-    """A clip's features and captions, or what is wrong with one; `ValueError` where the clip cannot be used."""
+def read_clip(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], list[Caption | str]]:
+    """The features and the captions of the clip `name` in HumanML3D's `folder`, or what is wrong with a caption.
+
+    Raises `ValueError` where the clip cannot be used.
+    """
     vectors, joints = folder / "new_joint_vecs" / f"{name}.npy", folder / "new_joints" / f"{name}.npy"
     texts = folder / "texts" / f"{name}.txt"
     if absent := [path for path in (vectors, texts) if not path.is_file()]:

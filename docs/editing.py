@@ -1,0 +1,144 @@
+"""The numbers and pictures of editing.md: python docs/editing.py [edits|constraints] [steps]. Minutes on one core."""
+
+import math
+import sys
+import time
+from pathlib import Path
+
+import torch
+
+import stmc
+from stmc.constraints import Pose
+from stmc.editing import Kept
+from stmc.geometry import rotation_z
+from stmc.metrics.actions import lifts, mean_speed, waves
+from stmc.metrics.kinematics import foot_sliding, turn
+from stmc.motion import Motion
+
+PICTURES = Path(__file__).parent / "assets"
+SEEDS = (0, 1, 2)
+WALK = "walk forwards # 0 # 6 # legs\n"
+EDITS = (
+    (
+        "an arm's prompt",
+        WALK + "raise the right arm # 2 # 5 # right arm",
+        WALK + "wave with the right hand # 2 # 5 # right arm",
+        None,
+        lambda motion: waves(motion.trimmed(35, 105), ["right"]),
+    ),
+    (
+        "a later prompt",
+        "walk forwards # 0 # 3 # legs\nwalk and turn left # 3 # 6 # legs",
+        "walk forwards # 0 # 3 # legs\nwalk and turn right # 3 # 6 # legs",
+        None,
+        lambda motion: turn(motion.trimmed(60, 120)) < -math.radians(40),
+    ),
+    (
+        "the middle, whole body",
+        "walk forwards # 0 # 7 # legs",
+        "walk forwards # 0 # 2 # legs\nraise both arms # 2 # 5 # left arm # right arm # legs # head # spine\n"
+        "walk forwards # 5 # 7 # legs",
+        [stmc.Change(2, 5)],
+        lambda motion: lifts(motion.trimmed(40, 100), ["left", "right"]),
+    ),
+    (
+        "a motion goes on",
+        "walk forwards # 0 # 3 # legs",
+        "walk forwards # 0 # 3 # legs\nrun # 3 # 6 # legs",
+        [],
+        lambda motion: mean_speed(motion.trimmed(65, 120)) > 1.5,
+    ),
+    (
+        "an arm gets a prompt",
+        "walk forwards # 0 # 5 # legs",
+        "walk forwards # 0 # 5 # legs\nwave with the left hand # 1 # 4 # left arm",
+        [stmc.Change(1, 4, ["left arm"])],
+        lambda motion: waves(motion.trimmed(15, 85), ["left"]),
+    ),
+)
+CONSTRAINTS = (
+    ("path with a bend", WALK + "raise the right arm # 2 # 5 # right arm", [stmc.Path([(0, 0), (0, -3), (3, -3)])]),
+    ("reach while walking", "walk forwards # 0 # 4 # legs", [stmc.Target("right_hand", (-0.3, -2.2, 1.5), 2)]),
+    ("reach while standing", "raise the right arm # 0 # 3", [stmc.Target("right_hand", (-0.2, -0.5, 1.1), 1.5, 2)]),
+    ("hand stays, feet step", "walk forwards # 0 # 4 # legs", [stmc.Hold("left_hand", 1.5, 2.5)]),
+    ("keyframe at 2 s", "walk forwards # 0 # 4 # legs", None),
+)
+
+
+def edits(model: stmc.Model, steps: int) -> None:
+    for number, (name, before, after, changes, shown) in enumerate(EDITS):
+        old = model.generate([before] * 3, seed=SEEDS, steps=steps)
+        if changes is None:
+            changes = stmc.changed_prompts(stmc.Timeline.parse(before), stmc.Timeline.parse(after))
+        new = model.generate([after] * 3, seed=[10, 11, 12], keep=old, change=changes, steps=steps)
+        again = model.generate([after] * 3, seed=SEEDS, steps=steps)
+        for seed, first, second, same in zip(SEEDS, old, new, again, strict=True):
+            told = f"{name}, seed {seed}: {_kept(first, second, changes)}, new text shown: {shown(second)}"
+            sys.stdout.write(f"{told}; same seed alone: shown {shown(same)}, {_legs(first, same)}\n")
+        for state, motion, timeline in (("before", old[0], before), ("after", new[0], after)):
+            strip = stmc.film_strip(motion, stmc.Timeline.parse(timeline), frames=10)
+            strip.savefig(PICTURES / f"edit_{number}_{state}.png", dpi=55)
+
+
+def _kept(old: Motion, new: Motion, changes) -> str:
+    """How equal what is kept is, and how smooth its borders are beside everything else."""
+    weights = Kept.but(list(changes), old, new.frames).weights
+    whole, frames = (weights == 1).all(dim=1), min(old.frames, new.frames)
+    first, last = int((~whole).nonzero()[0]), int((~whole).nonzero()[-1]) + 1
+    before = float((new.joints[:first] - old.joints[:first]).abs().max()) if first else 0.0
+    after = float((_from(new, last, frames) - _from(old, last, frames)).abs().max()) if last < frames else 0.0
+    edge = ((weights > 0) & (weights < 1)).any(dim=1)
+    for frame in (weights == 1).int().diff(dim=0).ne(0).any(dim=1).nonzero()[:, 0].tolist():
+        edge[max(0, frame - 3) : frame + 5] = True
+    told = [f"kept to {max(before, after):.1e} m"]
+    for what, order in (("step", 1), ("jerk", 3)):
+        values = new.joints.diff(n=order, dim=0).norm(dim=-1).amax(dim=1)
+        there = edge[order - 1 : order - 1 + len(values)]
+        told.append(f"largest {what} at borders {values[there].max():.3f}, elsewhere {values[~there].max():.3f}")
+    return ", ".join(told)
+
+
+def _from(motion: Motion, frame: int, end: int) -> torch.Tensor:
+    """Joints from a frame on, as seen from where the body stands and looks there."""
+    motion = motion.to(dtype=torch.float64)
+    return (motion.joints[frame:end] - motion.translation[frame]) @ rotation_z(-motion.heading[frame]).mT
+
+
+def _legs(old: Motion, new: Motion) -> str:
+    frames = min(old.frames, new.frames)
+    legs = [joint for joint, name in enumerate(stmc.body.JOINTS) if name in stmc.BodyPart.LEGS.joints]
+    moved = (new.joints[:frames] - old.joints[:frames])[:, legs].norm(dim=-1).mean()
+    return f"legs moved {100 * float(moved):.1f} cm"
+
+
+def constraints(model: stmc.Model, steps: int) -> None:
+    [bow] = model.generate("bow # 0 # 3", seed=0, steps=steps)
+    deepest = int(bow.joints[:, stmc.body.JOINTS.index("head"), 2].argmin())
+    for number, (name, timeline, asked) in enumerate(CONSTRAINTS):
+        asked = asked or [stmc.Keyframe(bow.trimmed(deepest, deepest + 1), 2)]
+        began = time.monotonic()
+        free = model.generate([timeline] * 3, seed=SEEDS, steps=steps)
+        middle = time.monotonic()
+        met = model.generate([timeline] * 3, seed=SEEDS, steps=steps, constraints=asked)
+        ratio = (time.monotonic() - middle) / (middle - began)
+        for seed, *pair in zip(SEEDS, free, met, strict=True):
+            errors = [
+                "/".join(f"{100 * float(each.errors(Pose.of(motion)).max()):.1f}" for each in asked) for motion in pair
+            ]
+            jerks = [float(motion.joints.diff(n=3, dim=0).norm(dim=-1).mean()) for motion in pair]
+            slides = [100 * foot_sliding(motion) for motion in pair]
+            sys.stdout.write(
+                f"{name}, seed {seed}: error {errors[0]} → {errors[1]} cm, mean jerk {jerks[0]:.4f} → {jerks[1]:.4f} "
+                f"m/frame³, sliding {slides[0]:.2f} → {slides[1]:.2f} cm, time x {ratio:.1f}\n"
+            )
+        strip = stmc.film_strip(met[0], stmc.Timeline.parse(timeline), frames=10)
+        strip.savefig(PICTURES / f"constraint_{number}.png", dpi=55)
+
+
+if __name__ == "__main__":
+    wanted, steps = (sys.argv[1:] + ["all", "25"][len(sys.argv) - 1 :])[:2]
+    bundled = stmc.load()
+    if wanted in ("all", "edits"):
+        edits(bundled, int(steps))
+    if wanted in ("all", "constraints"):
+        constraints(bundled, int(steps))

@@ -1,0 +1,73 @@
+"""Constraints as JSON, beside a timeline: `[{"path": {"points": [[0, 0], [0, -3]], "end": 4}}, …]`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path as File
+from typing import Any
+
+from stmc.constraints.limbs import Hold, Target
+from stmc.constraints.pose import Constraint
+from stmc.constraints.root import Heading, Path
+from stmc.constraints.whole_body import Keyframe
+from stmc.export import read
+from stmc.settings import SettingError
+from stmc.untrusted import UnreadableError, load_json, read_text, shown
+
+_MOST = 2**24
+"""Bytes of a file of constraints: a path of a hundred thousand points fits."""
+
+
+def _keyframe(at: float | int, motion: str, second: float | int = 0.0) -> Keyframe:
+    """The pose of a motion file at a `second` of it."""
+    pose = read(motion)
+    frame = int(second * pose.fps)
+    if not 0 <= frame < pose.frames:
+        raise SettingError(f"keyframe: {motion} has {pose.duration:g} s, none at {second:g}")
+    return Keyframe(pose.trimmed(frame, frame + 1), at)
+
+
+KINDS: Mapping[str, Callable[..., Constraint]] = {
+    "path": Path,
+    "heading": Heading,
+    "keyframe": _keyframe,
+    "target": Target,
+    "hold": Hold,
+}
+
+
+def constraint_of(entry: Any) -> Constraint:
+    """One of `{"kind": {its arguments}}`. Raises `SettingError` for anything else."""
+    if not isinstance(entry, dict) or len(entry) != 1 or not isinstance(next(iter(entry.values())), dict):
+        raise SettingError(f'constraint {shown(str(entry))}: {{"kind": {{...}}}} needed')
+    [(kind, arguments)] = entry.items()
+    if kind not in KINDS:
+        raise SettingError(f"constraint {shown(kind)}: choose from {', '.join(KINDS)}")
+    try:
+        return KINDS[kind](**arguments)
+    except TypeError as error:
+        raise SettingError(f"constraint {kind}: {error}") from None
+
+
+def read_constraints(path: str | File) -> list[Constraint]:
+    """Those of a JSON file. Raises `SettingError` naming the file, and the number of the entry that is not one.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> _ = Path("reach.json").write_text('[{"hold": {"joint": "left_hand", "start": 1, "end": 2}}]')
+        >>> stmc.read_constraints("reach.json")
+        [Hold(joint='left_hand', start=1, end=2)]
+    """
+    try:
+        entries = load_json(read_text(File(path), _MOST))
+    except (OSError, UnreadableError) as error:
+        raise SettingError(f"{path}: {error}") from None
+    if not isinstance(entries, list):
+        raise SettingError(f"{path}: a list of constraints needed")
+    constraints = []
+    for number, entry in enumerate(entries, start=1):
+        try:
+            constraints.append(constraint_of(entry))
+        except (SettingError, ValueError) as error:
+            raise SettingError(f"{path}, constraint {number}: {error}") from None
+    return constraints

@@ -1,0 +1,47 @@
+"""Epochs: every content once, in a new order each time, as PyTorch's `DataLoader` shuffles a data set.
+
+Knows clips, and that a content is one entry of a data set; knows no features and no texts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stmc.data.cache import Clip
+
+
+class Epochs:
+    """`epochs(step, process)`: the clips, by their places in `clips`, of one step's batch of `rows`.
+
+    Each process goes through epochs of its own. The last batch of an epoch is as small as what is left; of a content
+    with several clips one is drawn, each in proportion to its annotations. Only the `chosen` clips are drawn.
+    """
+
+    def __init__(self, clips: Sequence[Clip], chosen: np.ndarray, rows: int, seed: Sequence[int]) -> None:
+        self.rows, self._seed = rows, tuple(seed)
+        names = np.array([clips[index].content for index in chosen])
+        contents, inverse = np.unique(names, return_inverse=True)
+        order = np.argsort(inverse, kind="stable")
+        self._clips = chosen[order]
+        weights = np.array([clips[index].annotations for index in self._clips])
+        self._last = np.cumsum(weights)  # the number of annotations up to and with each clip's, content by content
+        self._annotations = np.bincount(inverse[order], weights).astype(int)
+        self._first = np.cumsum(self._annotations) - self._annotations
+        self.batches = -(-len(contents) // rows)
+        self._shuffled: tuple[tuple[int, int], np.ndarray] | None = None
+
+    def __call__(self, step: int, process: int = 0) -> np.ndarray:
+        epoch, place = divmod(step, self.batches)
+        contents = self._order(epoch, process)[place * self.rows : (place + 1) * self.rows]
+        rng = np.random.default_rng([*self._seed, 1, process, step])
+        annotation = self._first[contents] + rng.integers(self._annotations[contents])
+        return self._clips[np.searchsorted(self._last, annotation, side="right")]
+
+    def _order(self, epoch: int, process: int) -> np.ndarray:
+        """Of the contents in one epoch; the last one that was asked for is kept."""
+        if self._shuffled is None or self._shuffled[0] != (epoch, process):
+            rng = np.random.default_rng([*self._seed, 0, process, epoch])
+            self._shuffled = (epoch, process), rng.permutation(len(self._annotations))
+        return self._shuffled[1]

@@ -1,0 +1,139 @@
+"""Clips for any duration: what is cyclic goes round again, what happens once is followed by rest.
+
+A network that never saw ten seconds of a run makes a walk of them. Knows prepared caches and layouts, and that features
+are seen from the body, so that frames of other places and headings can follow each other; knows no text and no network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.data.cache import Cache, Clip, assemble
+from stmc.geometry import matrix_to_rows, rows_to_matrix
+from stmc.representation.layout import Layout
+
+FADE = 0.4
+"""Seconds over which one moment's course goes over into that of another one."""
+
+CYCLE = 0.6
+"""Seconds of the shortest cycle: two steps of a run."""
+
+NEAR = 0.10
+"""Metres between the joints of two moments, on average, beyond which neither may go on as the other does."""
+
+SPEED = 0.15
+"""Metres that a difference of one metre per second of the root counts as."""
+
+REST = (0.5, 4.0)
+"""Seconds of rest after what happens once, between these."""
+
+Features = Float[Tensor, "_ features"]
+
+
+@dataclass(frozen=True)
+class Prolonging:
+    """How clips are prolonged. Cyclic ones to `seconds`; of the others there are two, as it is and followed by a clip
+    of one of the contents `rests`. Where no moment resembles another one closely enough, a clip stays as it is."""
+
+    seconds: float | int
+    rests: tuple[str, ...] = ("stand", "sit")
+    seed: int = 0
+
+    def __call__(self, cache: Cache, layout: Layout) -> Cache:
+        """`cache` with its clips prolonged. Raises `KeyError` for a layout without positions or root velocities."""
+        joining = _Joining(cache.fps, layout)
+        frames, rng = round(self.seconds * cache.fps), np.random.default_rng(self.seed)
+        still = [clip for clip in cache.clips if clip.content in self.rests and clip.split == "train"]
+        rests = _Rests(joining, [joining.looped(_features(cache, clip), frames) for clip in still])
+
+        def rows() -> Iterator[tuple[Clip, Features]]:
+            for clip in cache.clips:
+                features = _features(cache, clip)
+                yield clip, joining.looped(features, frames) if clip.cyclic else features
+                if not clip.cyclic and any(cache.texts[clip.texts]):
+                    seconds = rng.uniform(*REST)
+                    if (rested := rests.after(features, round(seconds * cache.fps))) is not None:
+                        yield replace(clip, name=f"{clip.name}/rest"), rested
+
+        clips, features = assemble(list(rows()))
+        return replace(cache, clips=clips, features=features)
+
+
+def _features(cache: Cache, clip: Clip) -> Features:
+    return cache.features[clip.start : clip.end]
+
+
+class _Joining:
+    """How alike moments are, and what leads from one to another, for features at `fps` frames a second."""
+
+    def __init__(self, fps: float | int, layout: Layout) -> None:
+        self.fps, self.layout = fps, layout
+        self.fade = 2 * max(1, round(FADE * fps / 2))
+
+    def looped(self, features: Features, frames: int) -> Features:
+        """As many frames, if `features` are fewer and have a cycle. Of the cycles about as close as the closest the
+        longest is taken, so that little repeats; it turns as the clip does on average: who walks straight goes on
+        straight."""
+        windows = len(features) - self.fade + 1
+        if len(features) >= frames or windows <= CYCLE * self.fps:
+            return features
+        apart = torch.arange(windows)[None] - torch.arange(windows)[:, None]
+        distance = self.distances(features, features).masked_fill(apart < CYCLE * self.fps, torch.inf)
+        if (closest := float(distance.min())) > NEAR:
+            return features
+        close = distance <= min(NEAR, 1.3 * closest + 0.01)
+        begin, end = divmod(int(apart.masked_fill(~close, -1).argmax()), windows)
+        turning, lap = self.layout["yaw_velocity"], features[begin : end + self.fade].clone()
+        once = self.joined(lap, lap)[end - begin : 2 * (end - begin)]
+        lap[:, turning] += features[:, turning].mean(dim=0) - once[:, turning].mean(dim=0)
+        longer = features[: end + self.fade]
+        while len(longer) < frames:
+            longer = self.joined(longer, lap)
+        return longer[:frames]
+
+    def distances(self, features: Features, others: Features) -> Float[Tensor, "windows others"]:
+        """Metres between the joints, on average, at the beginnings and ends of windows of a fade's length, and the
+        difference of the roots' velocities as metres."""
+        positions, velocity = self.layout["positions"], self.layout["root_velocity"]
+        joints = [rearrange(each[:, positions], "n (joint xyz) -> joint n xyz", xyz=3) for each in (features, others)]
+        apart = torch.stack([torch.cdist(one, other) for one, other in zip(*joints, strict=True)]).mean(dim=0)
+        apart = apart + SPEED * self.fps * torch.cdist(features[:, velocity], others[:, velocity])
+        last = self.fade - 1
+        return (apart[: len(features) - last, : len(others) - last] + apart[last:, last:]) / 2
+
+    def joined(self, features: Features, others: Features) -> Features:
+        """One after the other, the end of the first faded into the beginning of the second."""
+        fade = self.fade
+        share = torch.linspace(0, 1, fade + 2)[1:-1, None]
+        between = torch.lerp(features[-fade:], others[:fade], share)
+        rows = rearrange(between[:, self.layout["rotations"]], "n (joint six) -> n joint six", six=6)
+        rotations = matrix_to_rows(rows_to_matrix(rows))
+        between[:, self.layout["rotations"]] = rearrange(rotations, "n joint six -> n (joint six)")
+        return torch.cat([features[:-fade], between, others[fade:]])
+
+
+class _Rests:
+    """Clips at rest, and which moment of them a motion can end in."""
+
+    def __init__(self, joining: _Joining, clips: list[Features]) -> None:
+        self.joining, self.features = joining, torch.cat(clips) if clips else None
+        self.left = torch.cat([torch.arange(len(clip), 0, -1) for clip in clips]) if clips else None
+
+    def after(self, features: Features, frames: int) -> Features | None:
+        """`features` and then so many frames of rest; None where no clip has as many that are near its end."""
+        fade = self.joining.fade
+        if self.features is None or len(features) < fade:
+            return None
+        distance = self.joining.distances(features[-fade:], self.features)[0]
+        distance = distance.masked_fill(self.left[: len(distance)] < frames + fade, torch.inf)
+        start = int(distance.argmin())
+        if distance[start] > NEAR:
+            return None
+        return self.joining.joined(features, self.features[start : start + fade + frames])

@@ -1,0 +1,94 @@
+"""A motion whose feet stand still while they stand: the whole of it, from contacts to rotations."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from stmc.body import JOINTS, PARENTS
+from stmc.body_model import Skeleton
+from stmc.feet.contacts import held_steps
+from stmc.feet.legs import reaching, sinking
+from stmc.feet.locking import Foot, locked
+from stmc.geometry import global_rotations
+from stmc.motion import Motion
+
+_SIDES = ("left", "right")
+_HEEL = (0.0, 0.87, 0.0)
+"""The heel, as a share of the way from ankle to toes in each axis of the foot: below the ankle, not quite as low."""
+_LEAST = 1e-6
+"""Metres, or radians: what is corrected by less is left as it is."""
+_SINK = 0.25
+"""Seconds over which the pelvis is moved, before and after it has to be."""
+
+
+def clean_feet(motion: Motion, floor: float | int = 0.0) -> Motion:
+    """The motion with feet that do not slide while they stand, and do not go below the `floor` (metres).
+
+    Heels and toes that are low and slow for a while are held where they are on average; before and after, corrections
+    come and go within a quarter of a second. Legs follow in closed form, knees in their own planes; the pelvis sinks
+    only where a leg would be too short. Hips and all above keep their rotations, and frames without a correction are
+    the motion's own. It takes a body that stands on a level floor: on stairs, say another one.
+
+    After Kovar et al., *Footskate cleanup for motion capture editing* (2002).
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.clean_feet(motion)
+        Motion(20 frames at 20 fps, 1.00 s)
+    """
+    if motion.frames < 2:
+        return motion
+    exact = motion.to("cpu", torch.float64)
+    skeleton = Skeleton.measured(exact.rotations, exact.joints, Skeleton.default().offsets[0])
+    world = global_rotations(exact.rotations, PARENTS)
+    joints = skeleton.pose(exact.rotations, exact.translation)
+    feet = [_foot(skeleton, world, joints, side) for side in _SIDES]
+    held = held_steps(torch.stack([foot.points for foot in feet], dim=1), motion.fps, floor)
+    stood = [locked(foot, steps, motion.fps, floor) for foot, steps in zip(feet, held.unbind(dim=1), strict=True)]
+    hips, knees, ankles = (torch.stack([joints[:, _at(side, each)] for side in _SIDES], dim=1) for each in _LEG)
+    wanted, span = torch.stack([foot.ankle for foot in stood], dim=1), round(_SINK * motion.fps)
+    moved = torch.zeros_like(exact.translation)
+    moved[:, 2] = -sinking(hips, knees, ankles, wanted, span)
+    rotations = exact.rotations.clone()
+    for side, foot in zip(_SIDES, stood, strict=True):
+        rotations[:, [_at(side, each) for each in _LEG]] = _leg(side, world, joints, foot, moved)
+    changed = _changed(feet, stood, moved)
+    return _where(changed, Motion.posed(rotations, exact.translation + moved, motion.fps, skeleton), motion)
+
+
+_LEG = ("hip", "knee", "ankle")
+
+
+def _at(side: str, name: str) -> int:
+    return JOINTS.index(f"{side}_{name}")
+
+
+def _foot(skeleton: Skeleton, world: Tensor, joints: Tensor, side: str) -> Foot:
+    ankle, toes = _at(side, "ankle"), skeleton.offsets[_at(side, "foot")]
+    return Foot(joints[:, ankle], world[:, ankle], toes * toes.new_tensor(_HEEL), toes)
+
+
+def _leg(side: str, world: Tensor, joints: Tensor, foot: Foot, moved: Tensor) -> Float[Tensor, "frames 3 3 3"]:
+    """Local rotations of hip, knee and ankle of one leg that ends in `foot`, where the pelvis is `moved`."""
+    hip, knee, ankle = (_at(side, each) for each in _LEG)
+    places = (joints[:, hip], joints[:, knee], joints[:, ankle])
+    thigh, shin = reaching(world[:, hip], world[:, knee], places, joints[:, hip] + moved, foot.ankle)
+    return torch.stack([world[:, 0].mT @ thigh, thigh.mT @ shin, shin.mT @ foot.turned], dim=1)
+
+
+def _changed(before: list[Foot], after: list[Foot], moved: Tensor) -> Bool[Tensor, " frames"]:
+    feet = [(new.points - old.points).norm(dim=-1).amax(dim=1) for old, new in zip(before, after, strict=True)]
+    return torch.stack([*feet, moved.norm(dim=-1)]).amax(dim=0) > _LEAST
+
+
+def _where(changed: Bool[Tensor, " frames"], new: Motion, old: Motion) -> Motion:
+    """`new` in the frames that are changed."""
+    changed = changed.to(old.joints.device)
+    pairs = [(getattr(new, name).to(getattr(old, name)), getattr(old, name)) for name in _VALUES]
+    values = [torch.where(changed.reshape(-1, *[1] * (first.ndim - 1)), first, second) for first, second in pairs]
+    return Motion(*values, old.fps, old.overlap)
+
+
+_VALUES = ("rotations", "translation", "joints")

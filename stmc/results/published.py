@@ -1,0 +1,79 @@
+"""The rows that the papers print, to stand beside ours; and the field's table of single texts.
+
+Knows the records under `assets/published_results`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from importlib.resources import as_file, files
+
+from stmc.results.intervals import Estimate
+from stmc.results.naming import REAL, measures, place, variant
+from stmc.results.records import Result, ResultError, by_setting, read_results
+from stmc.results.tables import Row, Table
+
+REMARK = "Published rows are as the paper prints them."
+
+
+def published_results(name: str) -> list[Result]:
+    """The records of a published table, e.g. "stmc_table_1". Raises `ResultError` for a name that is none."""
+    folder = files("stmc") / "assets" / "published_results"
+    names = sorted(file.name.removesuffix(".jsonl") for file in folder.iterdir() if file.name.endswith(".jsonl"))
+    if name not in names:
+        raise ResultError(f"unknown published table {name!r}; choose from {', '.join(names)}")
+    with as_file(folder / f"{name}.jsonl") as path:
+        return read_results(path)
+
+
+def with_published(results: Iterable[Result], table: Callable[[Iterable[Result]], Table], published: str) -> Table:
+    """`table` of the results, and below it that of a published table's records, each row with its source."""
+    own, theirs = table(results), table(published_results(published))
+    blocks = tuple(
+        tuple(replace(row, labels=(source, *row.labels)) for row in block)
+        for source, made in (("ours", own), ("published", theirs))
+        for block in made.blocks
+    )
+    columns = measures(key for block in blocks for row in block for key in row.estimates)
+    return Table(f"{own.caption} {REMARK}", ("Source", *own.headings), columns, blocks)
+
+
+def single_text_table(results: Iterable[Result]) -> Table:
+    """Rows as the field's tables of single texts have them: real motion first, then each denoiser; means over
+    repetitions ± 1.96 s / √n, with the s² that divides by n, as by the published evaluations."""
+    groups = by_setting(results)
+    rows = [
+        (
+            (setting.method != REAL, place(setting), setting.denoiser),
+            Row((setting.denoiser or "–", variant(setting)), _estimates(runs), competes=setting.method != REAL),
+        )
+        for setting, runs in groups.items()
+    ]
+    ordered = tuple(row for _, row in sorted(rows, key=lambda each: each[0]))
+    blocks = tuple(block for block in (_where(ordered, False), _where(ordered, True)) if block)
+    repetitions = max((len(runs) for runs in groups.values()), default=0)
+    caption = f"HumanML3D, single texts: means over {repetitions} repetitions ± 95% confidence intervals (1.96 s / √n)."
+    columns = measures(key for row in ordered for key in row.estimates)
+    return Table(caption, ("Denoiser", "Method"), columns, blocks)
+
+
+def normal_estimate(values: list[float | int]) -> Estimate:
+    """The mean ± 1.96 standard deviations (over n) / √n; no interval for one value. Raises `ValueError` for none."""
+    if not values:
+        raise ValueError("a mean of no values")
+    mean = math.fsum(values) / len(values)
+    if len(values) == 1:
+        return Estimate(mean, None, 1)
+    deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in values) / len(values))
+    return Estimate(mean, 1.96 * deviation / math.sqrt(len(values)), len(values))
+
+
+def _estimates(runs: list[Result]) -> dict[str, Estimate]:
+    shared = [name for name in runs[0].metrics if all(name in run.metrics for run in runs)]
+    return {name: normal_estimate([run.metrics[name] for run in runs]) for name in shared}
+
+
+def _where(rows: tuple[Row, ...], competes: bool) -> tuple[Row, ...]:
+    return tuple(row for row in rows if row.competes == competes)

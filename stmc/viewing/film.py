@@ -1,0 +1,132 @@
+"""A motion as a film, without a display: an animated picture, or a video where ffmpeg is at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from jaxtyping import UInt8
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from stmc.body_model import Body
+from stmc.files import write_whole
+from stmc.motion import Motion
+from stmc.timeline import Timeline
+from stmc.viewing.colours import ink, palette, part_colours, transition_seconds
+from stmc.viewing.strip import Stage
+
+FILMS = (".webp", ".gif", ".mp4")
+_SIZE, _DPI = (4.8, 5.6), 100
+"""Inches, and pixels an inch: both sides are even, as videos must be."""
+_LINE = 0.052
+"""The share of the height that a line of text takes."""
+_BOUNDS = 24
+"""Frames by which the picture is measured."""
+
+
+def render_film(
+    motion: Motion,
+    path: str | Path,
+    timeline: Timeline | None = None,
+    fps: float | int | None = None,
+    overlap: int | float | None = None,
+    body: Body | None = None,
+) -> None:
+    """Write the motion as a film that plays in a loop (`.webp`, `.gif`: small, anywhere) or once (`.mp4`), 480 by 560.
+
+    Figure, floor and colours are those of `film_strip`; below stand the texts that hold. `fps`: the film's frame rate,
+    by default the motion's own; some four pictures are drawn a second. `.mp4` needs `pip install 'stmc[film]'`. Another
+    suffix is a `ValueError`.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.render_film(motion, "walk.webp", fps=5)
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FILMS:
+        raise ValueError(f"{path}: cannot film as {path.suffix!r}; choose from {', '.join(FILMS)}")
+    motion = motion if fps is None else motion.resampled(fps)
+    overlap = transition_seconds(motion, overlap)
+    colours = part_colours(timeline, motion.fps, motion.frames, overlap)
+    shown = np.unique(np.linspace(0, motion.frames - 1, _BOUNDS).round().astype(int))
+    pictures = _pictures(Stage.of(motion, body, colours, shown), timeline)
+    write_whole(path, _video(motion, pictures) if path.suffix.lower() == ".mp4" else _animation(motion, pictures, path))
+
+
+def ffmpeg() -> ModuleType:
+    """What writes videos. Raises `ModuleNotFoundError` that says how to come by it."""
+    try:
+        return import_module("imageio_ffmpeg")
+    except ModuleNotFoundError as error:
+        message = "videos need imageio-ffmpeg: pip install 'stmc[film]'; .webp does without"
+        raise ModuleNotFoundError(message, name="imageio_ffmpeg") from error
+
+
+def _pictures(stage: Stage, timeline: Timeline | None) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    figure = Figure(figsize=_SIZE, dpi=_DPI)
+    canvas = FigureCanvasAgg(figure)
+    lines = 0 if timeline is None else max(_most(timeline), 1)
+    axes = figure.add_axes((0.0, lines * _LINE, 1.0, 0.95 - lines * _LINE))
+    for frame in range(stage.motion.frames):
+        axes.clear()
+        stage.paint(axes, frame)
+        for text in list(figure.texts):
+            text.remove()
+        _texts(figure, timeline, (frame + 0.5) / stage.motion.fps)
+        canvas.draw()
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _most(timeline: Timeline) -> int:
+    """How many prompts hold at once."""
+    return max(
+        sum(other.start <= prompt.start < other.end for other in timeline.prompts) for prompt in timeline.prompts
+    )
+
+
+def _texts(figure: Figure, timeline: Timeline | None, time: float) -> None:
+    """The prompts that hold, each on its colour."""
+    if timeline is None:
+        return
+    pairs = zip(timeline.prompts, palette(len(timeline.prompts)), strict=True)
+    holding = [(prompt.text, colour) for prompt, colour in pairs if prompt.start <= time < prompt.end]
+    for line, (text, colour) in enumerate(holding):
+        label = text if len(text) <= 60 else f"{text[:59]}…"
+        box = {"facecolor": colour, "edgecolor": "none", "boxstyle": "round,pad=0.25"}
+        place = {"ha": "center", "va": "center", "fontsize": 9, "color": ink(colour), "bbox": box, "parse_math": False}
+        figure.text(0.5, (line + 0.6) * _LINE, label, **place)
+
+
+def _animation(motion: Motion, pictures: Iterator[np.ndarray], path: Path) -> Callable[[Path], None]:
+    """Durations of whole milliseconds (of a `.gif`: hundredths of a second) that do not add up to another time."""
+    unit = 10 if path.suffix.lower() == ".gif" else 1
+    ends = np.round(np.arange(motion.frames + 1) * 1000 / motion.fps / unit).astype(int) * unit
+
+    def fill(temporary: Path) -> None:
+        first, *others = (Image.fromarray(picture) for picture in pictures)
+        kind, durations = path.suffix[1:].upper(), np.diff(ends).tolist()
+        first.save(temporary, kind, save_all=True, append_images=others, duration=durations, loop=0, quality=80)
+
+    return fill
+
+
+def _video(motion: Motion, pictures: Iterator[np.ndarray]) -> Callable[[Path], None]:
+    library, size = ffmpeg(), tuple(round(side * _DPI) for side in _SIZE)
+
+    def fill(temporary: Path) -> None:
+        writer = library.write_frames(
+            str(temporary), size, fps=motion.fps, macro_block_size=2, output_params=["-f", "mp4", "-y"], quality=7
+        )
+        writer.send(None)
+        try:
+            for picture in pictures:
+                writer.send(np.ascontiguousarray(picture))
+        finally:
+            writer.close()
+
+    return fill

@@ -1,0 +1,154 @@
+"""The sentences that a model was trained with, and whether a prompt is among what they say."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body import BodyPart
+from stmc.text import TextEncoder
+from stmc.untrusted import shown
+from stmc.vocabulary.sentences import Content, Sentence, embed_sentences
+
+THRESHOLD = 0.48
+"""Measured on prompts inside and outside of what a model of 74 contents knows: see docs/models.md."""
+
+NEAREST = 3
+"""Known sentences that a message names."""
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """How near a prompt is to what a model knows. `nearest` are known sentences: the shortest of each of the nearest
+    contents, or where contents have no names the nearest themselves; `score` is what `threshold` is compared with."""
+
+    text: str
+    nearest: tuple[Sentence, ...]
+    score: float
+    threshold: float
+
+    @property
+    def known(self) -> bool:
+        """Whether the prompt is near enough."""
+        return self.score >= self.threshold
+
+    @property
+    def happens_once(self) -> bool:
+        """Whether the prompt is known, and what it tells of does not go on for as long as it is asked for."""
+        content = self.nearest[0].content
+        return self.known and bool(content.name) and not content.cyclic
+
+    @property
+    def advice(self) -> str:
+        """What to tell of a prompt that is not known, in a line."""
+        near = ", ".join(shown(sentence.text) for sentence in self.nearest)
+        return f"the model hardly knows {shown(self.text)} and may do something else; the nearest it knows: {near}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Vocabulary:
+    """What a model has heard: `known` sentences of its training, each with its content; and beside them sentences about
+    `others`, everyday actions that are not among those. `embeddings` are of the known sentences and then of the others,
+    rows of length 1, in half precision.
+
+    A prompt is known where 2 k - o is at least `threshold`: k is its cosine to the nearest known sentence, o that to
+    the nearest other one, both as seen from the mean of the others, since what all sentences share tells nothing. So
+    "throw a ball" is not known although "kick a ball" is: "throw something" is as near.
+
+    Examples:
+        >>> vocabulary = stmc.load().vocabulary
+        >>> [content.name for content in vocabulary.contents if content.parts == {"head", "spine"}]
+        ['bow']
+    """
+
+    known: tuple[Sentence, ...]
+    others: tuple[Sentence, ...]
+    embeddings: Float[Tensor, "sentences width"]
+    threshold: float | int = THRESHOLD
+
+    def __post_init__(self) -> None:
+        if not self.known or not self.others:
+            raise ValueError("a vocabulary needs known sentences and others")
+        if len(self.embeddings) != len(self.known) + len(self.others):
+            count = len(self.known) + len(self.others)
+            raise ValueError(f"{len(self.embeddings)} embeddings for {count} sentences")
+
+    @cached_property
+    def contents(self) -> tuple[Content, ...]:
+        """Each content that has a name, in the order of its first sentence."""
+        return tuple(dict.fromkeys(sentence.content for sentence in self.known if sentence.content.name))
+
+    def recognise(self, texts: Sequence[str], encoder: TextEncoder, count: int = NEAREST) -> list[Recognition]:
+        """How near each text is to what is known, with the nearest sentences of up to `count` contents.
+
+        Examples:
+            >>> vocabulary, encoder = stmc.load().vocabulary, stmc.vocabulary.sentence_encoder()
+            >>> [prompt] = vocabulary.recognise(["go for a run"], encoder, count=1)
+            >>> prompt.known, prompt.nearest[0].content.name
+            (True, 'run')
+        """
+        rows = self.cosines(texts, encoder) if texts else []
+        return [self._recognition(text, row, count) for text, row in zip(texts, rows, strict=True)]
+
+    def cosines(self, texts: Sequence[str], encoder: TextEncoder) -> Float[Tensor, "texts sentences"]:
+        """Of one text or more to all known sentences and then to all others, as seen from the others' mean.
+
+        Examples:
+            >>> vocabulary, encoder = stmc.load().vocabulary, stmc.vocabulary.sentence_encoder()
+            >>> len(vocabulary.cosines(["walk", "jump"], encoder))
+            2
+        """
+        return self._centred(embed_sentences(texts, encoder)) @ self._rows.T
+
+    def _recognition(self, text: str, row: Float[Tensor, " sentences"], count: int) -> Recognition:
+        known, others = row[: len(self.known)], row[len(self.known) :]
+        nearest: dict[Sentence, None] = {}
+        for place in known.argsort(descending=True).tolist():
+            sentence = self.known[place]
+            nearest[self._shortest.get(sentence.content, sentence)] = None
+            if len(nearest) == count:
+                break
+        return Recognition(text, tuple(nearest), float(2 * known.max() - others.max()), self.threshold)
+
+    @cached_property
+    def _shortest(self) -> dict[Content, Sentence]:
+        """Of each content that has a name, the sentence to tell it by."""
+        longest_first = sorted(self.known, key=lambda each: -len(each.text))
+        return {each.content: each for each in longest_first if each.content.name}
+
+    @cached_property
+    def _centre(self) -> Float[Tensor, " width"]:
+        return self.embeddings[len(self.known) :].float().mean(dim=0)
+
+    @cached_property
+    def _rows(self) -> Float[Tensor, "sentences width"]:
+        return self._centred(self.embeddings.float())
+
+    def _centred(self, embeddings: Float[Tensor, "rows width"]) -> Float[Tensor, "rows width"]:
+        return F.normalize(embeddings - self._centre, dim=-1)
+
+    def __repr__(self) -> str:
+        """The contents by their body parts."""
+        if not self.contents:
+            some = ", ".join(shown(sentence.text) for sentence in self.known[:NEAREST])
+            return f"Vocabulary({len(self.known):,} sentences, such as {some})"
+        by_parts: dict[frozenset[BodyPart], list[str]] = {}
+        for content in self.contents:
+            by_parts.setdefault(content.parts, []).append(f"{content.name}{' ↻' if content.cyclic else ''}")
+        lines = [f"{listed(parts)}: {', '.join(names)}" for parts, names in by_parts.items()]
+        wrapped = [textwrap.fill(line, 116, initial_indent="  ", subsequent_indent="    ") for line in lines]
+        head = f"Vocabulary({len(self.contents)} contents, {len(self.known):,} sentences; ↻: for as long as asked"
+        return "\n".join([head, *wrapped, ")"])
+
+
+def listed(parts: frozenset[BodyPart]) -> str:
+    """Body parts as a person reads them."""
+    if parts == frozenset(BodyPart):
+        return "whole body"
+    return " and ".join(part for part in BodyPart if part in parts) or "parts not known"

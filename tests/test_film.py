@@ -1,0 +1,59 @@
+"""Films: as many pictures as frames, as long as the motion, drawn without a display, and read by pillow."""
+
+import importlib.util
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers.motions import walking
+from PIL import Image
+
+from stmc.timeline import Timeline
+from stmc.viewing import render_film
+
+WALK = walking(seconds=1.0).trimmed(0, 12)
+TIMELINE = Timeline.parse("walk # 0 # 0.6\nwave with $x # 0.2 # 0.6 # right arm")
+
+
+def frames(path) -> list[np.ndarray]:
+    with Image.open(path) as image:
+        shown = []
+        for number in range(image.n_frames):
+            image.seek(number)
+            shown.append(np.asarray(image.convert("RGB")).astype(int))
+        return shown
+
+
+@pytest.mark.parametrize("kind", ["webp", "gif"])
+def test_a_film_has_a_picture_for_every_frame_and_moves(kind, tmp_path):
+    render_film(WALK, tmp_path / f"walk.{kind}", TIMELINE, fps=10)
+    pictures = frames(tmp_path / f"walk.{kind}")
+    assert len(pictures) == 6
+    assert all(np.abs(one - other).mean() > 0.2 for one, other in pairwise(pictures))
+    with Image.open(tmp_path / f"walk.{kind}") as image:
+        assert image.size == (480, 560)
+        durations = []
+        for number in range(image.n_frames):
+            image.seek(number)
+            image.load()
+            durations.append(image.info["duration"])
+    assert sum(durations) == 600
+    assert [path.name for path in tmp_path.iterdir()] == [f"walk.{kind}"]
+
+
+def test_a_video_is_written_where_ffmpeg_is_and_refused_with_a_reason_where_it_is_not(tmp_path):
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        with pytest.raises(ModuleNotFoundError, match=r"stmc\[film\]"):
+            render_film(WALK, tmp_path / "walk.mp4")
+        assert not list(tmp_path.iterdir())
+        return
+    import imageio_ffmpeg
+
+    render_film(WALK, tmp_path / "walk.mp4", TIMELINE)
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "walk.mp4"))
+    assert (count, seconds) == (WALK.frames, pytest.approx(WALK.duration, abs=0.06))
+
+
+def test_another_suffix_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"'\.avi'; choose from \.webp"):
+        render_film(WALK, tmp_path / "walk.avi")

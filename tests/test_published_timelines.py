@@ -1,0 +1,45 @@
+"""MTT's timelines drawn anew: from the authors' prompts and seed they are those of the published file."""
+
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+from conftest import data_file
+from test_mtt import ATOMS, atom
+
+from stmc.benchmarks.atomic_prompts import read_atomic_prompts
+from stmc.benchmarks.published_timelines import LONGEST, sample_published_timelines
+from stmc.timeline import Timeline, TimelineError
+
+
+def test_the_published_timelines_are_those_of_their_prompts_and_seed():
+    published = data_file("mtt/MTT.txt")
+    atoms = read_atomic_prompts(published.parent / "texts.txt", published.parent / "motions.txt")
+    drawn = sample_published_timelines(atoms)
+    assert [each.prompts for each in drawn] == [each.prompts for each in Timeline.read_all(published)]
+
+
+def test_the_third_prompt_lies_beside_one_of_the_others_and_is_of_parts_that_it_has_not():
+    beside = Counter()
+    for timeline in sample_published_timelines(ATOMS, 400, seed=0):
+        first, second, third = timeline.prompts
+        assert timeline.rows == (0, 0, 1)
+        assert (first.start, first.end) == (0.0, second.start)
+        assert third.text not in (first.text, second.text)
+        assert max(prompt.end - prompt.start for prompt in timeline.prompts) <= LONGEST + 0.01
+        met = [each for each in (first, second) if third.start < each.end - 0.01 and each.start < third.end - 0.01]
+        assert not third.parts.intersection(*(each.parts for each in met))
+        beside[len(met)] += 1
+    assert beside[1] > 2 * beside[2] > 0
+
+
+def test_a_seed_gives_the_same_timelines_and_another_seed_others():
+    few, more = (sample_published_timelines(ATOMS, count, seed=3) for count in (5, 9))
+    assert more[:5] == few != sample_published_timelines(ATOMS, 5, seed=4)
+    assert all(one.name < other.name for one, other in pairwise(more))
+
+
+@pytest.mark.parametrize("atoms", [[], ATOMS[:1], [atom("walk", "legs"), atom("run", "legs"), atom("hop", "legs")]])
+def test_prompts_that_cannot_go_together_are_an_error_and_no_endless_loop(atoms):
+    with pytest.raises(TimelineError, match="no three of the"):
+        sample_published_timelines(atoms, 1)
