@@ -376,9 +376,13 @@ def evaluated(work: Path, *settings: str) -> None:
 
 @pytest.fixture
 def quick(monkeypatch, work) -> None:
+    quicken(monkeypatch, work)
+
+
+def quicken(patch: pytest.MonkeyPatch, work: Path) -> None:
     """Two of the bundled timelines and their prompts, FID with few real clips: they are not what is tested."""
-    monkeypatch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
-    monkeypatch.setattr("stmc.benchmarks.multi_track.files", lambda package: work)
+    patch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
+    patch.setattr("stmc.benchmarks.multi_track.files", lambda package: work)
 
 
 @pytest.mark.slow
@@ -468,20 +472,28 @@ def test_shares_made_in_different_folders_are_one_run_once_they_are_in_one(work,
     assert {each.method for each in read_results(tmp_path / "2" / "results.jsonl")} == {"ground_truth", "stmc"}
 
 
+def share(rank: int, work: Path, *settings: str) -> None:
+    """What one of two processes does that `accelerate launch` started."""
+    os.environ |= {"RANK": str(rank), "WORLD_SIZE": "2"}
+    with pytest.MonkeyPatch.context() as patch:
+        quicken(patch, work)
+        evaluated(work, "threads=1", *settings)
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-def test_two_processes_at_once_evaluate_without_losing_a_record(work, quick, tmp_path):
-    several = ("experiment.settings.steps=[2,3,4]", "experiment.table._target_=stmc.results.sweep_table")
-
-    def share(rank: int) -> None:
-        os.environ |= {"RANK": str(rank), "WORLD_SIZE": "2"}
-        evaluated(work, *few(tmp_path / "out"), *several, "+experiment.table.varied=[steps]")
-
-    processes = [get_context("fork").Process(target=share, args=(rank,)) for rank in (0, 1)]
+def test_two_processes_at_once_evaluate_without_losing_a_record(work, tmp_path):
+    several = (
+        "experiment.settings.steps=[2,3,4]",
+        "experiment.table._target_=stmc.results.sweep_table",
+        "+experiment.table.varied=[steps]",
+    )
+    fresh = get_context("spawn")  # a fork of a process whose threads have computed may wait for them for ever
+    arguments = (work, *few(tmp_path / "out"), *several)
+    processes = [fresh.Process(target=share, args=(rank, *arguments), daemon=True) for rank in (0, 1)]
     for process in processes:
         process.start()
     for process in processes:
-        process.join()
+        process.join(timeout=600)
     assert [process.exitcode for process in processes] == [0, 0]
     results = read_results(tmp_path / "out" / "results.jsonl")
     assert sorted(each.sampling.steps or 0 for each in results) == [0, 2, 3, 4]
