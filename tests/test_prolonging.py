@@ -80,9 +80,9 @@ def test_rest_follows_what_happens_once_and_the_clip_itself_stays():
     once[:20, SMPL_LAYOUT["positions"]] = 1.0  # up there, and back
     before = cache(("jump", False, once), ("stand", True, features(40, swing=0.02)))
     after = clips(Prolonging(10)(before, SMPL_LAYOUT))
-    assert list(after) == ["0_jump", "0_jump/rest", "1_stand"]
+    assert list(after) == ["0_jump", "0_jump/followed", "1_stand"]
     torch.testing.assert_close(after["0_jump"], once)
-    rested = after["0_jump/rest"]
+    rested = after["0_jump/followed"]
     assert 40 + 0.5 * FPS <= len(rested) <= 40 + 4 * FPS
     torch.testing.assert_close(rested[:32], once[:32])
     positions = rested[:, SMPL_LAYOUT["positions"]]
@@ -95,7 +95,7 @@ def test_rest_follows_what_happens_once_and_the_clip_itself_stays():
 @pytest.mark.parametrize(("away", "rested"), [(0.5 * NEAR, True), (2 * NEAR, False)])
 def test_rest_follows_only_where_the_body_is_near_it(away, rested):
     before = cache(("jump", False, features(40)), ("stand", True, features(200, away=away / math.sqrt(3))))
-    assert ("0_jump/rest" in clips(Prolonging(10)(before, SMPL_LAYOUT))) == rested
+    assert ("0_jump/followed" in clips(Prolonging(10)(before, SMPL_LAYOUT))) == rested
 
 
 def test_held_out_clips_and_clips_without_texts_lend_and_get_no_rest():
@@ -104,4 +104,4 @@ def test_held_out_clips_and_clips_without_texts_lend_and_get_no_rest():
     kept = Cache(FPS, "smpl", before.features, tuple(held_out), before.texts)
     silent = Cache(FPS, "smpl", before.features, before.clips, before.texts | {"jump": ()})
     for each in (kept, silent):
-        assert "0_jump/rest" not in clips(Prolonging(10)(each, SMPL_LAYOUT))
+        assert "0_jump/followed" not in clips(Prolonging(10)(each, SMPL_LAYOUT))

@@ -1,4 +1,4 @@
-"""Clips for any duration: what is cyclic goes round again, what happens once is followed by rest.
+"""Clips for any duration: what is cyclic goes round again, what happens once is followed by rest, or by walking on.
 
 A network that never saw ten seconds of a run makes a walk of them. Knows prepared caches and layouts, and that features
 are seen from the body, so that frames of other places and headings can follow each other; knows no text and no network.
@@ -32,7 +32,10 @@ SPEED = 0.15
 """Metres that a difference of one metre per second of the root counts as."""
 
 REST = (0.5, 4.0)
-"""Seconds of rest after what happens once, between these."""
+"""Seconds of what follows what happens once, between these."""
+
+CANDIDATES = 60
+"""Clips of each content at most that are looked through for what may follow."""
 
 Features = Float[Tensor, "_ features"]
 
@@ -40,18 +43,18 @@ Features = Float[Tensor, "_ features"]
 @dataclass(frozen=True)
 class Prolonging:
     """How clips are prolonged. Cyclic ones to `seconds`; of the others there are two, as it is and followed by a clip
-    of one of the contents `rests`. Where no moment resembles another one closely enough, a clip stays as it is."""
+    of one of the contents `followed_by`: whoever has turned walks on, whoever has bowed stands. Where no moment
+    resembles another one closely enough, a clip stays as it is."""
 
     seconds: float | int
-    rests: tuple[str, ...] = ("stand", "sit")
+    followed_by: tuple[str, ...] = ("stand", "sit", "walk", "run")
     seed: int = 0
 
     def __call__(self, cache: Cache, layout: Layout) -> Cache:
         """`cache` with its clips prolonged. Raises `KeyError` for a layout without positions or root velocities."""
         joining = _Joining(cache.fps, layout)
         frames, rng = round(self.seconds * cache.fps), np.random.default_rng(self.seed)
-        still = [clip for clip in cache.clips if clip.content in self.rests and clip.split == "train"]
-        rests = _Rests(joining, [joining.looped(_features(cache, clip), frames) for clip in still])
+        following = _Following(joining, [joining.looped(_features(cache, clip), frames) for clip in self._next(cache)])
 
         def rows() -> Iterator[tuple[Clip, Features]]:
             for clip in cache.clips:
@@ -59,11 +62,19 @@ class Prolonging:
                 yield clip, joining.looped(features, frames) if clip.cyclic else features
                 if not clip.cyclic and any(cache.texts[clip.texts]):
                     seconds = rng.uniform(*REST)
-                    if (rested := rests.after(features, round(seconds * cache.fps))) is not None:
-                        yield replace(clip, name=f"{clip.name}/rest"), rested
+                    if (longer := following.after(features, round(seconds * cache.fps))) is not None:
+                        yield replace(clip, name=f"{clip.name}/followed"), longer
 
         clips, features = assemble(list(rows()))
         return replace(cache, clips=clips, features=features)
+
+    def _next(self, cache: Cache) -> list[Clip]:
+        """The clips that may follow, evenly chosen where there are many."""
+        chosen = []
+        for content in self.followed_by:
+            clips = [clip for clip in cache.clips if clip.content == content and clip.split == "train"]
+            chosen += clips[:: -(-len(clips) // CANDIDATES) or 1]
+        return chosen
 
 
 def _features(cache: Cache, clip: Clip) -> Features:
@@ -119,15 +130,15 @@ class _Joining:
         return torch.cat([features[:-fade], between, others[fade:]])
 
 
-class _Rests:
-    """Clips at rest, and which moment of them a motion can end in."""
+class _Following:
+    """Clips that go on, and which moment of them a motion can end in."""
 
     def __init__(self, joining: _Joining, clips: list[Features]) -> None:
         self.joining, self.features = joining, torch.cat(clips) if clips else None
         self.left = torch.cat([torch.arange(len(clip), 0, -1) for clip in clips]) if clips else None
 
     def after(self, features: Features, frames: int) -> Features | None:
-        """`features` and then so many frames of rest; None where no clip has as many that are near its end."""
+        """`features` and then so many frames of a clip; None where no clip has as many that are near its end."""
         fade = self.joining.fade
         if self.features is None or len(features) < fade:
             return None
