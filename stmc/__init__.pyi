@@ -34,6 +34,7 @@ from . import settings as settings
 from . import shards as shards
 from . import skins as skins
 from . import statistics as statistics
+from . import studio as studio
 from . import study as study
 from . import tensors as tensors
 from . import text as text

@@ -26,7 +26,7 @@ TIERS = [
     {"benchmarks"},
     {"model"},
     {"run"},
-    {"published"},
+    {"published", "studio"},
     {"commands"},
     {"__main__"},
 ]

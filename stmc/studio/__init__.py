@@ -1,0 +1,12 @@
+"""The studio: a page on the user's own machine where timelines are written, sampled, edited and taken away.
+
+A server for that page alone: it checks timelines, samples them one after the other, keeps motions and documents, and
+hands out files. What is edited, and how, is the page's business (`assets/studio`); how timelines are sampled, the
+library's. Knows models, exports and views; needs the extra `studio`.
+"""
+
+from stmc.studio.jobs import Asked, Job, Jobs
+from stmc.studio.server import application
+from stmc.studio.stores import Documents, Motions
+
+__all__ = ["Asked", "Documents", "Job", "Jobs", "Motions", "application"]
