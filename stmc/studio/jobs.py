@@ -1,6 +1,6 @@
 """What the studio samples: one job after the other, each heard by whoever listens, and any of them can be stopped.
 
-Knows models and motions; knows no requests and no pages.
+Knows motions and how they are asked for; knows no requests and no pages.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from stmc.constraints import Constraint
 from stmc.constraints.pose import Pose
 from stmc.editing import Change
 from stmc.feet import clean_feet
-from stmc.model import Model
 from stmc.motion import Motion
 from stmc.settings import SettingError
 from stmc.studio.refusals import Refused
@@ -115,10 +114,10 @@ class Job:
 
 
 class Jobs:
-    """The queue, and the one thread that works it off.
+    """The queue, and the one thread that works it off. `generate` is a model's.
 
     Examples:
-        >>> jobs = stmc.studio.Jobs(stmc.load(), stmc.studio.Motions("motions"))
+        >>> jobs = stmc.studio.Jobs(stmc.load().generate, stmc.studio.Motions("motions"))
         >>> job = jobs.add(stmc.studio.Asked(stmc.Timeline.parse("walk # 0 # 1"), seeds=(0,), steps=(1,)))
         >>> jobs.wait()
         >>> [kind for kind, details in job.events]
@@ -126,8 +125,8 @@ class Jobs:
         >>> jobs.close()
     """
 
-    def __init__(self, model: Model, motions: Motions) -> None:
-        self.model, self.motions = model, motions
+    def __init__(self, generate: Callable[..., Sequence[Motion]], motions: Motions) -> None:
+        self.generate, self.motions = generate, motions
         self._waiting: deque[Job] = deque()
         self._known: OrderedDict[str, Job] = OrderedDict()
         self._current: Job | None = None
@@ -217,7 +216,7 @@ class Jobs:
                 raise Cancelled
             job.tell("progress", stage=stage, step=min(next(made), steps), steps=steps)
 
-        motions = self.model.generate(
+        motions = self.generate(
             [asked.timeline] * len(asked.seeds),
             seed=asked.seeds,
             progress=_watched(told),

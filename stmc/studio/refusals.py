@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
-from stmc.untrusted import UnreadableError, load_json, shown
+from stmc.untrusted import UnreadableError, cut, load_json
 
 
 class Refused(ValueError):
@@ -36,5 +37,5 @@ def take(data: Mapping[str, Any], name: str, kind: type | tuple[type, ...], defa
         raise Refused(422, f"{name} is missing")
     if value is not default and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
         kinds = kind if isinstance(kind, tuple) else (kind,)
-        raise Refused(422, f"{name}={shown(str(value))}: {' or '.join(each.__name__ for each in kinds)} needed")
+        raise Refused(422, f"{name}={cut(json.dumps(value))}: {' or '.join(each.__name__ for each in kinds)} needed")
     return value

@@ -102,7 +102,9 @@ def application(model: Model, folder: str | Path, token: str, port: int, steps: 
         Route("/api/documents/{name}", answered(answers.delete_document), methods=["DELETE"]),
         Mount("/assets", StaticFiles(directory=ASSETS / "studio")),
     ]
-    return Starlette(routes=routes, lifespan=lifespan, middleware=[Middleware(Guard, token=token, port=port)])
+    app = Starlette(routes=routes, lifespan=lifespan, middleware=[Middleware(Guard, token=token, port=port)])
+    app.state.folder = folder
+    return app
 
 
 def answered(handler: Handler) -> Handler:
@@ -126,7 +128,7 @@ class Answers:
 
     def __init__(self, model: Model, motions: Motions, documents: Documents, texts: Path, steps: int) -> None:
         self.model, self.motions, self.documents, self.steps = model, motions, documents, steps
-        self.jobs = Jobs(model, motions)
+        self.jobs = Jobs(model.generate, motions)
         self.vocabulary = read_vocabulary(bundled() / VOCABULARY)
         self.encoder = Cached(MiniLM(), texts)
 

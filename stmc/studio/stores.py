@@ -90,10 +90,10 @@ class Motions:
             if name in self._held:
                 self._held.move_to_end(name)
                 return self._held[name]
-        try:
-            motion = read(self.folder / f"{_named(name)}.npz")
-        except FileNotFoundError:
-            raise Refused(404, "that motion is no longer kept; make it anew") from None
+        path = self.folder / f"{_named(name)}.npz"
+        if not path.exists():
+            raise Refused(404, "that motion is no longer kept; make it anew")
+        motion = read(path)
         self._hold(name, motion)
         return motion
 

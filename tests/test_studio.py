@@ -1,0 +1,422 @@
+"""The studio's server: what it answers its page, what it refuses everybody else, and that nothing is lost."""
+
+import dataclasses
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers.tiny_model import Hashes, tiny
+from hypothesis import given
+from hypothesis import strategies as st
+from starlette.testclient import TestClient
+
+import stmc
+from stmc.body import JOINTS
+from stmc.run import bundled
+from stmc.run.directories import VOCABULARY
+from stmc.studio import Asked, Documents, Jobs, Motions, application
+from stmc.studio.guard import MOST_BYTES
+from stmc.studio.jobs import MOST_WAITING
+from stmc.studio.refusals import Refused
+from stmc.studio.stores import ID
+from stmc.vocabulary import read_vocabulary
+
+TOKEN, PORT = "a secret", 8686
+WALK = {"name": "A walk", "prompts": [{"text": "walk", "start": 0, "end": 2, "parts": ["legs"]}]}
+BOTH = {"prompts": [*WALK["prompts"], {"text": "wave with the right hand", "start": 0.5, "end": 1.5, "parts": []}]}
+
+
+@pytest.fixture(scope="module")
+def model() -> stmc.Model:
+    return dataclasses.replace(tiny(), vocabulary=read_vocabulary(bundled() / VOCABULARY), text_encoder=Hashes())
+
+
+@pytest.fixture(scope="module")
+def client(model, tmp_path_factory) -> Iterator[TestClient]:
+    app = application(model, tmp_path_factory.mktemp("studio"), TOKEN, PORT, steps=4)
+    with TestClient(app, base_url=f"http://127.0.0.1:{PORT}") as client:
+        assert client.get("/", params={"token": TOKEN}, follow_redirects=False).status_code == 303
+        client.headers["X-Stmc"] = "1"
+        yield client
+
+
+@pytest.fixture
+def stranger(client) -> TestClient:
+    """Somebody in the same network of addresses, without the token."""
+    return TestClient(client.app, base_url=f"http://127.0.0.1:{PORT}")
+
+
+def sampled(client: TestClient, **asked) -> list[tuple[str, dict]]:
+    """What happens to a job, from its beginning to its end."""
+    answer = client.post("/api/jobs", json={"timeline": WALK, "seeds": [0]} | asked)
+    assert answer.status_code == 201, answer.text
+    return events(client.get(f"/api/jobs/{answer.json()['job']}/events").text)
+
+
+def events(stream: str) -> list[tuple[str, dict]]:
+    blocks = [block.split("\n") for block in stream.strip().split("\n\n")]
+    return [(kind.removeprefix("event: "), json.loads(data.removeprefix("data: "))) for kind, data in blocks]
+
+
+def made(told: list[tuple[str, dict]]) -> list[dict]:
+    return [details for kind, details in told if kind == "motion"]
+
+
+# Who may talk to it
+
+
+def test_the_address_with_the_token_opens_the_page_and_no_other_page_can_read_its_cookie(stranger):
+    opened = stranger.get("/", params={"token": TOKEN}, follow_redirects=False)
+    assert opened.status_code == 303 and opened.headers["location"] == "/"
+    assert {"HttpOnly", "SameSite=strict"} <= set(opened.headers["set-cookie"].split("; "))
+    page = stranger.get("/")
+    assert page.status_code == 200 and "default-src 'self'" in page.headers["content-security-policy"]
+
+
+@pytest.mark.parametrize("path", ["/", "/api/model", "/api/documents", "/assets/index.html", "/?token=a%20guess"])
+def test_whoever_has_no_token_is_told_where_it_is_and_nothing_else(stranger, path):
+    answer = stranger.get(path)
+    assert answer.status_code == 401 and "stmc studio" in answer.text
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"},
+        {"Host": f"evil.example:{PORT}"},
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:9999"},
+        {"X-Stmc": ""},
+    ],
+    ids=str,
+)
+def test_other_pages_in_the_same_browser_are_refused_although_the_cookie_goes_along(client, headers):
+    answer = client.post("/api/jobs", json={"timeline": WALK}, headers=headers)
+    assert answer.status_code == 403
+
+
+def test_a_name_that_leads_here_from_elsewhere_is_refused_for_reading_too(client):
+    assert client.get("/api/documents", headers={"Host": "evil.example"}).status_code == 403
+
+
+@pytest.mark.parametrize("length", [None, "7"], ids=["said", "not said"])
+def test_requests_beyond_the_bound_are_refused_whatever_length_they_announce(client, length):
+    body = b" " * (MOST_BYTES + 1)
+    content = body if length is None else (body[:1000] for _ in range(len(body) // 1000 + 1))
+    answer = client.post("/api/check", content=content)
+    assert answer.status_code == 413
+
+
+# Timelines
+
+
+def test_a_check_says_who_owns_which_part_when_and_what_was_suggested(client):
+    told = client.post("/api/check", json={"timeline": BOTH}).json()
+    walk, wave = told["prompts"]
+    assert (walk["parts"], walk["suggested"], walk["advice"]) == (["legs"], False, None)
+    assert (wave["parts"], wave["suggested"], wave["row"]) == (["right arm"], True, 1)
+    assert told["owners"]["right arm"] == [[0, 0.0, 0.5], [1, 0.5, 1.5], [0, 1.5, 2.0]]
+    assert told["transitions"]["right arm"] == [[0.25, 0.75], [1.25, 1.75]]
+    assert told["duration"] == 2 and told["rows"] == 2
+
+
+def test_an_unknown_prompt_is_advised_with_the_nearest_known_ones(client):
+    prompts = [{"text": "swim across the river", "start": 0, "end": 1, "parts": []}]
+    [told] = client.post("/api/check", json={"timeline": {"prompts": prompts}}).json()["prompts"]
+    assert "hardly knows" in told["advice"]["sentence"] and len(told["advice"]["nearest"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("prompts", "number", "message"),
+    [
+        ([], None, "empty"),
+        ([{"text": "walk", "start": 0, "end": 301}], 0, "300 at most"),
+        ([*WALK["prompts"], {"text": "walk", "start": 2, "end": 1}], 1, "prompt 2"),
+        ([{"text": "walk", "start": 0, "end": 1, "parts": ["tail"]}], 0, "tail"),
+        ([{"text": "walk", "start": "0", "end": 1}], 0, "start"),
+        ([{"text": "walk", "start": 0}], 0, "end is missing"),
+        ([{"text": 7, "start": 0, "end": 1}], 0, "text=7"),
+        ([{"text": "walk", "start": True, "end": 1}], 0, "start=true"),
+        (["walk"], 0, "object"),
+        ([{"text": "walk", "start": 0, "end": 1}] * 201, None, "200 at most"),
+    ],
+)
+def test_what_a_timeline_cannot_mean_is_said_with_the_number_of_the_prompt(client, prompts, number, message):
+    answer = client.post("/api/check", json={"timeline": {"prompts": prompts}})
+    assert answer.status_code == 422
+    assert answer.json()["prompt"] == number and message in answer.json()["error"]
+
+
+def test_files_of_timelines_are_read_and_written_as_by_the_library(client):
+    text = client.post("/api/write", json={"timeline": WALK, "format": "txt"})
+    assert text.text == "walk # 0.0 # 2.0 # legs\n" and "attachment" in text.headers["content-disposition"]
+    written = client.post("/api/write", json={"timeline": WALK, "format": "json"}).text
+    for name, content in (("a.txt", text.text), ("a.JSON", written)):
+        [timeline] = client.post("/api/read", json={"name": name, "text": content}).json()["timelines"]
+        assert timeline["prompts"] == WALK["prompts"]
+    assert client.post("/api/read", json={"name": "a.txt", "text": "walk # 0"}).status_code == 422
+    assert client.post("/api/write", json={"timeline": WALK, "format": "exe"}).status_code == 422
+
+
+KEYS = [
+    "timeline", "prompts", "text", "start", "end", "parts", "name", "seeds", "steps", "keep", "change", "base",
+    "constraints", "target", "keyframe", "path", "motion", "at", "content", "format", "clean_feet", "tab",
+]  # fmt: skip
+ANY = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.just("walk"),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner, max_size=6),
+    max_leaves=12,
+)
+ADDRESSES = [("POST", "/api/check"), ("POST", "/api/read"), ("POST", "/api/write"), ("POST", "/api/motions"),
+             ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs")]  # fmt: skip
+
+
+@given(
+    st.sampled_from(ADDRESSES), st.dictionaries(st.sampled_from(KEYS), ANY, max_size=6) | ANY | st.binary(max_size=40)
+)
+def test_whatever_is_sent_is_refused_with_a_sentence_or_met(client, address, data):
+    content = data if isinstance(data, bytes) else json.dumps(data).encode()
+    answer = client.request(*address, content=content)
+    assert answer.status_code < 500
+    assert answer.status_code < 300 or answer.json()["error"]
+
+
+# Jobs
+
+
+def test_a_job_tells_its_steps_a_preview_and_the_motion_of_every_seed(client):
+    told = sampled(client, seeds=[3, 4])
+    assert [(each["seed"], each["steps"]) for each in made(told)] == [(3, 10), (4, 10), (3, 4), (4, 4)]
+    assert told[-1] == ("done", {})
+    assert {details["stage"] for kind, details in told if kind == "progress"} <= {"waiting", "preview", "full"}
+    motion = made(told)[0]["motion"]
+    assert ID.fullmatch(motion["id"]) and (motion["frames"], motion["fps"]) == (40, 20)
+    assert [each["steps"] for each in made(sampled(client, steps="preview"))] == [10]
+
+
+def test_a_motion_is_what_the_library_makes_of_the_timeline(client, model):
+    [told] = made(sampled(client, steps="preview", clean_feet=False, seeds=[5]))
+    content = client.get(f"/api/motions/{told['motion']['id']}.npz").content
+    own = client.post("/api/motions", content=content).json()["motion"]
+    assert own["frames"] == 40 and own["id"] != told["motion"]["id"]
+    [expected] = model.generate("walk # 0 # 2 # legs", seed=5, steps=10, sampler="ddim")
+    path = Path(client.app.state.folder) / "motions" / f"{told['motion']['id']}.npz"
+    np.testing.assert_allclose(stmc.read(path).joints, expected.joints, atol=1e-5)
+
+
+def test_what_is_kept_stays_and_only_the_change_is_made_anew(client):
+    [first] = made(sampled(client, timeline=BOTH, steps="preview"))
+    change = [{"start": 0.5, "end": 1.5, "parts": ["right arm"]}]
+    asked = {"timeline": BOTH, "steps": "preview", "seeds": [9], "keep": first["motion"]["id"], "change": change}
+    [second] = made(sampled(client, **asked))
+    folder = Path(client.app.state.folder) / "motions"
+    before, after = (stmc.read(folder / f"{each['motion']['id']}.npz") for each in (first, second))
+    difference = (after.rotations - before.rotations).abs().amax(dim=(-1, -2))
+    arm = [JOINTS.index(name) for name in stmc.BodyPart.RIGHT_ARM.joints if name != "right_hand"]
+    others = [joint for joint in range(22) if joint not in arm]
+    assert difference[:, others].max() < 1e-5 and difference[:10].max() < 1e-5 and difference[30:].max() < 1e-5
+    assert difference[12:28][:, arm].max() > 1e-3
+
+
+def test_constraints_are_met_and_their_errors_told(client):
+    [walked] = made(sampled(client, steps="preview"))
+    constraints = [
+        {"target": {"joint": "right_hand", "point": [-0.2, -0.4, 1.2], "start": 0.5, "end": 0.6}},
+        {"keyframe": {"motion": walked["motion"]["id"], "at": 1.0, "second": 0.5}},
+    ]
+    [told] = made(sampled(client, steps="preview", constraints=constraints[:1]))
+    assert [(each["name"], each["unit"]) for each in told["demands"]] == [("target", "cm")]
+    assert told["demands"][0]["error"] < 2
+    assert len(made(sampled(client, steps="preview", constraints=constraints[1:]))) == 1
+
+
+@pytest.mark.parametrize(
+    ("asked", "status"),
+    [
+        ({"seeds": []}, 422),
+        ({"seeds": [1] * 9}, 422),
+        ({"seeds": [True]}, 422),
+        ({"seeds": [-1]}, 422),
+        ({"steps": "all"}, 422),
+        ({"keep": "not-there"}, 404),
+        ({"keep": "../../etc/passwd"}, 404),
+        ({"change": [{"start": 5, "end": 1}]}, 422),
+        ({"change": ["all"]}, 422),
+        ({"constraints": [{"keyframe": {"motion": "/etc/passwd", "at": 0}}]}, 404),
+        ({"constraints": [{"fly": {}}]}, 422),
+        ({"constraints": [{}] * 101}, 422),
+        ({"clean_feet": 1}, 422),
+    ],
+    ids=str,
+)
+def test_jobs_that_make_no_sense_are_refused_before_they_wait(client, asked, status):
+    answer = client.post("/api/jobs", json={"timeline": WALK} | asked)
+    assert answer.status_code == status and answer.json()["error"]
+
+
+def test_a_job_that_cannot_be_done_fails_with_a_sentence_and_the_next_one_is_done(client):
+    [walked] = made(sampled(client, steps="preview"))
+    told = sampled(client, keep=walked["motion"]["id"])
+    assert told[-1][0] == "failed" and "nothing to make anew" in told[-1][1]["error"]
+    assert sampled(client)[-1][0] == "done"
+
+
+class Held:
+    """A model whose sampling waits at each step until it may go on."""
+
+    def __init__(self, model: stmc.Model) -> None:
+        self.model, self.began, self.may = model, threading.Event(), threading.Event()
+
+    def generate(self, timelines, progress, **settings):
+        def waiting(steps, total):
+            for step in progress(steps, total):
+                self.began.set()
+                assert self.may.wait(timeout=60)
+                yield step
+
+        return self.model.generate(timelines, progress=waiting, **settings)
+
+
+@pytest.fixture
+def held(model, tmp_path) -> Iterator[tuple[Held, Jobs]]:
+    slow = Held(model)
+    jobs = Jobs(slow.generate, Motions(tmp_path))
+    yield slow, jobs
+    slow.may.set()
+    jobs.close()
+
+
+def ask(**settings) -> Asked:
+    return Asked(stmc.Timeline.parse("walk # 0 # 1"), seeds=(0,), **settings)
+
+
+def test_a_cancelled_job_ends_before_its_next_step_and_one_that_waits_at_once(held):
+    slow, jobs = held
+    running, waiting, last = jobs.add(ask()), jobs.add(ask()), jobs.add(ask(steps=(1,)))
+    assert slow.began.wait(timeout=60)
+    jobs.cancel(waiting.name)
+    jobs.cancel(running.name)
+    assert waiting.events[-1][0] == "cancelled" and not running.ended
+    slow.may.set()
+    jobs.wait()
+    assert [job.events[-1][0] for job in (running, waiting, last)] == ["cancelled", "cancelled", "done"]
+    assert not any(kind == "motion" for kind, _ in running.events)
+
+
+def test_of_one_tab_only_the_last_job_waits_and_too_many_are_refused(held):
+    slow, jobs = held
+    jobs.add(ask())
+    assert slow.began.wait(timeout=60)
+    first, second = (jobs.add(ask(tab="one")) for _ in range(2))
+    assert first.ended and not second.ended
+    for _ in range(MOST_WAITING - 1):
+        jobs.add(ask())
+    with pytest.raises(Refused, match="wait already"):
+        jobs.add(ask())
+    jobs.add(ask(tab="one"))  # in the other's place
+
+
+def test_a_closed_queue_ends_what_is_being_sampled_and_what_waits(held):
+    slow, jobs = held
+    running, waiting = jobs.add(ask()), jobs.add(ask())
+    assert slow.began.wait(timeout=60)
+    threading.Timer(0.2, slow.may.set).start()
+    jobs.close()
+    assert [running.events[-1][0], waiting.events[-1][0]] == ["cancelled", "cancelled"]
+
+
+# What is kept
+
+
+def test_a_motion_can_be_taken_away_in_every_format(client):
+    [told] = made(sampled(client, steps="preview"))
+    for kind, start in {
+        "glb": b"glTF",
+        "bvh": b"HIERARCHY",
+        "npz": b"PK",
+        "csv": b"",
+        "xml": b"<",
+        "html": b"<!",
+    }.items():
+        answer = client.get(f"/api/motions/{told['motion']['id']}.{kind}", params={"fps": "30"})
+        assert answer.status_code == 200 and answer.content.lower().startswith(start.lower()), kind
+        assert f"motion.{kind}" in answer.headers["content-disposition"]
+
+
+@pytest.mark.parametrize("path", ["none.glb", "..%2Fmodel.npz", "x" * 50 + ".bvh", "a.exe"])
+def test_what_is_no_motion_is_not_found(client, path):
+    assert client.get(f"/api/motions/{path}").status_code == 404
+
+
+@pytest.mark.parametrize("fps", ["0", "1e9", "nan", "-3", "241"])
+def test_frame_rates_are_bounded(client, fps):
+    [told] = made(sampled(client, steps="preview"))
+    assert client.get(f"/api/motions/{told['motion']['id']}.bvh", params={"fps": fps}).status_code == 422
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"not a motion", np.zeros(3).tobytes()], ids=repr)
+def test_a_file_that_is_no_motion_is_refused(client, content):
+    assert client.post("/api/motions", content=content).status_code == 422
+
+
+def test_motions_outlive_the_server_and_old_ones_go_unless_a_document_names_them(tmp_path, monkeypatch):
+    monkeypatch.setattr("stmc.studio.stores.MOST_MOTIONS", 1)
+    monkeypatch.setattr("stmc.studio.stores.REMEMBERED", 1)
+    motion = tiny().generate("walk # 0 # 0.5", steps=1)[0]
+    before = Motions(tmp_path)
+    names = [before.add(motion) for _ in range(3)]
+    after = Motions(tmp_path)
+    for name in names:
+        torch.testing.assert_close(after.get(name).joints, motion.joints)
+    after.prune(f'{{"favourite": "{names[0]}"}}')
+    assert names[0] in {path.stem for path in tmp_path.iterdir()} and len(list(tmp_path.iterdir())) == 2
+
+
+def test_of_two_tabs_none_overwrites_the_other_unknowingly(client):
+    address = "/api/documents/walk"
+    assert client.put(address, json={"base": 0, "content": {"name": "mine"}}).json() == {"version": 1}
+    refused = client.put(address, json={"base": 0, "content": {"name": "theirs"}})
+    assert refused.status_code == 409 and refused.json()["content"] == {"name": "mine"}
+    assert client.put(address, json={"base": 1, "content": {"name": "both"}}).json() == {"version": 2}
+    assert client.get(address).json() == {"id": "walk", "version": 2, "content": {"name": "both"}}
+    assert [each["name"] for each in client.get("/api/documents").json()["documents"] if each["id"] == "walk"] == [
+        "both"
+    ]
+    assert client.delete(address).status_code == 200 and client.get(address).status_code == 404
+
+
+def test_of_many_that_write_at_once_each_version_is_somebodys_whole_document(tmp_path):
+    documents, won = Documents(tmp_path), []
+
+    def write(number: int) -> None:
+        for _ in range(20):
+            try:
+                now = documents.get("one")["version"]
+            except Refused:
+                now = 0
+            try:
+                won.append(documents.put("one", now, {"who": number, "text": str(number) * 1000}))
+            except Refused as refused:
+                assert refused.status == 409
+
+    threads = [threading.Thread(target=write, args=(number,)) for number in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(won) == list(range(1, len(won) + 1))
+    last = documents.get("one")
+    assert last["version"] == len(won) and set(last["content"]["text"]) == {str(last["content"]["who"])}
+
+
+def test_a_damaged_document_is_said_to_be_one_and_hides_no_other(client):
+    folder = Path(client.app.state.folder) / "documents"
+    (folder / "damaged.json").write_text('{"version": 1, "con')
+    client.put("/api/documents/whole", json={"base": 0, "content": {}})
+    assert client.get("/api/documents/damaged").status_code == 422
+    assert "whole" in [each["id"] for each in client.get("/api/documents").json()["documents"]]
