@@ -17,6 +17,7 @@ from threading import Timer
 from typing import get_args
 
 import torch
+import uvicorn
 from omegaconf import DictConfig
 from rich.console import Console
 
@@ -25,6 +26,7 @@ from stmc.commands import command
 from stmc.commands.shared import OnDevice, Threaded
 from stmc.model import Precision
 from stmc.settings import SettingError, setting
+from stmc.studio import application
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,12 +45,6 @@ class Settings(OnDevice, Threaded):
 @command("studio", Settings)
 def main(config: DictConfig) -> None:
     console = Console(soft_wrap=True, highlight=False)
-    try:
-        import uvicorn
-
-        from stmc.studio import application
-    except ModuleNotFoundError as error:
-        raise SettingError(f"the studio needs {error.name}: pip install 'stmc[studio]'") from None
     if config.threads:
         torch.set_num_threads(config.threads)
     listening = listen(config.port)

@@ -2,7 +2,7 @@
 
 A server for that page alone: it checks timelines, samples them one after the other, keeps motions and documents, and
 hands out files. What is edited, and how, is the page's business (`assets/studio`); how timelines are sampled, the
-library's. Knows models, exports and views; needs the extra `studio`.
+library's. Knows models, exports and views.
 """
 
 from stmc.studio.jobs import Asked, Job, Jobs
