@@ -1,0 +1,79 @@
+// What is made anew of a motion: times and body parts that nothing locks, that one prompt decides, or that an edit has
+// touched. Spans are {start, end} in seconds. `owners`: for each body part [[prompt id or null, start, end], …].
+
+import { PARTS, merged } from "./state.js";
+
+const SHORTEST = 0.02; // seconds; less is no frame
+
+function without(spans, taken) {
+  let left = spans;
+  for (const gone of taken)
+    left = left.flatMap(({ start, end }) => [
+      { start, end: Math.min(end, gone.start) },
+      { start: Math.max(start, gone.end), end },
+    ].filter((piece) => piece.end - piece.start > SHORTEST));
+  return left;
+}
+
+function within(spans, bounds) {
+  return spans.flatMap(({ start, end }) =>
+    bounds.map((bound) => ({ start: Math.max(start, bound.start), end: Math.min(end, bound.end) }))
+      .filter((piece) => piece.end - piece.start > SHORTEST));
+}
+
+// One change for each span of time, of all the parts that have it.
+function joined(spansOf) {
+  const changes = new Map();
+  for (const part of PARTS)
+    for (const { start, end } of merged(spansOf(part))) {
+      const key = `${start} ${end}`;
+      if (!changes.has(key)) changes.set(key, { start, end, parts: [] });
+      changes.get(key).parts.push(part);
+    }
+  return [...changes.values()].sort((one, other) => one.start - other.start);
+}
+
+const ownedBy = (owners, part, wanted) =>
+  (owners[part] ?? []).filter(([owner]) => wanted(owner)).map(([, start, end]) => ({ start, end }));
+
+function lockedOf(document, owners, part, duration) {
+  if (document.locks.parts.includes(part)) return [{ start: 0, end: duration }];
+  const ids = new Set(document.prompts.filter(({ locked }) => locked).map(({ id }) => id));
+  return [
+    ...document.locks.spans,
+    ...ownedBy(owners, part, (owner) => owner === null ? document.locks.gaps : ids.has(owner)),
+  ];
+}
+
+export const hasLocks = ({ prompts, locks }) =>
+  locks.gaps || locks.parts.length > 0 || locks.spans.length > 0 || prompts.some(({ locked }) => locked);
+
+// All that is not locked.
+export const unlocked = (document, owners, duration) =>
+  joined((part) => without([{ start: 0, end: duration }], lockedOf(document, owners, part, duration)));
+
+// Of `wanted` (changes), what is not locked.
+export const unlockedOf = (wanted, document, owners, duration) =>
+  joined((part) => {
+    const spans = wanted.filter(({ parts }) => parts.includes(part));
+    return without(within(spans, [{ start: 0, end: duration }]), lockedOf(document, owners, part, duration));
+  });
+
+// What one prompt decides.
+export const decidedBy = (id, owners) => joined((part) => ownedBy(owners, part, (owner) => owner === id));
+
+// Who asks what of each body part, in words that compare.
+export function asked(document, owners) {
+  const says = new Map(document.prompts.map(({ id, text, start, end }) => [id, `${text} # ${start} # ${end}`]));
+  return Object.fromEntries(PARTS.map((part) => [
+    part, (owners[part] ?? []).map(([owner, start, end]) => [says.get(owner) ?? null, start, end]),
+  ]));
+}
+
+// Where body parts are asked for something else than `before`.
+export const touched = (before, after) =>
+  joined((part) => after[part]
+    .flatMap(([says, start, end]) => {
+      const same = (before[part] ?? []).filter(([said]) => said === says);
+      return without([{ start, end }], same.map(([, from, to]) => ({ start: from, end: to })));
+    }));

@@ -1,0 +1,226 @@
+// Puts the page together: the bar above, the player, the stage's samples, and what belongs to the page as a whole.
+
+import * as server from "./server.js";
+import { find, say, watch } from "./dom.js";
+import { colourOf, partColour } from "./colours.js";
+import { askConflict, openExport, openHelp, openOpen } from "./dialogs.js";
+import { createConstraintPanel } from "./constraint_panel.js";
+import { createPlayer } from "./player.js";
+import { createPromptPanel, createSamplesPanel, createWordsPanel } from "./panels.js";
+import { createSaving } from "./saving.js";
+import { createShown } from "./shown.js";
+import { createStage } from "./stage.js";
+import { createStudio } from "./studio.js";
+import { createTracks } from "./tracks.js";
+import { createWork } from "./work.js";
+import { listenToKeys } from "./keys.js";
+import { documentOfTimeline, rounded, trackCount } from "./state.js";
+import { clock } from "./times.js";
+
+const studio = createStudio();
+const { store } = studio;
+const player = createPlayer(studio.duration);
+const work = createWork(studio, crypto.randomUUID?.() ?? String(Math.random()), say);
+const saving = createSaving(studio, askConflict);
+const stage = createStage(find("stage"), {
+  drawn: (points) => constraints.drawn(points),
+  moved: (id, point, finished) => moved(id, point, finished),
+  chosen: (id) => store.set({ constraint: id }),
+});
+const tracks = createTracks(studio, player, work);
+const constraints = createConstraintPanel(studio, player, stage);
+const shown = createShown(studio, stage);
+createPromptPanel(studio, player, work, tracks);
+createSamplesPanel(studio, work, shown);
+createWordsPanel(studio, player);
+
+let dragged = null; // the gesture of a target's drag
+function moved(id, point, finished) {
+  dragged ??= studio.gesture();
+  studio.edit({ kind: "adjust", id, change: { point: point.map(rounded) } }, dragged);
+  if (!finished) return;
+  dragged = null;
+  studio.settle();
+}
+
+// ---- time ---------------------------------------------------------------------------------------------------------------
+player.listen((time, playing) => {
+  stage.at(time);
+  find("time").textContent = `${clock(time)} / ${clock(studio.duration())} s`;
+  const play = find("play");
+  if (play.dataset.playing === String(playing)) return;
+  play.dataset.playing = String(playing);
+  play.setAttribute("aria-label", playing ? "Pause" : "Play");
+  play.querySelector("use").setAttribute("href", playing ? "#icon-pause" : "#icon-play");
+});
+find("play").onclick = () => player.play();
+find("speed").onchange = ({ target }) => (player.speed = Number(target.value));
+find("loop").onclick = ({ currentTarget }) => {
+  player.loops = !player.loops;
+  currentTarget.setAttribute("aria-pressed", String(player.loops));
+};
+
+// ---- the stage's own buttons --------------------------------------------------------------------------------------------
+let follows = true;
+function toggleFollow() {
+  follows = !follows;
+  find("follow").setAttribute("aria-pressed", String(follows));
+  stage.follow(follows);
+}
+find("follow").onclick = toggleFollow;
+find("reset-view").onclick = () => stage.reset();
+
+watch(store, ({ drawing }) => [drawing], ({ drawing }) => {
+  stage.draw(drawing);
+  find("drawing").hidden = !drawing;
+});
+watch(store, ({ history, constraint }) => [history.present.constraints, constraint],
+  ({ history, constraint }) => stage.mark(history.present.constraints, constraint));
+watch(store, ({ history, check }) => [history.present.prompts, check], ({ history, check }) => {
+  const colours = new Map(history.present.prompts.map(({ id, colour }) => [id, colourOf(colour)]));
+  stage.colour((part, time) => partColour(check?.owners[part], check?.transitions[part], time, colours));
+});
+
+// ---- generating ---------------------------------------------------------------------------------------------------------
+const STAGES = { waiting: "Waiting", preview: "Preview", full: "Full quality" };
+find("generate").onclick = () => (store.get().job ? work.cancel() : work.generate());
+watch(store, ({ job, history }) => [job, history.present.prompts.length], ({ job, history }) => {
+  const share = job?.steps ? job.step / job.steps : 0;
+  find("generate").querySelector("span").textContent = job ? "Cancel" : "Generate";
+  find("generate").classList.toggle("primary", !job);
+  find("generate").disabled = !job && !history.present.prompts.length;
+  find("progress").hidden = !job;
+  find("progress-bar").style.width = `${100 * share}%`;
+  find("progress-text").textContent = job ? `${STAGES[job.stage] ?? job.stage}${job.steps ? ` ${job.step}/${job.steps}` : ""}` : "";
+});
+
+// ---- the bar above ------------------------------------------------------------------------------------------------------
+const begin = {
+  timeline: (timeline) => saving.create({ document: documentOfTimeline(timeline) }),
+  async file(file) {
+    if (/\.(npz|bvh)$/i.test(file.name)) return upload(file);
+    const { timelines } = await server.readTimelines(file.name, await file.text());
+    begin.timeline(timelines[0]);
+    if (timelines.length > 1) say(`The file has ${timelines.length} timelines; this is the first.`);
+  },
+};
+
+// A recorded motion is kept where no prompt holds.
+async function upload(file) {
+  const { motion } = await server.uploadMotion(file);
+  const document = { ...documentOfTimeline({ name: file.name.replace(/\.\w+$/, ""), prompts: [] }) };
+  document.locks = { ...document.locks, gaps: true };
+  const sample = { key: "recorded", seed: null, steps: "recorded", motion, demands: [], asked: {}, varied: true };
+  saving.create({ document, samples: [sample], chosen: "recorded" });
+  say("The recorded motion is kept where no prompt holds: write prompts where it shall change.");
+}
+
+find("open").onclick = () => openOpen(studio, saving, begin);
+find("export").onclick = () => openExport(studio);
+find("help").onclick = openHelp;
+find("undo").onclick = studio.undo;
+find("redo").onclick = studio.redo;
+find("add").onclick = () => tracks.draft(rounded(Math.round(player.time() * 10) / 10), trackCount(studio.present()));
+find("zoom-in").onclick = () => tracks.zoomBy(1.3);
+find("zoom-out").onclick = () => tracks.zoomBy(1 / 1.3);
+find("name").onchange = ({ target }) => {
+  studio.edit({ kind: "name", name: target.value });
+  target.value = studio.present().name;
+};
+const SAVED = { saved: "Saved", saving: "Saving…", away: "Server away: kept in this browser", conflict: "Changed in another tab" };
+watch(store, ({ history, saved }) => [history, saved], ({ history, saved }) => {
+  find("undo").disabled = !history.past.length;
+  find("redo").disabled = !history.future.length;
+  if (document.activeElement !== find("name")) find("name").value = history.present.name;
+  find("saved").textContent = SAVED[saved];
+  find("saved").dataset.state = saved;
+  document.title = `${history.present.name} – stmc studio`;
+  find("time").textContent = `${clock(player.time())} / ${clock(studio.duration())} s`;
+});
+
+// ---- panels' tabs -------------------------------------------------------------------------------------------------------
+const tabs = [...document.querySelectorAll("[role=tab]")];
+function openTab(tab) {
+  for (const each of tabs) {
+    each.setAttribute("aria-selected", String(each === tab));
+    each.tabIndex = each === tab ? 0 : -1;
+    find(each.getAttribute("aria-controls")).hidden = each !== tab;
+  }
+}
+for (const [index, tab] of tabs.entries()) {
+  tab.onclick = () => openTab(tab);
+  tab.onkeydown = ({ key }) => {
+    const by = { ArrowRight: 1, ArrowLeft: -1 }[key];
+    if (!by) return;
+    const next = tabs[(index + by + tabs.length) % tabs.length];
+    openTab(next);
+    next.focus();
+  };
+}
+watch(store, ({ selected }) => [selected], ({ selected }) => selected && find("tab-words").ariaSelected !== "true" && openTab(find("tab-prompt")));
+watch(store, ({ constraint }) => [constraint], ({ constraint }) => constraint && openTab(find("tab-constraints")));
+
+// ---- light and dark -----------------------------------------------------------------------------------------------------
+const THEMES = { light: "dark", dark: "auto", auto: "light" };
+const dark = matchMedia("(prefers-color-scheme: dark)");
+function wear(theme) {
+  document.documentElement.dataset.theme = theme === "auto" ? (dark.matches ? "dark" : "light") : theme;
+  find("theme").dataset.theme = theme;
+  find("theme").setAttribute("aria-label", `Colours: ${theme}`);
+  find("theme").title = `Colours: ${theme}`;
+  find("theme").querySelector("use").setAttribute("href", `#icon-${theme}`);
+  const style = getComputedStyle(document.documentElement);
+  const value = (name) => style.getPropertyValue(name).trim();
+  stage.theme({ room: value("--room"), line: value("--floor"), way: value("--way"), shadow: Number(value("--shadow")) });
+}
+function recalledTheme() {
+  try {
+    return localStorage.getItem("stmc-studio-theme") ?? "auto";
+  } catch {
+    return "auto";
+  }
+}
+find("theme").onclick = () => {
+  const next = THEMES[find("theme").dataset.theme];
+  try {
+    localStorage.setItem("stmc-studio-theme", next);
+  } catch {
+    // worn for this visit alone
+  }
+  wear(next);
+};
+dark.addEventListener("change", () => wear(find("theme").dataset.theme));
+wear(recalledTheme());
+
+// ---- keys, and the beginning --------------------------------------------------------------------------------------------
+listenToKeys(studio, player, work, tracks, {
+  fps: () => store.get().model?.fps ?? 20,
+  toggleFollow,
+  help: openHelp,
+  save: () => openExport(studio),
+  escape() {
+    if (store.get().drawing) store.set({ drawing: false });
+    else if (store.get().job) work.cancel();
+    else store.set({ selected: null, span: null });
+  },
+});
+
+async function start() {
+  for (;;) {
+    try {
+      store.set({ model: await server.askModel() });
+      break;
+    } catch (error) {
+      if (error.status === 401) return say("This page needs the address that the studio printed when it started.");
+      say("The server does not answer; trying again.");
+      await new Promise((resolve) => setTimeout(resolve, 2000));
+    }
+  }
+  const wanted = location.hash.slice(1) || saving.last();
+  if (/^[\w-]{1,64}$/.test(wanted ?? "")) await saving.open(wanted);
+  else saving.create();
+  document.body.dataset.ready = "true";
+}
+addEventListener("hashchange", () => location.hash.slice(1) && location.hash.slice(1) !== store.get().id && saving.open(location.hash.slice(1)));
+addEventListener("pagehide", () => saving.push());
+start();

@@ -1,0 +1,60 @@
+// What constraints look like in the room: paths on the floor, balls where hands and feet shall be. Knows constraints as
+// the document has them ({kind, id, …}; x, y and z with z up).
+
+import {
+  BufferGeometry, Float32BufferAttribute, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, RingGeometry, SphereGeometry,
+} from "./vendor/three.module.min.js";
+
+const COLOUR = 0xe5484d;
+const line = (points) =>
+  new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points.flatMap(([x, y]) => [x, 0.012, -y]), 3));
+
+export function createMarks(scene) {
+  const group = new Group();
+  const ink = new LineBasicMaterial({ color: COLOUR });
+  const solid = new MeshBasicMaterial({ color: COLOUR, transparent: true, opacity: 0.9 });
+  const pale = new MeshBasicMaterial({ color: COLOUR, transparent: true, opacity: 0.5 });
+  const ball = new SphereGeometry(0.045, 20, 14);
+  const ring = new RingGeometry(0.06, 0.08, 28).rotateX(-Math.PI / 2).translate(0, 0.012, 0);
+  const sketch = new Line(line([]), ink);
+  scene.add(group, sketch);
+  let targets = new Map(); // id → ball
+
+  function path({ points }) {
+    group.add(new Line(line(points), ink));
+    const [x, y] = points.at(-1);
+    const end = new Mesh(ring, solid);
+    end.position.set(x, 0, -y);
+    group.add(end);
+  }
+
+  function target({ id, point: [x, y, z] }, chosen) {
+    const mark = new Mesh(ball, chosen === id ? solid : pale);
+    mark.position.set(x, z, -y);
+    group.add(mark);
+    const drop = [[x, 0, -y], [x, z, -y]].flat();
+    group.add(new Line(new BufferGeometry().setAttribute("position", new Float32BufferAttribute(drop, 3)), ink));
+    targets.set(id, mark);
+  }
+
+  return {
+    show(constraints, chosen) {
+      for (const child of group.children) if (child.isLine) child.geometry.dispose();
+      group.clear();
+      targets = new Map();
+      for (const constraint of constraints) {
+        if (constraint.kind === "path") path(constraint);
+        if (constraint.kind === "target") target(constraint, chosen);
+      }
+    },
+    sketch(points) {
+      sketch.geometry.dispose();
+      sketch.geometry = line(points);
+    },
+    hit(caster) {
+      const [first] = caster.intersectObjects([...targets.values()], false);
+      return first ? [...targets].find(([, mark]) => mark === first.object)[0] : null;
+    },
+    place: (id) => targets.get(id).position.clone(),
+  };
+}

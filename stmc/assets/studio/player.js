@@ -1,0 +1,45 @@
+// Time: a cursor that plays, stops and is put somewhere. Knows how long it may go, and nothing of what is played.
+
+export function createPlayer(durationOf) {
+  const listeners = [];
+  let time = 0;
+  let playing = false;
+  let before = null;
+  const tell = () => listeners.forEach((listener) => listener(time, playing));
+
+  function tick(now) {
+    if (!playing) return (before = null);
+    const passed = before === null ? 0 : Math.min((now - before) / 1000, 0.25);
+    before = now;
+    time += passed * player.speed;
+    if (time >= durationOf()) {
+      if (player.loops) time = 0;
+      else {
+        time = durationOf();
+        playing = false;
+      }
+    }
+    tell();
+    requestAnimationFrame(tick);
+  }
+
+  const player = {
+    speed: 1,
+    loops: true,
+    time: () => time,
+    playing: () => playing,
+    listen: (listener) => listeners.push(listener),
+    seek(seconds) {
+      time = Math.max(0, seconds);
+      tell();
+    },
+    play(on = !playing) {
+      if (on === playing || (on && !durationOf())) return;
+      playing = on;
+      if (on && time >= durationOf() - 0.01) time = 0;
+      if (on) requestAnimationFrame(tick);
+      tell();
+    },
+  };
+  return player;
+}

@@ -1,0 +1,91 @@
+// Which samples stand on the stage: fetches their figures, names their views, pins favourites. Knows the server's motions
+// and the stage; knows no jobs.
+
+import * as server from "./server.js";
+import { button, find, keyed, make, say, watch } from "./dom.js";
+import { figureOf } from "./figure.js";
+
+const MOST_KEPT = 24; // figures' files, in memory
+
+export function createShown(studio, stage) {
+  const { store } = studio;
+  const files = new Map(); // motion id → bytes
+  let figures = new Map(); // motion id → figure, of those on the stage
+  let asked = 0;
+
+  async function bytesOf(id) {
+    const known = files.get(id);
+    files.delete(id);
+    const bytes = known ?? (await (await server.motionFile(id, "glb")).arrayBuffer());
+    files.set(id, bytes); // the latest last
+    if (files.size > MOST_KEPT) files.delete(files.keys().next().value);
+    return bytes;
+  }
+
+  async function show({ samples, chosen }) {
+    const number = ++asked;
+    const next = new Map();
+    for (const { motion } of samples) {
+      try {
+        next.set(motion.id, figures.get(motion.id) ?? (await figureOf(await bytesOf(motion.id))));
+      } catch (error) {
+        if (error.status === 404) return forget(motion.id);
+        say(`The motion cannot be shown: ${error.message}.`);
+      }
+      if (number !== asked) return; // others are wanted meanwhile
+    }
+    for (const [id, figure] of figures) if (!next.has(id)) figure.dispose();
+    figures = next;
+    stage.show(samples.filter(({ motion }) => next.has(motion.id)).map(({ key, motion }) => ({ key, figure: next.get(motion.id) })), chosen);
+    const style = getComputedStyle(document.documentElement);
+    for (const figure of next.values()) figure.paintWay(style.getPropertyValue("--way").trim());
+    label();
+    document.body.dataset.shown = samples.map(({ motion }) => motion.id).join(" ");
+  }
+
+  // A server that began anew knows the motion no more.
+  function forget(id) {
+    const samples = store.get().samples.filter(({ motion }) => motion.id !== id);
+    store.set({ samples, chosen: samples[0]?.key ?? null });
+  }
+
+  function label() {
+    const { samples, chosen, favourites } = store.get();
+    const cells = stage.cells();
+    keyed(find("views"), samples.length > 1 ? samples : [], ({ key }) => key, () => make("div", { class: "view" }), (view, sample) => {
+      const { x, y, width, height } = cells[samples.indexOf(sample)] ?? cells[0];
+      view.style.cssText = `left:${x}px;top:${y}px;width:${width}px;height:${height}px`;
+      view.classList.toggle("on", sample.key === chosen);
+      const pinned = favourites.some(({ motion }) => motion.id === sample.motion.id);
+      view.replaceChildren(
+        button(nameOf(sample), () => studio.choose(sample.key), { class: "pill", "aria-pressed": String(sample.key === chosen) }),
+        button("", () => pin(sample), { class: "pill", "aria-pressed": String(pinned), "aria-label": `Pin ${nameOf(sample)}` }, "pin"));
+    });
+    find("empty").hidden = samples.length > 0;
+  }
+
+  const nameOf = ({ seed, steps }) => (steps === "recorded" ? "Recorded" : `Seed ${seed}`);
+  const stageOf = ({ steps, motion }) => `${steps === "full" || steps === "recorded" ? "" : "preview, "}${motion.duration.toFixed(1)} s`;
+
+  function pin(sample) {
+    const { favourites } = store.get();
+    if (favourites.some(({ motion }) => motion.id === sample.motion.id))
+      return store.set({ favourites: favourites.filter(({ motion }) => motion.id !== sample.motion.id) });
+    const name = `${nameOf(sample)}, ${favourites.length + 1}`;
+    if (sample.key !== store.get().chosen) studio.choose(sample.key);
+    requestAnimationFrame(() => requestAnimationFrame(() =>
+      store.set({ favourites: [...store.get().favourites, { ...sample, name, picture: stage.picture(144) }] })));
+  }
+
+  // What is made from now on begins with this motion.
+  function useFavourite(favourite) {
+    const sample = { ...favourite, key: `favourite ${favourite.motion.id}`, varied: true };
+    store.set({ samples: [sample], chosen: sample.key });
+    studio.remember(studio.present(), [sample], sample.key);
+  }
+
+  watch(store, ({ samples, chosen }) => [samples, chosen], show);
+  watch(store, ({ favourites, samples, chosen }) => [favourites, samples, chosen], label);
+  new ResizeObserver(label).observe(find("stage"));
+  return { nameOf, stageOf, pin, useFavourite };
+}

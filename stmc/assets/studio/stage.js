@@ -1,0 +1,293 @@
+// The room: figures side by side over a floor, one camera for all, and marks of constraints to draw and to drag.
+// Knows figures, times and places (metres; x, y and z as glTF has them, y up); knows no server and no document.
+
+import {
+  Color, DirectionalLight, DoubleSide, HemisphereLight, Mesh, PCFSoftShadowMap,
+  PerspectiveCamera, Plane, PlaneGeometry, Raycaster, Scene, ShaderMaterial, ShadowMaterial, Vector2, Vector3, WebGLRenderer,
+} from "./vendor/three.module.min.js";
+import { OrbitControls } from "./vendor/OrbitControls.js";
+import { createMarks } from "./marks.js";
+
+const HEIGHT = 0.9; // metres above the floor that the camera looks at
+const FLOOR = new Plane(new Vector3(0, 1, 0), 0);
+
+// `tell`: {drawn(points), moved(id, point, finished), chosen(id)}, what the hand does in the room.
+export function createStage(host, tell) {
+  const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+  renderer.shadowMap.enabled = true;
+  renderer.shadowMap.type = PCFSoftShadowMap;
+  renderer.setPixelRatio(Math.min(devicePixelRatio || 1, 2));
+  host.prepend(renderer.domElement);
+  const scene = new Scene();
+  const camera = new PerspectiveCamera(32, 1, 0.05, 200);
+  camera.position.set(2.6, 1.9, 4.2);
+  const controls = new OrbitControls(camera, renderer.domElement);
+  controls.target.set(0, HEIGHT, 0);
+  controls.enableDamping = !calm;
+  controls.maxPolarAngle = 0.495 * Math.PI;
+  controls.minDistance = 1.2;
+  controls.maxDistance = 40;
+  const light = lit(scene);
+  const floor = floorOf(scene);
+  const marks = createMarks(scene);
+
+  let figures = []; // [{key, figure}], one view each
+  let main = 0; // the view that the camera follows first
+  let time = 0;
+  let follows = true;
+  let colours = () => [0.6, 0.6, 0.65];
+  let stale = true;
+  let last = null; // where the followed figure was
+  let tool = null; // {kind, points, …} while a hand draws or drags
+  let drawing = false;
+
+  const invalidate = () => (stale = true);
+  controls.addEventListener("change", invalidate);
+  new ResizeObserver(() => {
+    renderer.setSize(host.clientWidth, host.clientHeight, false);
+    invalidate();
+  }).observe(host);
+
+  // ---- views ----------------------------------------------------------------------------------------------------------
+  const columns = () => {
+    const count = Math.max(figures.length, 1);
+    if (count <= 1) return 1;
+    return host.clientWidth < 560 ? Math.min(count, 2) : count === 4 && host.clientWidth < 1000 ? 2 : count;
+  };
+
+  function cells() {
+    const count = Math.max(figures.length, 1);
+    const across = columns();
+    const down = Math.ceil(count / across);
+    const [width, height] = [host.clientWidth / across, host.clientHeight / down];
+    return Array.from({ length: count }, (_, index) => ({
+      x: (index % across) * width, y: Math.floor(index / across) * height, width, height,
+    }));
+  }
+
+  function keepUp() {
+    const figure = figures[main]?.figure;
+    if (!figure) return;
+    const here = figure.followed(time);
+    if (follows && last) {
+      const moved = here.clone().sub(last);
+      camera.position.add(moved);
+      controls.target.add(moved);
+    }
+    last = here;
+  }
+
+  function render() {
+    requestAnimationFrame(render);
+    if (controls.enabled && controls.update()) stale = true;
+    if (!stale) return;
+    stale = false;
+    keepUp();
+    for (const { figure } of figures) {
+      figure.pose(time);
+      figure.paint((part) => colours(part, time));
+    }
+    renderer.setScissorTest(true);
+    cells().forEach((cell, index) => renderView(cell, index));
+    host.dataset.time = time.toFixed(3);
+  }
+
+  function renderView({ x, y, width, height }, index) {
+    const bottom = host.clientHeight - y - height;
+    renderer.setViewport(x, bottom, width, height);
+    renderer.setScissor(x, bottom, width, height);
+    figures.forEach(({ figure }, other) => (figure.group.visible = other === index));
+    const here = figures[index]?.figure.followed(time) ?? new Vector3();
+    const shift = follows && last ? here.clone().sub(last) : new Vector3();
+    camera.aspect = width / height;
+    camera.fov = width < height ? 40 : 32;
+    camera.updateProjectionMatrix();
+    camera.position.add(shift);
+    camera.updateMatrixWorld();
+    light.position.set(here.x + 2.5, 5, here.z + 2);
+    light.target.position.copy(here);
+    light.target.updateMatrixWorld();
+    floor.centre(here);
+    renderer.render(scene, camera);
+    camera.position.sub(shift);
+    camera.updateMatrixWorld();
+  }
+
+  // ---- the hand -------------------------------------------------------------------------------------------------------
+  const caster = new Raycaster();
+  function aim(event) {
+    const box = renderer.domElement.getBoundingClientRect();
+    const [x, y] = [event.clientX - box.left, event.clientY - box.top];
+    const cell = cells()[main] ?? cells()[0];
+    camera.aspect = cell.width / cell.height;
+    camera.updateProjectionMatrix();
+    caster.setFromCamera(new Vector2((2 * (x - cell.x)) / cell.width - 1, 1 - (2 * (y - cell.y)) / cell.height), camera);
+    return caster;
+  }
+
+  function down(event) {
+    if (event.button) return;
+    if (drawing) {
+      tool = { kind: "path", points: [] };
+    } else {
+      const id = marks.hit(aim(event));
+      if (id === null) return;
+      const point = marks.place(id);
+      const away = camera.getWorldDirection(new Vector3());
+      tool = { kind: "target", id, plane: new Plane().setFromNormalAndCoplanarPoint(away, point), point };
+      tell.chosen(id);
+    }
+    controls.enabled = false;
+    renderer.domElement.setPointerCapture(event.pointerId);
+    move(event);
+  }
+
+  function move(event) {
+    if (!tool) return;
+    const point = aim(event).ray.intersectPlane(tool.kind === "path" ? FLOOR : tool.plane, new Vector3());
+    if (!point || point.length() > 100) return;
+    if (tool.kind === "path") {
+      tool.points.push([point.x, -point.z]);
+      marks.sketch(tool.points);
+    } else {
+      tool.point = point;
+      tell.moved(tool.id, [point.x, -point.z, point.y], false);
+    }
+    invalidate();
+  }
+
+  function up() {
+    if (!tool) return;
+    const { kind, points, id, point } = tool;
+    tool = null;
+    controls.enabled = true;
+    marks.sketch([]);
+    if (kind === "path") tell.drawn(points);
+    else tell.moved(id, [point.x, -point.z, point.y], true);
+    invalidate();
+  }
+
+  renderer.domElement.addEventListener("pointerdown", down);
+  renderer.domElement.addEventListener("pointermove", move);
+  for (const end of ["pointerup", "pointercancel"]) renderer.domElement.addEventListener(end, up);
+
+  function reset() {
+    const here = figures[main]?.figure.followed(time) ?? new Vector3();
+    controls.target.set(here.x, HEIGHT, here.z);
+    camera.position.set(here.x + 2.6, 1.9, here.z + 4.2);
+    last = here;
+    invalidate();
+  }
+
+  render();
+  return {
+    cells,
+    reset,
+    // [{key, figure}] in the order of their views; `chosen` is the one that the camera follows.
+    show(next, chosen) {
+      const arrived = !figures.length && next.length;
+      for (const { group } of figures.map(({ figure }) => figure)) scene.remove(group);
+      figures = next;
+      for (const { figure } of figures) scene.add(figure.group);
+      main = Math.max(0, figures.findIndex(({ key }) => key === chosen));
+      last = figures.length ? figures[main].figure.followed(time) : null;
+      if (arrived || follows) reset();
+      invalidate();
+    },
+    at(seconds) {
+      time = seconds;
+      invalidate();
+    },
+    colour(next) {
+      colours = next;
+      invalidate();
+    },
+    follow(on) {
+      follows = on;
+      if (on) reset();
+    },
+    draw(on) {
+      drawing = on;
+      renderer.domElement.classList.toggle("drawing", on);
+    },
+    mark(constraints, chosen) {
+      marks.show(constraints, chosen);
+      invalidate();
+    },
+    // Where a joint of the chosen figure is (x, y and z with z up), or null.
+    joint(name) {
+      const bone = figures[main]?.figure.joints.get(name);
+      if (!bone) return null;
+      figures[main].figure.pose(time);
+      figures[main].figure.group.updateMatrixWorld(true);
+      const { x, y, z } = bone.getWorldPosition(new Vector3());
+      return [x, -z, y].map((value) => Math.round(value * 1000) / 1000);
+    },
+    theme(style) {
+      renderer.setClearColor(new Color(style.room));
+      floor.theme(style);
+      for (const { figure } of figures) figure.paintWay(style.way);
+      invalidate();
+    },
+    // A small picture of the chosen view, as a data address.
+    picture(width) {
+      const cell = cells()[main] ?? cells()[0];
+      const canvas = Object.assign(document.createElement("canvas"), { width, height: width });
+      const ratio = renderer.getPixelRatio();
+      const side = Math.min(cell.width, cell.height);
+      const [left, top] = [cell.x + (cell.width - side) / 2, cell.y + (cell.height - side) / 2];
+      canvas.getContext("2d").drawImage(renderer.domElement, left * ratio, top * ratio, side * ratio, side * ratio, 0, 0, width, width);
+      return canvas.toDataURL("image/jpeg", 0.8);
+    },
+  };
+}
+
+function lit(scene) {
+  scene.add(new HemisphereLight(0xffffff, 0xa9adb8, 2.1));
+  const light = new DirectionalLight(0xffffff, 2.0);
+  light.castShadow = true;
+  light.shadow.mapSize.set(1024, 1024);
+  Object.assign(light.shadow.camera, { left: -2, right: 2, top: 2, bottom: -2, near: 0.5, far: 12 });
+  light.shadow.radius = 5;
+  light.shadow.bias = -0.0005;
+  scene.add(light, light.target);
+  return light;
+}
+
+// Half-metre tiles that fade away from where the figure is; every other line is a metre's.
+function floorOf(scene) {
+  const lines = new ShaderMaterial({
+    transparent: true,
+    depthWrite: false,
+    side: DoubleSide,
+    uniforms: { ink: { value: new Color() }, middle: { value: new Vector2() } },
+    vertexShader: `varying vec2 place;
+      void main() { vec4 world = modelMatrix * vec4(position, 1.0); place = world.xz; gl_Position = projectionMatrix * viewMatrix * world; }`,
+    fragmentShader: `varying vec2 place; uniform vec3 ink; uniform vec2 middle;
+      float lines(float tile) { vec2 at = place / tile; vec2 near = abs(fract(at - 0.5) - 0.5) / fwidth(at); return 1.0 - min(min(near.x, near.y), 1.0); }
+      void main() {
+        float fade = 1.0 - smoothstep(1.5, 9.0, length(place - middle));
+        gl_FragColor = vec4(ink, fade * (0.55 * lines(1.0) + 0.22 * lines(0.5)));
+        #include <colorspace_fragment>
+      }`,
+  });
+  const grid = new Mesh(new PlaneGeometry(24, 24), lines);
+  const shade = new Mesh(new PlaneGeometry(24, 24), new ShadowMaterial({ opacity: 0.22 }));
+  shade.receiveShadow = true;
+  for (const plane of [grid, shade]) {
+    plane.rotation.x = -Math.PI / 2;
+    scene.add(plane);
+  }
+  shade.position.y = 0.001;
+  return {
+    centre({ x, z }) {
+      for (const plane of [grid, shade]) plane.position.set(x, plane.position.y, z);
+      lines.uniforms.middle.value.set(x, z);
+    },
+    theme({ line, shadow }) {
+      lines.uniforms.ink.value.set(line);
+      shade.material.opacity = shadow;
+    },
+  };
+}

@@ -1,0 +1,95 @@
+// All that the page shows, as one value, and what people do to it. Parts of the page listen; none knows another.
+
+import { done, duration, historyOf, promptOf, redone, settled, undone, emptyDocument } from "./state.js";
+
+export function createStore(initial) {
+  let state = initial;
+  let telling = false;
+  const listeners = [];
+  const tell = () => {
+    telling = false;
+    for (const listener of listeners) listener(state);
+  };
+  return {
+    get: () => state,
+    set(change) {
+      state = { ...state, ...change };
+      if (!telling) queueMicrotask(tell);
+      telling = true;
+    },
+    subscribe: (listener) => listeners.push(listener),
+  };
+}
+
+export const INITIAL = {
+  model: null,
+  id: null, // of the document
+  history: historyOf(emptyDocument()),
+  check: null, // what the server says of the timeline, by the prompts' ids
+  selected: null, // a prompt's id
+  editing: null, // the prompt whose text is typed in place
+  draft: null, // a prompt without a text as yet: {start, end, track}
+  span: null, // {start, end}
+  constraint: null, // the chosen constraint's id
+  drawing: false,
+  samples: [], // [{key, seed, steps, motion, demands, asked, varied}]
+  chosen: null, // the key of the sample that is kept and exported
+  favourites: [], // [{motion, seed, picture, asked}]
+  job: null, // {stage, seed, step, steps}
+  auto: true,
+  quality: "full",
+  saved: "saved", // or "saving", "away", "conflict"
+};
+
+export function createStudio() {
+  const store = createStore(INITIAL);
+  const results = new WeakMap(); // document → the samples that it has got, for undo
+  const present = () => store.get().history.present;
+  let gestures = 0;
+
+  // A document of the past brings its samples back.
+  function turn(history) {
+    const before = present();
+    const { selected } = store.get();
+    const document = history.present;
+    const known = document !== before && history.gesture === null ? results.get(document) : null;
+    store.set({
+      history,
+      selected: promptOf(document, selected) ? selected : null,
+      ...(known ? { samples: known.samples, chosen: known.chosen } : {}),
+    });
+  }
+
+  const studio = {
+    store,
+    present,
+    selected: () => promptOf(present(), store.get().selected),
+    chosen: () => store.get().samples.find(({ key }) => key === store.get().chosen) ?? null,
+    duration: () => Math.max(duration(present()), studio.chosen()?.motion.duration ?? 0),
+    gesture: () => `g${++gestures}`,
+    edit: (edit, gesture = null) => turn(done(store.get().history, edit, gesture)),
+    // Adds, splits and duplicates choose what they made.
+    make(edit) {
+      const fresh = `p${present().next}`;
+      studio.edit(edit);
+      if (promptOf(present(), fresh)) store.set({ selected: fresh });
+    },
+    settle: () => turn(settled(store.get().history)),
+    undo: () => turn(undone(store.get().history)),
+    redo: () => turn(redone(store.get().history)),
+    remember(document, samples, chosen) {
+      results.set(document, { samples, chosen });
+    },
+    knows: (document) => results.has(document),
+    choose(key) {
+      store.set({ chosen: key });
+      if (results.has(present())) results.set(present(), { samples: store.get().samples, chosen: key });
+    },
+    // Another document from its content; its history begins anew.
+    load(document, rest) {
+      store.set({ ...INITIAL, model: store.get().model, auto: store.get().auto, ...rest, history: historyOf(document) });
+      if (rest.samples?.length) results.set(document, { samples: rest.samples, chosen: rest.chosen });
+    },
+  };
+  return studio;
+}

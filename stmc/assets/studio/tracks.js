@@ -1,0 +1,295 @@
+// The tracks: prompts as bars to drag and stretch, the body parts' rows beneath, the cursor, and a span of time. Draws
+// the state and turns what hands do into edits; `track_keys.js` does so for keys.
+
+import { button, fill, find, icon, keyed, make, watch } from "./dom.js";
+import { PARTS, promptOf, rounded, trackCount } from "./state.js";
+import { colourOf, inkOn, NEUTRAL } from "./colours.js";
+import { rulerStep, snapped, snappedShift, written } from "./times.js";
+
+const ROW = 36; // pixels
+const NEAR = 9; // pixels within which things snap
+const SHORTEST_VIEW = 6; // seconds
+
+export function createTracks(studio, player, work) {
+  const { store } = studio;
+  const [scroller, lanes, ruler, bars, rows, parts] = ["scroller", "lanes", "ruler", "bars", "track-rows", "part-rows"].map(find);
+  const [playhead, range] = [find("playhead"), find("range")];
+  let zoom = 1;
+  let extent = SHORTEST_VIEW; // seconds to be seen
+  let held = null; // what a pointer drags
+
+  // ---- scale ------------------------------------------------------------------------------------------------------------
+  const labelWidth = () => ruler.offsetLeft;
+  const scale = () => (zoom * (scroller.clientWidth - labelWidth() - 14)) / extent;
+  const timeAt = (event) => (event.clientX - ruler.getBoundingClientRect().left) / scale();
+  const x = (seconds) => `${seconds * scale()}px`;
+
+  function measure() {
+    if (held) return; // or the tracks would run away beneath the hand
+    extent = Math.max(SHORTEST_VIEW, studio.duration() * 1.06 + 0.4);
+  }
+
+  // What edges snap to: other prompts' edges, the cursor, the beginning, the span's ends.
+  function marks(id) {
+    const { history, span } = store.get();
+    const others = history.present.prompts.filter((prompt) => prompt.id !== id);
+    return [0, player.time(), ...others.flatMap(({ start, end }) => [start, end]), ...(span ? [span.start, span.end] : [])];
+  }
+
+  // ---- drawing ----------------------------------------------------------------------------------------------------------
+  function paint() {
+    measure();
+    const state = store.get();
+    const { present } = state.history;
+    const count = Math.max(trackCount(present), (state.draft?.track ?? -1) + 1) + 1;
+    lanes.style.width = `${labelWidth() + zoom * (scroller.clientWidth - labelWidth() - 2)}px`;
+    keyed(rows, Array.from({ length: count }, (_, track) => track), (track) => track, createRow, () => {});
+    bars.style.height = `${count * ROW}px`;
+    bars.style.left = `${labelWidth()}px`;
+    const drafts = state.draft ? [{ id: "draft", text: "", parts: [], colour: present.prompts.length, ...state.draft }] : [];
+    keyed(bars, [...present.prompts, ...drafts], ({ id }) => id, createBar, (bar, prompt) => paintBar(bar, prompt, state));
+    paintRuler();
+    paintParts(state);
+    paintRange(state);
+    paintCursor();
+  }
+
+  function createRow(track) {
+    const label = make("div", { class: "label faint" }, `Track ${track + 1}`);
+    return make("div", { class: "row", "data-track": track }, label, make("div", { class: "lane" }));
+  }
+
+  function createBar({ id }) {
+    return make("div", { class: "bar", role: "button", "aria-roledescription": "prompt", id: `bar-${id}` },
+      make("i", { class: "grip start" }), make("span", { class: "text" }), make("span", { class: "badges" }), make("i", { class: "grip end" }));
+  }
+
+  function paintBar(bar, prompt, state) {
+    const { id, text, start, end, track, locked } = prompt;
+    const colour = colourOf(prompt.colour);
+    const told = state.check?.prompts[id];
+    const unknown = told?.advice ?? null;
+    const wrong = state.check?.prompt === id ? state.check.error : null;
+    const chosen = state.selected === id || id === "draft";
+    bar.style.cssText = `left:${x(start)};width:${x(end - start)};top:${track * ROW}px;--colour:${colour};--ink:${inkOn(colour)}`;
+    bar.classList.toggle("chosen", chosen);
+    bar.classList.toggle("unknown", Boolean(unknown || wrong));
+    bar.classList.toggle("locked", Boolean(locked));
+    bar.setAttribute("aria-pressed", String(chosen));
+    const first = state.history.present.prompts[0]?.id;
+    bar.tabIndex = chosen || (!state.selected && id === first) ? 0 : -1;
+    bar.title = wrong ?? unknown?.sentence ?? text;
+    const where = `${written(start)} to ${written(end)}, track ${track + 1}, ${(told?.parts ?? prompt.parts).join(", ")}`;
+    bar.setAttribute("aria-label", [text, where, unknown && "the model hardly knows it", locked && "locked"].filter(Boolean).join(". "));
+    bar.children[2].replaceChildren(...[unknown || wrong ? make("b", {}, "?") : null, locked ? icon("lock") : null].filter(Boolean));
+    paintText(bar, prompt, state.editing === id || id === "draft");
+  }
+
+  function paintText(bar, { id, text }, editing) {
+    const place = bar.children[1];
+    const field = place.querySelector("input");
+    if (!editing) return place.textContent === text && !field ? null : place.replaceChildren(text);
+    if (field) return null;
+    const input = make("input", { value: text, placeholder: "What happens?", "aria-label": "Text of the prompt", list: "known-texts", onkeydown: (event) => typed(event, id), onblur: (event) => commit(event.target, id) });
+    place.replaceChildren(input);
+    requestAnimationFrame(() => { input.focus(); input.select(); });
+  }
+
+  function typed(event, id) {
+    event.stopPropagation();
+    if (event.key === "Escape") event.target.value = id === "draft" ? "" : promptOf(studio.present(), id)?.text ?? "";
+    if (event.key !== "Enter" && event.key !== "Escape") return;
+    event.preventDefault();
+    commit(event.target, id);
+    requestAnimationFrame(() => document.getElementById(`bar-${store.get().selected}`)?.focus());
+  }
+
+  function commit(input, id) {
+    const { draft, editing } = store.get();
+    const text = input.value;
+    if (id === "draft" && draft) {
+      store.set({ draft: null });
+      studio.make({ kind: "add", ...draft, text });
+    } else if (editing === id) {
+      store.set({ editing: null });
+      studio.edit({ kind: "write", id, text });
+    }
+  }
+
+  function paintRuler() {
+    const step = rulerStep(scale());
+    const seconds = Array.from({ length: Math.floor(extent / step) + 1 }, (_, index) => index * step);
+    keyed(ruler, seconds, (second) => second, (second) => make("b", {}, String(second)), (mark, second) => (mark.style.left = x(second)));
+    ruler.setAttribute("aria-valuemax", rounded(studio.duration()));
+    lanes.style.setProperty("--second", `${scale()}px`);
+  }
+
+  // ---- body parts' rows -----------------------------------------------------------------------------------------------------
+  function paintParts(state) {
+    keyed(parts, PARTS, (part) => part, createPart, (row, part) => paintPart(row, part, state));
+  }
+
+  function createPart(part) {
+    const name = button(part, () => studio.edit({ kind: "lockPart", part }), { class: "label", title: `Lock the ${part}` }, "lock");
+    return make("div", { class: "row part" }, name, make("div", { class: "lane" }));
+  }
+
+  function paintPart(row, part, { history, check }) {
+    const { present } = history;
+    const locked = present.locks.parts.includes(part);
+    row.firstChild.setAttribute("aria-pressed", String(locked));
+    row.classList.toggle("locked", locked);
+    const block = ({ start, end }, kind, colour) =>
+      make("i", { class: kind, style: `left:${x(start)};width:${x(end - start)};${colour ? `background:${colour}` : ""}` });
+    const owned = (check?.owners[part] ?? []).map(([id, start, end]) => {
+      const prompt = promptOf(present, id);
+      return block({ start, end }, prompt?.locked ? "owned held" : "owned", prompt ? colourOf(prompt.colour) : NEUTRAL);
+    });
+    const changing = (check?.transitions[part] ?? []).map(([start, end]) => block({ start, end }, "transition"));
+    const held = present.locks.spans.map((span) => block(span, "held"));
+    row.lastChild.replaceChildren(...owned, ...changing, ...held);
+  }
+
+  // ---- the span ---------------------------------------------------------------------------------------------------------
+  function paintRange({ span, history }) {
+    const { spans } = history.present.locks;
+    keyed(find("locked-spans"), spans, ({ start }) => start, ({ start }) =>
+      button("", () => studio.edit({ kind: "unlockSpan", start }), { class: "unlock" }, "lock"),
+    (mark, { start, end }) => {
+      mark.style.cssText = `left:calc(${labelWidth()}px + ${x(start)});width:${x(end - start)}`;
+      mark.setAttribute("aria-label", `Unlock ${written(start)} to ${written(end)}`);
+      mark.title = mark.getAttribute("aria-label");
+    });
+    range.hidden = !span;
+    if (!span) return;
+    range.style.cssText = `left:calc(${labelWidth()}px + ${x(span.start)});width:${x(span.end - span.start)}`;
+    const tools = find("span-tools");
+    fill(tools,
+      make("span", { class: "faint" }, `${written(span.start)} to ${written(span.end)}`),
+      button("Make anew", () => work.makeSpanAnew(span), { "data-key": "anew" }, "dice"),
+      button("Lock", () => studio.edit({ kind: "lockSpan", ...span }), { "data-key": "lock" }, "lock"),
+      button("", () => store.set({ span: null }), { "aria-label": "Clear the interval", "data-key": "clear" }, "close"));
+  }
+
+  function paintCursor() {
+    playhead.style.left = `calc(${labelWidth()}px + ${x(player.time())})`;
+    ruler.setAttribute("aria-valuenow", player.time().toFixed(2));
+    ruler.setAttribute("aria-valuetext", written(player.time()));
+    if (player.playing()) reveal(player.time());
+  }
+
+  function reveal(time) {
+    const at = time * scale() + labelWidth();
+    if (at > scroller.scrollLeft + scroller.clientWidth - 20 || at < scroller.scrollLeft + labelWidth())
+      scroller.scrollLeft = Math.max(0, at - labelWidth() - 40);
+  }
+
+  // ---- hands --------------------------------------------------------------------------------------------------------------
+  function grab(event) {
+    const bar = event.target.closest(".bar");
+    if (event.button || event.target.closest("input")) return;
+    if (!bar) return bars === event.target ? store.set({ selected: null, span: null }) : null;
+    const prompt = promptOf(studio.present(), bar.dataset.key);
+    if (!prompt) return;
+    const chosen = store.get().selected === prompt.id;
+    store.set({ selected: prompt.id });
+    bar.focus({ preventScroll: true });
+    if (event.pointerType === "touch" && !chosen) return; // the first touch chooses, the next one drags
+    event.preventDefault();
+    const kind = event.target.classList.contains("start") ? "start" : event.target.classList.contains("end") ? "end" : "move";
+    held = { kind, prompt, at: timeAt(event), y: event.clientY, gesture: studio.gesture(), moved: false };
+    bars.setPointerCapture(event.pointerId);
+  }
+
+  function drag(event) {
+    if (!held) return;
+    const { kind, prompt, at, y, gesture } = held;
+    const by = timeAt(event) - at;
+    if (!held.moved && Math.abs(by) * scale() < 3 && Math.abs(event.clientY - y) < 6) return;
+    held.moved = true;
+    const reach = event.altKey ? 0 : NEAR / scale();
+    const around = event.altKey ? [] : marks(prompt.id);
+    let { start, end, track } = prompt;
+    if (kind === "start") start = Math.min(snapped(start + by, around, reach), end - 0.1);
+    else if (kind === "end") end = Math.max(snapped(end + by, around, reach), start + 0.1);
+    else {
+      const moved = Math.max(-start, by);
+      const shift = Math.max(-start, moved + snappedShift(start + moved, end + moved, around, reach));
+      [start, end] = [start + shift, end + shift];
+      track = Math.max(0, track + Math.round((event.clientY - y) / ROW));
+    }
+    studio.edit({ kind: "place", id: prompt.id, start, end, track }, gesture);
+  }
+
+  function drop() {
+    if (!held) return;
+    held = null;
+    studio.settle();
+    paint();
+  }
+
+  function begin(event) {
+    const bar = event.target.closest(".bar");
+    if (bar) return event.target.closest("input") ? null : store.set({ editing: bar.dataset.key, selected: bar.dataset.key });
+    const start = Math.max(0, snapped(timeAt(event) - 0.5, marks(null), NEAR / scale()));
+    const track = Math.floor((event.clientY - bars.getBoundingClientRect().top) / ROW);
+    draft(start, track);
+  }
+
+  // A prompt to be typed, as long as there is room for it on its track, three seconds at most.
+  function draft(start, track) {
+    const later = studio.present().prompts.filter((prompt) => prompt.track === track && prompt.end > start);
+    const room = Math.min(3, ...later.map((prompt) => prompt.start - start).filter((free) => free > 0.5));
+    const taken = later.some((prompt) => prompt.start <= start);
+    store.set({ draft: { start, end: rounded(start + room), track: taken ? trackCount(studio.present()) : track }, selected: null });
+  }
+
+  bars.addEventListener("pointerdown", grab);
+  bars.addEventListener("pointermove", drag);
+  for (const end of ["pointerup", "pointercancel"]) bars.addEventListener(end, drop);
+  bars.addEventListener("dblclick", begin);
+  bars.addEventListener("focusin", ({ target }) => {
+    const bar = target.closest(".bar");
+    if (bar && target === bar && bar.dataset.key !== "draft") store.set({ selected: bar.dataset.key });
+  });
+
+  // Along the ruler the cursor goes; along the body parts' rows, and with Shift, a span is chosen.
+  function sweep(place, choosing) {
+    let from = null;
+    place.addEventListener("pointerdown", (event) => {
+      if (event.button || event.target.closest("button")) return;
+      from = { time: timeAt(event), spans: choosing || event.shiftKey };
+      place.setPointerCapture(event.pointerId);
+      if (from.spans) store.set({ span: null });
+      else player.seek(Math.min(Math.max(0, from.time), studio.duration()));
+    });
+    place.addEventListener("pointermove", (event) => {
+      if (!from) return;
+      const time = timeAt(event);
+      if (!from.spans) return player.seek(Math.min(Math.max(0, time), studio.duration()));
+      const [start, end] = [from.time, time].sort((one, other) => one - other).map((edge) => Math.min(Math.max(0, snapped(edge, marks(null), NEAR / scale())), studio.duration()));
+      store.set({ span: end - start >= 0.1 ? { start, end } : null });
+    });
+    for (const end of ["pointerup", "pointercancel"]) place.addEventListener(end, () => (from = null));
+  }
+  sweep(ruler, false);
+  sweep(parts, true);
+
+  scroller.addEventListener("wheel", (event) => {
+    if (!event.ctrlKey && !event.metaKey) return;
+    event.preventDefault();
+    zoomBy(event.deltaY < 0 ? 1.2 : 1 / 1.2);
+  }, { passive: false });
+
+  function zoomBy(factor) {
+    zoom = Math.min(Math.max(zoom * factor, 1), 20);
+    paint();
+    reveal(player.time());
+  }
+
+  new ResizeObserver(paint).observe(scroller);
+  player.listen(paintCursor);
+  watch(store, ({ history, check, selected, editing, draft: fresh, span, samples, chosen }) =>
+    [history.present, check, selected, editing, fresh, span, samples, chosen], paint);
+  return { draft, zoomBy, focus: (id) => document.getElementById(`bar-${id}`)?.focus() };
+}

@@ -1,0 +1,181 @@
+// From a document to motions: asks the server what a timeline means, and for its samples; previews first. Knows the
+// server's jobs and what is kept of a motion; knows no elements.
+
+import * as server from "./server.js";
+import { asked, decidedBy, hasLocks, touched, unlocked, unlockedOf } from "./locks.js";
+import { PARTS, duration, timelineOf } from "./state.js";
+
+const CHECK_AFTER = 120; // milliseconds without an edit
+const GENERATE_AFTER = 350;
+
+export function createWork(studio, tab, say) {
+  const { store } = studio;
+  let stop = null; // of the job that runs
+  let running = null;
+  let next = null; // what waits for the job that runs
+  let checking = null;
+  let timers = {};
+
+  const later = (name, delay, act) => {
+    clearTimeout(timers[name]);
+    timers[name] = setTimeout(act, delay);
+  };
+
+  // ---- what the timeline means ------------------------------------------------------------------------------------------
+  async function check() {
+    const document = studio.present();
+    checking?.abort();
+    if (!document.prompts.length) return store.set({ check: null });
+    checking = new AbortController();
+    const { signal } = checking;
+    try {
+      const answer = await server.check(timelineOf(document), signal);
+      if (!signal.aborted) store.set({ check: byId(document, answer) });
+    } catch (error) {
+      if (signal.aborted) return;
+      if (error.status === 422) {
+        const prompt = document.prompts[error.data.prompt]?.id ?? null;
+        store.set({ check: { document, prompts: {}, owners: {}, transitions: {}, warnings: [], error: error.message, prompt } });
+      } else later("check", 2000, check);
+    }
+  }
+
+  function byId(document, answer) {
+    const id = (index) => (index === null ? null : document.prompts[index]?.id ?? null);
+    const owners = Object.fromEntries(PARTS.map((part) => [
+      part, (answer.owners[part] ?? []).map(([owner, start, end]) => [id(owner), start, end]),
+    ]));
+    const prompts = Object.fromEntries(answer.prompts.map((told, index) => [id(index), told]));
+    return { document, prompts, owners, transitions: answer.transitions, warnings: answer.warnings, error: null, prompt: null };
+  }
+
+  // The answer for the document as it is now.
+  async function checked() {
+    if (store.get().check?.document !== studio.present()) {
+      clearTimeout(timers.check);
+      await check();
+    }
+    const { check: answer } = store.get();
+    return answer && !answer.error && answer.document === studio.present() ? answer : null;
+  }
+
+  // ---- what is made anew ------------------------------------------------------------------------------------------------
+  const length = () => duration(studio.present());
+
+  // After an edit: only what it has touched where the motion is not what the seed alone gives; else all.
+  function afterEdit(owners) {
+    const base = studio.chosen();
+    if (base?.varied) return { base, change: unlockedOf(touched(base.asked, asked(studio.present(), owners)), studio.present(), owners, length()) };
+    return everything(owners);
+  }
+
+  function everything(owners) {
+    const base = studio.chosen();
+    if (!base || !hasLocks(studio.present())) return { base: null, change: [] };
+    return { base, change: unlocked(studio.present(), owners, length()) };
+  }
+
+  function anew(wanted, owners) {
+    const base = studio.chosen();
+    if (!base) return everything(owners);
+    return { base, change: unlockedOf(wanted(owners), studio.present(), owners, length()), fresh: true };
+  }
+
+  // ---- jobs ---------------------------------------------------------------------------------------------------------------
+  async function generate(scope = everything) {
+    clearTimeout(timers.generate);
+    const answer = await checked();
+    if (!answer) return say(store.get().check?.error ?? "Write a prompt first.");
+    const { base, change, fresh } = scope(answer.owners);
+    if (base && !change.length) return scope === afterEdit ? null : say("Nothing is left to make: all of it is locked.");
+    await cancel();
+    const document = studio.present();
+    const seeds = fresh ? document.seeds.map(() => Math.floor(Math.random() * 1e6)) : document.seeds;
+    const about = { document, seeds, asked: asked(document, answer.owners), varied: Boolean(base), arrived: new Set() };
+    store.set({ job: { stage: "waiting", seed: seeds[0], step: 0, steps: 0 } });
+    try {
+      const { job } = await server.startJob({
+        timeline: timelineOf(document), seeds, steps: store.get().quality, keep: base?.motion.id ?? null, change,
+        constraints: document.constraints.map(argued), clean_feet: document.cleanFeet, tab,
+      });
+      running = job;
+      stop = server.followJob(job, (kind, data) => running === job && heard(kind, data, about));
+    } catch (error) {
+      store.set({ job: null });
+      say(sentence(error.message), "Try again", () => generate(scope));
+    }
+  }
+
+  function heard(kind, data, about) {
+    if (kind === "progress") return store.set({ job: data });
+    if (kind === "motion") return arrived(data, about);
+    finish();
+    if (kind === "failed" || kind === "lost") say(sentence(data.error), "Try again", () => generate());
+    if (kind === "done" && next) [next, timers.next] = [null, setTimeout(next)];
+  }
+
+  function arrived({ seed, steps: made, motion, demands }, about) {
+    about.arrived.add(seed);
+    const steps = made > (store.get().model.steps?.preview ?? 0) ? "full" : "preview";
+    const sample = { key: String(seed), seed, steps, motion, demands: demands ?? [], asked: about.asked, varied: about.varied };
+    const old = store.get().samples.filter((other) => other.seed !== seed);
+    const kept = old.filter((other) => about.seeds.includes(other.seed) && about.arrived.has(other.seed));
+    const samples = [...kept, sample].sort((one, other) => about.seeds.indexOf(one.seed) - about.seeds.indexOf(other.seed));
+    const { chosen } = store.get();
+    const next = samples.some(({ key }) => key === chosen) ? chosen : samples[0].key;
+    store.set({ samples, chosen: next });
+    studio.remember(about.document, samples, next);
+  }
+
+  function finish() {
+    stop?.();
+    [stop, running] = [null, null];
+    store.set({ job: null });
+  }
+
+  async function cancel() {
+    const job = running;
+    next = null;
+    finish();
+    if (job !== null) await server.cancelJob(job).catch(() => {}); // it may have ended meanwhile
+  }
+
+  // What is kept of a motion should be its full quality: waits for it where it is on its way.
+  function makeAnew(wanted) {
+    const act = () => generate((owners) => anew(wanted, owners));
+    if (running !== null && studio.chosen()?.steps === "preview") next = act;
+    else act();
+  }
+
+  let seen = null;
+  store.subscribe(({ history }) => {
+    const document = history.present;
+    if (document === seen) return;
+    const first = seen === null;
+    const meant = (each) => JSON.stringify([timelineOf(each).prompts, each.constraints, each.cleanFeet, each.seeds]);
+    const same = !first && meant(seen) === meant(document);
+    seen = document;
+    later("check", CHECK_AFTER, check);
+    clearTimeout(timers.generate);
+    if (same || studio.knows(document) || !store.get().auto || !document.prompts.length) return;
+    later("generate", GENERATE_AFTER, function wait() {
+      if (store.get().history.gesture !== null) return later("generate", GENERATE_AFTER, wait);
+      generate(afterEdit);
+    });
+  });
+
+  return {
+    generate: () => generate(),
+    cancel,
+    makePromptAnew: (id) => makeAnew((owners) => decidedBy(id, owners)),
+    makeSpanAnew: ({ start, end }) => makeAnew(() => [{ start, end, parts: PARTS }]),
+    argued,
+  };
+}
+
+const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1) + (text.endsWith(".") ? "" : ".");
+
+// A constraint as the server reads it.
+export function argued({ id, kind, ...values }) {
+  return { [kind]: values };
+}
