@@ -36,11 +36,13 @@ export function createConstraintPanel(studio, player, stage) {
   const panel = find("panel-constraints");
   const adjust = (id, change) => studio.edit({ kind: "adjust", id, change });
 
+  const now = () => Math.round(player.time() * 20) / 20;
+
   // The chosen interval, or a second from the cursor on.
   function span(length = 1) {
     const { span: chosen } = store.get();
     if (chosen) return chosen;
-    const start = Math.min(rounded(player.time()), Math.max(0, rounded(studio.duration() - length)));
+    const start = Math.min(now(), Math.max(0, rounded(studio.duration() - length)));
     return { start, end: rounded(start + length) };
   }
 
@@ -56,7 +58,7 @@ export function createConstraintPanel(studio, player, stage) {
     hold: () => add({ kind: "hold", joint: "right_hand", ...span(2) }),
     keyframe() {
       const base = studio.chosen();
-      if (base) add({ kind: "keyframe", motion: base.motion.id, second: rounded(Math.min(player.time(), base.motion.duration - 0.05)), at: rounded(player.time()) });
+      if (base) add({ kind: "keyframe", motion: base.motion.id, second: Math.max(0, Math.min(now(), rounded(base.motion.duration - 0.05))), at: now() });
     },
     heading: () => add({ kind: "heading", angle: 0, ...span(2) }),
   };
@@ -87,7 +89,7 @@ export function createConstraintPanel(studio, player, stage) {
     return make("li", { class: chosen === id ? "on" : "" },
       make("div", { class: "heading" },
         button(titleOf(each), () => store.set({ constraint: chosen === id ? null : id }), { class: "entry", "aria-expanded": String(chosen === id), "data-key": `of-${id}` }, kind),
-        demand ? make("span", { class: `error ${demand.error <= FINE[kind] ? "fine" : "off"}` }, `${demand.error.toFixed(1)} ${kind === "heading" ? "°" : "cm"}`) : null,
+        demand ? make("span", { class: `error ${demand.error <= FINE[kind] ? "fine" : "off"}` }, `${demand.error.toFixed(1)} ${demand.unit === "degrees" ? "°" : "cm"}`) : null,
         button("", () => studio.edit({ kind: "release", id }), { class: "plain", "aria-label": `Delete: ${titleOf(each)}` }, "close")),
       chosen === id ? make("div", { class: "details" }, fieldsOf(each)) : null);
   }

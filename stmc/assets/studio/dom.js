@@ -39,8 +39,8 @@ export function keyed(parent, items, keyOf, create, update) {
       element.dataset.key = key;
     }
     old.delete(key);
-    update(element, item);
     if (parent.children[index] !== element) parent.insertBefore(element, parent.children[index] ?? null);
+    update(element, item);
   });
   for (const gone of old.values()) gone.remove();
 }

@@ -1,7 +1,8 @@
 // A person of a .glb file: the skinned figure, its animation, and the way of its pelvis over the floor. Knows no timeline.
 
-import { AnimationMixer, BufferGeometry, Group, Line, LineBasicMaterial, SRGBColorSpace, Vector3, Float32BufferAttribute } from "./vendor/three.module.min.js";
+import { AnimationMixer, DoubleSide, Group, Mesh, MeshBasicMaterial, SRGBColorSpace, Vector3 } from "./vendor/three.module.min.js";
 import { GLTFLoader } from "./vendor/GLTFLoader.js";
+import { ribbon } from "./marks.js";
 
 const loader = new GLTFLoader();
 const SWAY = 0.35; // seconds over which the followed way is smoothed
@@ -50,11 +51,11 @@ export async function figureOf(bytes) {
   };
 }
 
-function wayOf(places) {
+function wayOf({ values }) {
   const points = [];
-  for (let at = 0; at < places.values.length; at += 3) points.push(places.values[at], 0.006, places.values[at + 2]);
-  const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3));
-  return new Line(geometry, new LineBasicMaterial({ transparent: true, opacity: 0.7 }));
+  for (let at = 0; at < values.length; at += 3) points.push([values[at], values[at + 2]]);
+  const material = new MeshBasicMaterial({ transparent: true, opacity: 0.6, side: DoubleSide, depthWrite: false });
+  return new Mesh(ribbon(points, 0.018, 0.006), material);
 }
 
 function smoothed({ times, values }, time) {

@@ -49,7 +49,7 @@ export function listenToKeys(studio, player, work, tracks, page) {
     studio.make({ kind, id: id(), ...more });
     focusLater();
   };
-  const focusLater = () => requestAnimationFrame(() => tracks.focus(id()));
+  const focusLater = () => queueMicrotask(() => tracks.focus(id())); // once the tracks show it
 
   function shift({ start = 0, end = 0, track = 0 }) {
     const prompt = promptOf(studio.present(), id());

@@ -4,6 +4,7 @@
 import { PARTS, merged } from "./state.js";
 
 const SHORTEST = 0.02; // seconds; less is no frame
+const EASE = 0.75; // seconds before and after a demand in which the body gets there, and leaves
 
 function without(spans, taken) {
   let left = spans;
@@ -62,18 +63,28 @@ export const unlockedOf = (wanted, document, owners, duration) =>
 // What one prompt decides.
 export const decidedBy = (id, owners) => joined((part) => ownedBy(owners, part, (owner) => owner === id));
 
-// Who asks what of each body part, in words that compare.
+// Who asks what of each body part, and what is demanded beside it, in words that compare.
 export function asked(document, owners) {
   const says = new Map(document.prompts.map(({ id, text, start, end }) => [id, `${text} # ${start} # ${end}`]));
-  return Object.fromEntries(PARTS.map((part) => [
+  const parts = Object.fromEntries(PARTS.map((part) => [
     part, (owners[part] ?? []).map(([owner, start, end]) => [says.get(owner) ?? null, start, end]),
   ]));
+  return { parts, constraints: document.constraints.map(({ id, ...demand }) => demand) };
 }
 
-// Where body parts are asked for something else than `before`.
-export const touched = (before, after) =>
-  joined((part) => after[part]
-    .flatMap(([says, start, end]) => {
-      const same = (before[part] ?? []).filter(([said]) => said === says);
-      return without([{ start, end }], same.map(([, from, to]) => ({ start: from, end: to })));
-    }));
+const around = ({ start, end, at, kind }) => {
+  const from = at ?? start;
+  const to = at ?? end ?? (kind === "target" ? start : Infinity);
+  return { start: from - EASE, end: to + EASE };
+};
+
+// Where body parts are asked for something else than `before`, or other demands are made.
+export function touched(before, after) {
+  const known = (list, demand) => list.some((other) => JSON.stringify(other) === JSON.stringify(demand));
+  const [old, now] = [before.constraints ?? [], after.constraints];
+  const demands = [...now.filter((each) => !known(old, each)), ...old.filter((each) => !known(now, each))].map(around);
+  return joined((part) => [...demands, ...after.parts[part].flatMap(([says, start, end]) => {
+    const same = (before.parts?.[part] ?? []).filter(([said]) => said === says);
+    return without([{ start, end }], same.map(([, from, to]) => ({ start: from, end: to })));
+  })]);
+}

@@ -222,5 +222,4 @@ async function start() {
   document.body.dataset.ready = "true";
 }
 addEventListener("hashchange", () => location.hash.slice(1) && location.hash.slice(1) !== store.get().id && saving.open(location.hash.slice(1)));
-addEventListener("pagehide", () => saving.push());
 start();

@@ -2,26 +2,42 @@
 // the document has them ({kind, id, …}; x, y and z with z up).
 
 import {
-  BufferGeometry, Float32BufferAttribute, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, RingGeometry, SphereGeometry,
+  BufferGeometry, DoubleSide, Float32BufferAttribute, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, RingGeometry, SphereGeometry,
 } from "./vendor/three.module.min.js";
 
 const COLOUR = 0xe5484d;
-const line = (points) =>
-  new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points.flatMap(([x, y]) => [x, 0.012, -y]), 3));
+
+// A band along points on the floor ([x, z], y up), `width` metres wide.
+export function ribbon(points, width, height) {
+  const corners = [];
+  for (let at = 1; at < points.length; at++) {
+    const [[ax, az], [bx, bz]] = [points[at - 1], points[at]];
+    const length = Math.hypot(bx - ax, bz - az);
+    if (length < 1e-5) continue;
+    const [sx, sz] = [((bz - az) / length) * (width / 2), ((ax - bx) / length) * (width / 2)];
+    const [a, b, c, d] = [[ax + sx, az + sz], [ax - sx, az - sz], [bx + sx, bz + sz], [bx - sx, bz - sz]];
+    for (const [x, z] of [a, c, b, b, c, d]) corners.push(x, height, z);
+  }
+  return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(corners, 3));
+}
+
+const line = (points) => ribbon(points.map(([x, y]) => [x, -y]), 0.035, 0.012);
 
 export function createMarks(scene) {
   const group = new Group();
   const ink = new LineBasicMaterial({ color: COLOUR });
+  const band = new MeshBasicMaterial({ color: COLOUR, side: DoubleSide });
   const solid = new MeshBasicMaterial({ color: COLOUR, transparent: true, opacity: 0.9 });
   const pale = new MeshBasicMaterial({ color: COLOUR, transparent: true, opacity: 0.5 });
   const ball = new SphereGeometry(0.045, 20, 14);
   const ring = new RingGeometry(0.06, 0.08, 28).rotateX(-Math.PI / 2).translate(0, 0.012, 0);
-  const sketch = new Line(line([]), ink);
+  const sketch = new Mesh(line([]), band);
+  sketch.frustumCulled = false;
   scene.add(group, sketch);
   let targets = new Map(); // id → ball
 
   function path({ points }) {
-    group.add(new Line(line(points), ink));
+    group.add(new Mesh(line(points), band));
     const [x, y] = points.at(-1);
     const end = new Mesh(ring, solid);
     end.position.set(x, 0, -y);
@@ -39,7 +55,7 @@ export function createMarks(scene) {
 
   return {
     show(constraints, chosen) {
-      for (const child of group.children) if (child.isLine) child.geometry.dispose();
+      for (const { geometry } of group.children) if (geometry !== ball && geometry !== ring) geometry.dispose();
       group.clear();
       targets = new Map();
       for (const constraint of constraints) {

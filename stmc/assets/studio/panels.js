@@ -86,7 +86,7 @@ export function createPromptPanel(studio, player, work, tracks) {
   function entry(prompt) {
     const choose = () => {
       store.set({ selected: prompt.id });
-      requestAnimationFrame(() => tracks.focus(prompt.id));
+      queueMicrotask(() => tracks.focus(prompt.id));
     };
     return make("li", {}, make("button", { type: "button", class: "entry", onclick: choose, "data-key": prompt.id },
       make("i", { class: "swatch", style: `background:${colourOf(prompt.colour)}` }), make("span", {}, prompt.text),

@@ -30,6 +30,7 @@ const freshId = () => Array.from(crypto.getRandomValues(new Uint8Array(8)), (byt
 // `conflict(theirs)` asks what to do: "mine", "theirs" or "both".
 export function createSaving(studio, conflict) {
   const { store } = studio;
+  const writer = freshId(); // whose edits these are: a save that is on its way when a page is left is no other tab's
   let version = 0; // of the server's copy that ours is an edit of
   let timer = null;
   let busy = false;
@@ -37,9 +38,11 @@ export function createSaving(studio, conflict) {
   let loading = false;
 
   const contentOf = ({ history, samples, chosen, favourites, auto, quality }) => ({
-    format: 1, name: history.present.name, document: history.present, samples, chosen, favourites, settings: { auto, quality },
+    format: 1, writer, name: history.present.name, document: history.present, samples, chosen, favourites, settings: { auto, quality },
   });
   const written = () => JSON.stringify(contentOf(store.get()));
+
+  const worth = ({ history, samples }) => history.past.length + history.present.prompts.length + samples.length > 0;
 
   function take(id, content, base) {
     const document = restored(content?.document);
@@ -57,7 +60,7 @@ export function createSaving(studio, conflict) {
     clearTimeout(timer);
     const { id } = store.get();
     const now = written();
-    if (busy || now === saved) return;
+    if (busy || id === null || now === saved || (!version && !worth(store.get()))) return;
     busy = true;
     store.set({ saved: "saving" });
     try {
@@ -112,8 +115,10 @@ export function createSaving(studio, conflict) {
       if (!local?.dirty) return take(id, theirs.content, theirs.version);
       take(id, local.content, local.base);
       saved = null;
-      if (local.base === theirs.version) return push();
-      return settle(theirs);
+      const ours = local.base === theirs.version || theirs.content.writer === local.content.writer;
+      if (!ours) return settle(theirs);
+      version = theirs.version;
+      return push();
     },
     create(content = null) {
       take(freshId(), content, 0);

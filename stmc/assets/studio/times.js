@@ -19,7 +19,7 @@ export function snappedShift(start, end, marks, reach) {
 }
 
 // Seconds between the numbers of a ruler with so many pixels a second.
-export const rulerStep = (scale) => [0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600].find((step) => step * scale >= 46) ?? 1200;
+export const rulerStep = (scale) => [0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600].find((step) => step * scale >= (step < 1 ? 90 : 40)) ?? 1200;
 
 export const written = (seconds) => `${rounded(seconds).toFixed(seconds % 1 ? (Math.round(seconds * 100) % 10 ? 2 : 1) : 0)} s`;
 

@@ -6,7 +6,6 @@ import { PARTS, promptOf, rounded, trackCount } from "./state.js";
 import { colourOf, inkOn, NEUTRAL } from "./colours.js";
 import { rulerStep, snapped, snappedShift, written } from "./times.js";
 
-const ROW = 36; // pixels
 const NEAR = 9; // pixels within which things snap
 const SHORTEST_VIEW = 6; // seconds
 
@@ -15,6 +14,7 @@ export function createTracks(studio, player, work) {
   const [scroller, lanes, ruler, bars, rows, parts] = ["scroller", "lanes", "ruler", "bars", "track-rows", "part-rows"].map(find);
   const [playhead, range] = [find("playhead"), find("range")];
   let zoom = 1;
+  let height = 36; // pixels of a track
   let extent = SHORTEST_VIEW; // seconds to be seen
   let held = null; // what a pointer drags
 
@@ -25,6 +25,7 @@ export function createTracks(studio, player, work) {
   const x = (seconds) => `${seconds * scale()}px`;
 
   function measure() {
+    height = parseFloat(getComputedStyle(document.documentElement).getPropertyValue("--row"));
     if (held) return; // or the tracks would run away beneath the hand
     extent = Math.max(SHORTEST_VIEW, studio.duration() * 1.06 + 0.4);
   }
@@ -44,7 +45,7 @@ export function createTracks(studio, player, work) {
     const count = Math.max(trackCount(present), (state.draft?.track ?? -1) + 1) + 1;
     lanes.style.width = `${labelWidth() + zoom * (scroller.clientWidth - labelWidth() - 2)}px`;
     keyed(rows, Array.from({ length: count }, (_, track) => track), (track) => track, createRow, () => {});
-    bars.style.height = `${count * ROW}px`;
+    bars.style.height = `${count * height}px`;
     bars.style.left = `${labelWidth()}px`;
     const drafts = state.draft ? [{ id: "draft", text: "", parts: [], colour: present.prompts.length, ...state.draft }] : [];
     keyed(bars, [...present.prompts, ...drafts], ({ id }) => id, createBar, (bar, prompt) => paintBar(bar, prompt, state));
@@ -71,7 +72,7 @@ export function createTracks(studio, player, work) {
     const unknown = told?.advice ?? null;
     const wrong = state.check?.prompt === id ? state.check.error : null;
     const chosen = state.selected === id || id === "draft";
-    bar.style.cssText = `left:${x(start)};width:${x(end - start)};top:${track * ROW}px;--colour:${colour};--ink:${inkOn(colour)}`;
+    bar.style.cssText = `left:${x(start)};width:${x(end - start)};top:${track * height}px;--colour:${colour};--ink:${inkOn(colour)}`;
     bar.classList.toggle("chosen", chosen);
     bar.classList.toggle("unknown", Boolean(unknown || wrong));
     bar.classList.toggle("locked", Boolean(locked));
@@ -79,7 +80,7 @@ export function createTracks(studio, player, work) {
     const first = state.history.present.prompts[0]?.id;
     bar.tabIndex = chosen || (!state.selected && id === first) ? 0 : -1;
     bar.title = wrong ?? unknown?.sentence ?? text;
-    const where = `${written(start)} to ${written(end)}, track ${track + 1}, ${(told?.parts ?? prompt.parts).join(", ")}`;
+    const where = [`${written(start)} to ${written(end)}`, `track ${track + 1}`, ...(told?.parts ?? prompt.parts)].join(", ");
     bar.setAttribute("aria-label", [text, where, unknown && "the model hardly knows it", locked && "locked"].filter(Boolean).join(". "));
     bar.children[2].replaceChildren(...[unknown || wrong ? make("b", {}, "?") : null, locked ? icon("lock") : null].filter(Boolean));
     paintText(bar, prompt, state.editing === id || id === "draft");
@@ -90,9 +91,13 @@ export function createTracks(studio, player, work) {
     const field = place.querySelector("input");
     if (!editing) return place.textContent === text && !field ? null : place.replaceChildren(text);
     if (field) return null;
-    const input = make("input", { value: text, placeholder: "What happens?", "aria-label": "Text of the prompt", list: "known-texts", onkeydown: (event) => typed(event, id), onblur: (event) => commit(event.target, id) });
+    const input = make("input", {
+      value: text, placeholder: "What happens?", "aria-label": "Text of the prompt", list: "known-texts",
+      onkeydown: (event) => typed(event, id), onblur: (event) => commit(event.target, id),
+    });
     place.replaceChildren(input);
-    requestAnimationFrame(() => { input.focus(); input.select(); });
+    input.focus();
+    input.select();
   }
 
   function typed(event, id) {
@@ -101,7 +106,7 @@ export function createTracks(studio, player, work) {
     if (event.key !== "Enter" && event.key !== "Escape") return;
     event.preventDefault();
     commit(event.target, id);
-    requestAnimationFrame(() => document.getElementById(`bar-${store.get().selected}`)?.focus());
+    queueMicrotask(() => document.getElementById(`bar-${store.get().selected}`)?.focus());
   }
 
   function commit(input, id) {
@@ -216,7 +221,7 @@ export function createTracks(studio, player, work) {
       const moved = Math.max(-start, by);
       const shift = Math.max(-start, moved + snappedShift(start + moved, end + moved, around, reach));
       [start, end] = [start + shift, end + shift];
-      track = Math.max(0, track + Math.round((event.clientY - y) / ROW));
+      track = Math.max(0, track + Math.round((event.clientY - y) / height));
     }
     studio.edit({ kind: "place", id: prompt.id, start, end, track }, gesture);
   }
@@ -232,7 +237,7 @@ export function createTracks(studio, player, work) {
     const bar = event.target.closest(".bar");
     if (bar) return event.target.closest("input") ? null : store.set({ editing: bar.dataset.key, selected: bar.dataset.key });
     const start = Math.max(0, snapped(timeAt(event) - 0.5, marks(null), NEAR / scale()));
-    const track = Math.floor((event.clientY - bars.getBoundingClientRect().top) / ROW);
+    const track = Math.floor((event.clientY - bars.getBoundingClientRect().top) / height);
     draft(start, track);
   }
 

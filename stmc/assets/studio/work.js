@@ -148,19 +148,22 @@ export function createWork(studio, tab, say) {
   }
 
   let seen = null;
+  let scope = afterEdit;
   store.subscribe(({ history }) => {
     const document = history.present;
     if (document === seen) return;
     const first = seen === null;
     const meant = (each) => JSON.stringify([timelineOf(each).prompts, each.constraints, each.cleanFeet, each.seeds]);
     const same = !first && meant(seen) === meant(document);
+    if (!first && seen.seeds.join() !== document.seeds.join()) scope = everything; // new seeds are for new motions
     seen = document;
     later("check", CHECK_AFTER, check);
     clearTimeout(timers.generate);
     if (same || studio.knows(document) || !store.get().auto || !document.prompts.length) return;
     later("generate", GENERATE_AFTER, function wait() {
       if (store.get().history.gesture !== null) return later("generate", GENERATE_AFTER, wait);
-      generate(afterEdit);
+      generate(scope);
+      scope = afterEdit;
     });
   });
 
