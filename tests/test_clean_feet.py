@@ -13,8 +13,9 @@ from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.feet import clean_feet
 from stmc.feet.contacts import held_steps
-from stmc.feet.legs import reaching, sinking
+from stmc.feet.legs import sinking
 from stmc.geometry import axis_angle_to_matrix, forward_kinematics, global_rotations
+from stmc.inverse_kinematics import bend_limb
 from stmc.metrics.kinematics import foot_sliding
 from stmc.motion import Motion
 
@@ -156,7 +157,7 @@ def test_a_leg_reaches_where_its_foot_should_be_by_a_knee_that_bends_as_it_did(b
     hip, knee, ankle = joints[1:, None]
     along = torch.nn.functional.normalize(ankle[0] - hip[0], dim=-1)
     target = hip + reach * (axis_angle_to_matrix(angle * torch.linalg.cross(along, world[1, :, 0])) @ along)
-    thigh, shin = reaching(world[1:2], world[2:3], (hip, knee, ankle), hip, target)
+    thigh, shin = bend_limb(world[1:2], world[2:3], joints[None, 1:], target - hip, world[1:2, :, 0])
     new_knee = hip + (thigh @ offsets[2])
     assert (new_knee + shin @ offsets[3] - target).abs().max() < 1e-6
     normals = [torch.linalg.cross(knee - hip, ankle - knee), torch.linalg.cross(new_knee - hip, target - new_knee)]

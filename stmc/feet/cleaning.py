@@ -9,9 +9,10 @@ from torch import Tensor
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.feet.contacts import held_steps
-from stmc.feet.legs import reaching, sinking
+from stmc.feet.legs import sinking
 from stmc.feet.locking import Foot, locked
 from stmc.geometry import global_rotations
+from stmc.inverse_kinematics import bend_limb
 from stmc.motion import Motion
 
 _SIDES = ("left", "right")
@@ -73,8 +74,8 @@ def _foot(skeleton: Skeleton, world: Tensor, joints: Tensor, side: str) -> Foot:
 def _leg(side: str, world: Tensor, joints: Tensor, foot: Foot, moved: Tensor) -> Float[Tensor, "frames 3 3 3"]:
     """Local rotations of hip, knee and ankle of one leg that ends in `foot`, where the pelvis is `moved`."""
     hip, knee, ankle = (_at(side, each) for each in _LEG)
-    places = (joints[:, hip], joints[:, knee], joints[:, ankle])
-    thigh, shin = reaching(world[:, hip], world[:, knee], places, joints[:, hip] + moved, foot.ankle)
+    reach, lateral = foot.ankle - joints[:, hip] - moved, world[:, hip, :, 0]
+    thigh, shin = bend_limb(world[:, hip], world[:, knee], joints[:, [hip, knee, ankle]], reach, lateral)
     return torch.stack([world[:, 0].mT @ thigh, thigh.mT @ shin, shin.mT @ foot.turned], dim=1)
 
 
