@@ -90,6 +90,12 @@ def rows_to_matrix(rows: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3
     return torch.stack([x, y, torch.linalg.cross(x, y)], dim=-2)
 
 
+def orthonormal_rows(rows: Float[Tensor, "*batch columns"]) -> Float[Tensor, "*batch columns"]:
+    """Rotations as `matrix_to_rows` has them, six numbers each, one after the other: rotations again after blending."""
+    each = rearrange(rows, "... (rotation six) -> ... rotation six", six=6)
+    return rearrange(matrix_to_rows(rows_to_matrix(each)), "... rotation six -> ... (rotation six)")
+
+
 def _without(vector: Tensor, unit: Tensor) -> Tensor:
     return vector - (vector * unit).sum(dim=-1, keepdim=True) * unit
 
@@ -193,6 +199,12 @@ def _neighbours(
     after = (before + 1).clamp(max=len(values) - 1)
     share = (positions - before).to(values.dtype)
     return before.to(values.device), after.to(values.device), share.to(values.device)
+
+
+def average_frames(values: Float[Tensor, "frames width"], reach: int) -> Float[Tensor, "_ width"]:
+    """Means over `reach` frames to both sides under a Hann window, of those frames that have as many."""
+    window = torch.hann_window(2 * reach + 3, periodic=False, dtype=values.dtype, device=values.device)[1:-1]
+    return torch.nn.functional.conv1d(values.T[:, None], (window / window.sum())[None, None])[:, 0].T
 
 
 def mirror_rotations(

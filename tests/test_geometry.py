@@ -105,6 +105,22 @@ def test_gram_schmidt_keeps_the_first_row_and_the_plane_of_both():
     assert_close(geometry.rows_to_matrix(rows), expected)
 
 
+def test_blended_rows_are_those_of_the_rotations_that_gram_schmidt_makes_of_each():
+    blended = torch.randn(5, 3 * 6, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    rows = geometry.orthonormal_rows(blended)
+    for joint in (slice(0, 6), slice(6, 12), slice(12, 18)):
+        assert_close(rows[:, joint], geometry.matrix_to_rows(geometry.rows_to_matrix(blended[:, joint])))
+    assert_close(geometry.orthonormal_rows(rows), rows)
+
+
+def test_a_mean_of_frames_is_the_slow_sum_of_raised_cosines():
+    values = torch.randn(9, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    weights = [1 + math.cos(math.pi * offset / 3) for offset in (-2, -1, 0, 1, 2)]
+    slow = [sum(w * values[frame + k] for k, w in enumerate(weights)) / sum(weights) for frame in range(5)]
+    assert_close(geometry.average_frames(values, 2), torch.stack(slow))
+    assert_close(geometry.average_frames(values, 0), values)
+
+
 def test_joints_are_where_a_slow_walk_down_the_tree_finds_them():
     rotations, generator = random_rotations(4, NUM_ROTATIONS), torch.Generator().manual_seed(1)
     offsets = torch.randn(24, 3, generator=generator, dtype=torch.float64)

@@ -18,7 +18,7 @@ from stmc.constraints.limbs import Target
 from stmc.constraints.pose import Constraint, Pose, bump
 from stmc.constraints.root import SWAY, Path
 from stmc.constraints.whole_body import Keyframe
-from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, rotation_z
+from stmc.geometry import average_frames, axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, rotation_z
 from stmc.inverse_kinematics import bend_limb
 from stmc.motion import Motion
 
@@ -98,17 +98,10 @@ def _moved_over(motion: Motion, path: Path, skeleton: Skeleton, free: Tensor) ->
 def _rest(off: Float[Tensor, "_ 2"], span: slice, frames: int, ramp: int) -> Float[Tensor, "frames 2"]:
     """Of what a span is off: what is more than sway, smoothed; it comes within a ramp before the span, and stays."""
     off = off * (1 - SWAY / off.norm(dim=-1, keepdim=True).clamp(min=1e-9)).clamp(min=0)
-    behind = frames - span.start - len(off)
-    whole = _averaged(torch.cat([off[:1].expand(span.start, 2), off, off[-1:].expand(behind, 2)]), ramp)
+    behind, reach = frames - span.start - len(off), ramp // 2
+    before, after = off[:1].expand(reach + span.start, 2), off[-1:].expand(behind + reach, 2)
+    whole = average_frames(torch.cat([before, off, after]), reach)
     return bump(frames, slice(span.start, frames), ramp, off)[:, None] * whole
-
-
-def _averaged(values: Float[Tensor, "frames 2"], reach: int) -> Float[Tensor, "frames 2"]:
-    """By a Hann window that reaches a few frames to both sides; the ends go on as they are."""
-    window = torch.hann_window(2 * (reach // 2) + 3, periodic=False).to(values)[1:-1]
-    side = len(window) // 2
-    padded = torch.cat([values[:1].expand(side, 2), values, values[-1:].expand(side, 2)])
-    return torch.nn.functional.conv1d(padded.T[:, None], (window / window.sum())[None, None])[:, 0].T
 
 
 def _reaching(motion: Motion, target: Target, skeleton: Skeleton, free: Tensor) -> Motion:

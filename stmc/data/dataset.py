@@ -13,7 +13,6 @@ from typing import Literal, get_args
 
 import numpy as np
 import torch
-from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
@@ -21,7 +20,7 @@ from stmc import tensors
 from stmc.body import BodyPart
 from stmc.data.cache import Cache, Clip
 from stmc.data.joining import Arrangement
-from stmc.geometry import matrix_to_rows, rows_to_matrix
+from stmc.geometry import orthonormal_rows
 from stmc.representation.layout import Layout
 from stmc.statistics import Statistics
 from stmc.text import TextEncoder
@@ -214,9 +213,7 @@ class Dataset:
 
     def _rotating(self, raw: Float[Tensor, "*batch features"]) -> Tensor:
         """`raw` after blending in place: with rotations again."""
-        rows = rearrange(raw[..., self.layout["rotations"]], "... (joints six) -> ... joints six", six=6)
-        rotations = matrix_to_rows(rows_to_matrix(rows))
-        raw[..., self.layout["rotations"]] = rearrange(rotations, "... joints six -> ... (joints six)")
+        raw[..., self.layout["rotations"]] = orthonormal_rows(raw[..., self.layout["rotations"]])
         return raw
 
     def _gone(self, start: Tensor, position: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.data.cache import Cache, Clip, assemble
-from stmc.geometry import matrix_to_rows, rows_to_matrix
+from stmc.geometry import orthonormal_rows
 from stmc.representation.layout import Layout
 
 FADE = 0.4
@@ -124,9 +124,7 @@ class _Joining:
         fade = self.fade
         share = torch.linspace(0, 1, fade + 2)[1:-1, None]
         between = torch.lerp(features[-fade:], others[:fade], share)
-        rows = rearrange(between[:, self.layout["rotations"]], "n (joint six) -> n joint six", six=6)
-        rotations = matrix_to_rows(rows_to_matrix(rows))
-        between[:, self.layout["rotations"]] = rearrange(rotations, "n joint six -> n (joint six)")
+        between[:, self.layout["rotations"]] = orthonormal_rows(between[:, self.layout["rotations"]])
         return torch.cat([features[:-fade], between, others[fade:]])
 
 

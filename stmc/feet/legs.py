@@ -8,7 +8,9 @@ from __future__ import annotations
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn.functional import max_pool1d
+from torch.nn.functional import max_pool1d, pad
+
+from stmc.geometry import average_frames
 
 _STRETCH = 0.995
 """The share of its length to which a leg that was more bent is stretched at most."""
@@ -42,6 +44,5 @@ def sinking(
 
 def _envelope(values: Float[Tensor, " frames"], span: int) -> Float[Tensor, " frames"]:
     """Smooth, nowhere below `values`, and zero farther than 2 `span` from all that are positive."""
-    widest = max_pool1d(torch.nn.functional.pad(values[None, None], (2 * span, 2 * span)), 2 * span + 1, stride=1)
-    window = torch.hann_window(2 * span + 3, periodic=False, dtype=values.dtype, device=values.device)[1:-1]
-    return torch.nn.functional.conv1d(widest, (window / window.sum())[None, None])[0, 0]
+    widest = max_pool1d(pad(values[None], (2 * span, 2 * span)), 2 * span + 1, stride=1)[0]
+    return average_frames(widest[:, None], span)[:, 0]
