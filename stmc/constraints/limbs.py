@@ -15,8 +15,25 @@ from stmc.settings import SettingError
 from stmc.untrusted import shown
 
 
+class _OfJoint:
+    """What both ask: how far a joint is `_away` from where it should be, in metres in each axis."""
+
+    unit: ClassVar[str] = "m"
+
+    def errors(self, pose: Pose) -> Float[Tensor, " _"]:
+        """Metres from the place."""
+        return self._away(pose).norm(dim=-1)
+
+    def residuals(self, pose: Pose) -> Float[Tensor, " _"]:
+        """In each axis."""
+        return self._away(pose).flatten()
+
+    def _away(self, pose: Pose) -> Float[Tensor, "_ 3"]:
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class Target:
+class Target(_OfJoint):
     """A joint is at `point` (x, y and z in the world, metres) from `start` to `end` seconds (None: for one frame).
 
     Joints are those of `stmc.body.JOINTS`. Wrists, hands, ankles and feet are there to the millimetre where arms and
@@ -32,7 +49,6 @@ class Target:
     point: Sequence[float | int]
     start: float | int = 0.0
     end: float | int | None = None
-    unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
         _check_joint(self.joint)
@@ -49,14 +65,6 @@ class Target:
         """
         return pose.frames_of(self.start, self.start if self.end is None else self.end)
 
-    def errors(self, pose: Pose) -> Float[Tensor, " _"]:
-        """Metres from the point."""
-        return self._away(pose).norm(dim=-1)
-
-    def residuals(self, pose: Pose) -> Float[Tensor, " _"]:
-        """In each axis."""
-        return self._away(pose).flatten()
-
     def settled(self, pose: Pose) -> Target:
         """Itself."""
         return self
@@ -67,7 +75,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Hold:
+class Hold(_OfJoint):
     """A joint stays where it is from `start` to `end` seconds (None: to the end), wherever that is.
 
     Examples:
@@ -78,19 +86,10 @@ class Hold:
     joint: str
     start: float | int = 0.0
     end: float | int | None = None
-    unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
         _check_joint(self.joint)
         check_span(self.joint, self.start, self.end)
-
-    def errors(self, pose: Pose) -> Float[Tensor, " _"]:
-        """Metres from where it is on average."""
-        return self._away(pose).norm(dim=-1)
-
-    def residuals(self, pose: Pose) -> Float[Tensor, " _"]:
-        """In each axis."""
-        return self._away(pose).flatten()
 
     def settled(self, pose: Pose) -> Target | Hold:
         """At the place where the motion has it on average."""
