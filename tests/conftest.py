@@ -51,6 +51,14 @@ def one_minilm():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_waiting_for_the_disk():
+    """No test cuts the power: what was written is there to read at once. That it is asked for, `test_files` says."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def no_handler_left():
     """What a command, or Hydra, has set up to log to this test's stderr goes with it."""

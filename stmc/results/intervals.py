@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from stmc.results.records import Result, ResultError
 
@@ -38,7 +38,7 @@ def estimate(values: Sequence[float | int]) -> Estimate:
     if count == 1:
         return Estimate(mean, None, 1)
     deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in values) / (count - 1))
-    return Estimate(mean, float(t.ppf((1 + CONFIDENCE) / 2, count - 1)) * deviation / math.sqrt(count), count)
+    return Estimate(mean, float(stdtrit(count - 1, (1 + CONFIDENCE) / 2)) * deviation / math.sqrt(count), count)
 
 
 def bootstrap(values: Sequence[float | int], resampled: Sequence[Sequence[float | int]]) -> Estimate:
@@ -54,7 +54,7 @@ def bootstrap(values: Sequence[float | int], resampled: Sequence[Sequence[float 
     table = np.asarray(resampled, dtype=np.float64)
     seeds = np.random.default_rng(0).integers(len(table), size=(table.shape[1], len(table)))
     means = table[seeds, np.arange(table.shape[1])[:, None]].mean(axis=1)
-    half = float(norm.ppf((1 + CONFIDENCE) / 2)) * float(means.std(ddof=1))
+    half = float(ndtri((1 + CONFIDENCE) / 2)) * float(means.std(ddof=1))
     return Estimate(math.fsum(values) / len(values), half, len(values), bootstrapped=True)
 
 
