@@ -27,8 +27,8 @@ def dataset() -> Dataset:
 def draw(dataset: Dataset, count: int = 4000, split: str = "train", **settings):
     """A plan of many rows, and the clip that each is from."""
     batches = ClipBatches(dataset, split, Sampling(**settings))
-    random = np.random.default_rng(0)
-    plan = batches._draw(random.choice(batches._described, count, p=batches.shares), random)
+    rng = np.random.default_rng(0)
+    plan = batches._draw(rng.choice(batches._described, count, p=batches.shares), rng)
     starts = np.array([clip.start for clip in dataset.clips])
     return plan, [dataset.clips[index] for index in np.searchsorted(starts, plan.body.start, side="right") - 1]
 

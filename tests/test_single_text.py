@@ -106,8 +106,8 @@ def slow_fid(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def slow_pairs(count: int, pairs: int, seed: int):
-    random = np.random.RandomState(seed)
-    return random.choice(count, pairs, replace=False), random.choice(count, pairs, replace=False)
+    rng = np.random.RandomState(seed)
+    return rng.choice(count, pairs, replace=False), rng.choice(count, pairs, replace=False)
 
 
 def slow_scores(benchmark: SingleText, files, rows, captions, seed: int) -> dict[str, float]:

@@ -40,21 +40,21 @@ class Sequences:
         self._end = np.array([clip.end for clip in dataset.clips])
         _, self._content = np.unique([clip.content for clip in dataset.clips], return_inverse=True)
 
-    def __call__(self, plan: BatchPlan, random: np.random.Generator) -> BatchPlan:
+    def __call__(self, plan: BatchPlan, rng: np.random.Generator) -> BatchPlan:
         """`plan`, whose rows are one crop each, in rows of several; with the crops that recordings pass into."""
         drawn = len(plan.sentence)
-        plan, after = self._passing(plan, random)
+        plan, after = self._passing(plan, rng)
         links = self._links(plan, after)
         links.free[drawn:] = False  # these come after their own alone
         rows = []
-        for first in random.permutation(drawn).tolist():
+        for first in rng.permutation(drawn).tolist():
             if links.free[first]:
-                rows.append(links.row(first, int(random.integers(self.least, self.most + 1)), self.fade, random))
+                rows.append(links.row(first, int(rng.integers(self.least, self.most + 1)), self.fade, rng))
         crops, fade = (np.concatenate([row[column] for row in rows]) for column in (0, 1))
         row = np.repeat(np.arange(len(rows)), [len(row[0]) for row in rows])
         return replace(plan[crops], row=row, fade=fade)
 
-    def _passing(self, plan: BatchPlan, random: np.random.Generator) -> tuple[BatchPlan, np.ndarray]:
+    def _passing(self, plan: BatchPlan, rng: np.random.Generator) -> tuple[BatchPlan, np.ndarray]:
         """The plan with the crops behind its own that these pass into, and of every crop the place of that one, or -1.
 
         A crop that passes into another lasts until that one begins, at the recording's own speed.
@@ -69,7 +69,7 @@ class Sequences:
             own, end = np.ones(len(asked)), self._end[next_clip]
             here = Crops(plan.body.clip[asked], begin, change, change - begin, own)
             there = Crops(next_clip, change, end, np.minimum(end - change, self.longest), own)
-            shown = zip(next_clip.tolist(), random.random(len(asked)).tolist(), strict=True)
+            shown = zip(next_clip.tolist(), rng.random(len(asked)).tolist(), strict=True)
             sentence = np.array([self.dataset.sentence(clip, u) for clip, u in shown], dtype=int)
             plan, passed = _with_more(plan, asked, here, there, sentence), np.arange(len(asked)) + len(after)
             after[asked] = passed
@@ -96,13 +96,13 @@ class _Links:
     fits: np.ndarray
     free: np.ndarray
 
-    def row(self, first: int, texts: int, fade: int, random: np.random.Generator) -> tuple[list[int], list[int]]:
+    def row(self, first: int, texts: int, fade: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
         """The crops of a row of at most so many texts, and over how many frames each fades in."""
         crops, fades = [first], [0]
         self.free[first] = False
         while len(crops) < texts:
             passed = self.after[crops[-1]]
-            nearest = self._nearest(crops[-1], random) if passed < 0 else -1
+            nearest = self._nearest(crops[-1], rng) if passed < 0 else -1
             if passed < 0 and nearest < 0:
                 break
             crops.append(int(max(passed, nearest)))
@@ -110,13 +110,13 @@ class _Links:
             self.free[crops[-1]] = False
         return crops, fades
 
-    def _nearest(self, last: int, random: np.random.Generator) -> int:
+    def _nearest(self, last: int, rng: np.random.Generator) -> int:
         silent, content = self.content[last] < 0, self.content
         fitting = content < 0 if silent else (content >= 0) & (content != content[last])
         free = np.flatnonzero(self.free & self.fits & fitting & self.fits[last])
         if not len(free):
             return -1
-        candidates = random.choice(free, min(CANDIDATES, len(free)), replace=False)
+        candidates = rng.choice(free, min(CANDIDATES, len(free)), replace=False)
         distance = np.sqrt(np.square(self.starts[candidates] - self.ends[last]).mean(axis=1))
         return int(candidates[distance.argmin()]) if distance.min() <= FARTHEST else -1
 
