@@ -77,7 +77,9 @@ def benchmark(folder: Path) -> None:
     """A tiny model, an evaluator and a benchmark."""
     stmc.save(tiny(), folder / "model", "card")
     save_evaluator(evaluator(), folder / "tmr", "card")
-    prepared([atom.text for atom in multi_track.read_atomic_prompts(BUNDLED / "prompts.json")]).write(folder / "cache")
+    prepared([prompt.text for prompt in multi_track.read_atomic_prompts(BUNDLED / "prompts.json")]).write(
+        folder / "cache"
+    )
 
 
 WORKS = {

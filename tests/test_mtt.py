@@ -30,16 +30,16 @@ def published(name: str) -> Path:
     return data_file(f"mtt/{name}")
 
 
-def atom(text: str, *parts: str) -> AtomicPrompt:
+def atomic_prompt(text: str, *parts: str) -> AtomicPrompt:
     return AtomicPrompt(text, frozenset(map(BodyPart, parts)), f"clip of {text}", 0.0, 3.0)
 
 
-ATOMS = [
-    atom("walk", "legs"),
-    atom("run", "legs"),
-    atom("raise the right arm", "right arm"),
-    atom("wave with both hands", "left arm", "right arm"),
-    atom("bow", "head", "spine"),
+ATOMIC_PROMPTS = [
+    atomic_prompt("walk", "legs"),
+    atomic_prompt("run", "legs"),
+    atomic_prompt("raise the right arm", "right arm"),
+    atomic_prompt("wave with both hands", "left arm", "right arm"),
+    atomic_prompt("bow", "head", "spine"),
 ]
 
 
@@ -50,7 +50,7 @@ def sampled(prompts: list[AtomicPrompt], count: int, seed: int) -> list[Timeline
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32))
 def test_every_timeline_has_two_prompts_in_a_row_and_a_third_on_parts_that_those_it_overlaps_leave_free(seed):
-    for timeline in sampled(ATOMS, 20, seed):
+    for timeline in sampled(ATOMIC_PROMPTS, 20, seed):
         first, second, third = timeline.prompts
         assert timeline.rows == (0, 0, 1)
         assert (first.start, first.end) == (0.0, second.start)
@@ -63,8 +63,8 @@ def test_every_timeline_has_two_prompts_in_a_row_and_a_third_on_parts_that_those
 
 
 def test_a_prompt_is_asked_for_no_shorter_and_no_longer_than_its_own_range_says():
-    jump = replace(atom("jump", "legs"), shortest=3.0, longest=4.0)
-    timelines = sampled([jump, *ATOMS], 200, seed=0)
+    jump = replace(atomic_prompt("jump", "legs"), shortest=3.0, longest=4.0)
+    timelines = sampled([jump, *ATOMIC_PROMPTS], 200, seed=0)
     asked = [prompt for timeline in timelines for prompt in timeline.prompts if prompt.text == "jump"]
     lasting = [round(prompt.end - prompt.start, 2) for prompt in asked]
     assert len(lasting) > 50 and min(lasting) >= 3.0 and max(lasting) == 4.0
@@ -110,24 +110,28 @@ def test_timelines_of_the_papers_own_prompts_are_like_the_published_ones(seed):
 
 def test_legs_are_drawn_three_times_as_often_as_an_arm_where_nothing_is_drawn_again():
     """Two prompts that go together at all times and of equal ranges: what is drawn again does not depend on which."""
-    timelines = sampled([atom("walk", "legs"), atom("raise the right arm", "right arm")], 4000, seed=0)
+    timelines = sampled(
+        [atomic_prompt("walk", "legs"), atomic_prompt("raise the right arm", "right arm")], 4000, seed=0
+    )
     told = [prompt.text for timeline in timelines for prompt in timeline.prompts[:2]]
     assert mean(text == "walk" for text in told) == pytest.approx(3 / 4, abs=0.05)
 
 
 def test_a_seed_gives_the_same_timelines_and_another_seed_others():
-    assert sampled(ATOMS, 5, seed=3) == sampled(ATOMS, 5, seed=3) != sampled(ATOMS, 5, seed=4)
-    assert sampled(ATOMS, 9, seed=3)[:5] == sampled(ATOMS, 5, seed=3)
+    assert (
+        sampled(ATOMIC_PROMPTS, 5, seed=3) == sampled(ATOMIC_PROMPTS, 5, seed=3) != sampled(ATOMIC_PROMPTS, 5, seed=4)
+    )
+    assert sampled(ATOMIC_PROMPTS, 9, seed=3)[:5] == sampled(ATOMIC_PROMPTS, 5, seed=3)
 
 
 def test_atomic_prompts_survive_their_file(tmp_path):
-    write_atomic_prompts(ATOMS, tmp_path / "prompts.json")
-    assert read_atomic_prompts(tmp_path / "prompts.json") == ATOMS
-    assert len((tmp_path / "prompts.json").read_text(encoding="utf-8").splitlines()) == len(ATOMS) + 2
+    write_atomic_prompts(ATOMIC_PROMPTS, tmp_path / "prompts.json")
+    assert read_atomic_prompts(tmp_path / "prompts.json") == ATOMIC_PROMPTS
+    assert len((tmp_path / "prompts.json").read_text(encoding="utf-8").splitlines()) == len(ATOMIC_PROMPTS) + 2
 
 
 def test_names_are_in_order_and_the_timelines_survive_their_file(tmp_path):
-    timelines = sampled(ATOMS, 12, seed=1)
+    timelines = sampled(ATOMIC_PROMPTS, 12, seed=1)
     assert all(a.name < b.name for a, b in pairwise(timelines))
     Timeline.write_all(timelines, tmp_path / "open.json")
     assert Timeline.read_all(tmp_path / "open.json") == timelines
@@ -135,8 +139,11 @@ def test_names_are_in_order_and_the_timelines_survive_their_file(tmp_path):
 
 def test_prompts_that_cannot_go_together_are_an_error_and_no_endless_loop():
     with pytest.raises(TimelineError, match="no two of the 2"):
-        sampled([atom("walk", "legs"), atom("run", "legs")], 1, seed=0)
-    brief = [replace(atom(text, part), shortest=3.0, longest=2.5) for text, part in (("nod", "head"), ("step", "legs"))]
+        sampled([atomic_prompt("walk", "legs"), atomic_prompt("run", "legs")], 1, seed=0)
+    brief = [
+        replace(atomic_prompt(text, part), shortest=3.0, longest=2.5)
+        for text, part in (("nod", "head"), ("step", "legs"))
+    ]
     with pytest.raises(TimelineError, match="no two of the 2"):
         sampled(brief, 1, seed=0)
 
@@ -188,7 +195,7 @@ def row(a: AtomicPrompt) -> dict:
     ],
 )
 def test_a_range_that_cannot_be_meant_is_an_error_with_its_place(changed, message, tmp_path):
-    (tmp_path / "prompts.json").write_text(json.dumps([row(ATOMS[0]) | changed]))
+    (tmp_path / "prompts.json").write_text(json.dumps([row(ATOMIC_PROMPTS[0]) | changed]))
     with pytest.raises(TimelineError, match=message):
         read_atomic_prompts(tmp_path / "prompts.json")
 
@@ -201,8 +208,10 @@ def test_json_that_is_no_list_of_prompts_is_an_error_with_its_place(document, tm
 
 
 def test_the_published_prompts_are_those_of_the_published_timelines():
-    atoms = {atom.text: atom for atom in read_atomic_prompts(published("texts.txt"), published("motions.txt"))}
-    assert len(atoms) == 60
+    atomic_prompts = {
+        prompt.text: prompt for prompt in read_atomic_prompts(published("texts.txt"), published("motions.txt"))
+    }
+    assert len(atomic_prompts) == 60
     for timeline in Timeline.read_all(published("MTT.txt")):
         for prompt in timeline.prompts:
-            assert prompt.parts == atoms[prompt.text].parts
+            assert prompt.parts == atomic_prompts[prompt.text].parts

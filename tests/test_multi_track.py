@@ -62,7 +62,7 @@ def joined(*motions: Motion) -> Motion:
 
 
 ORACLE = Oracle(FPS, lambda text: still(text, 9))
-ATOMS = [AtomicPrompt(text, frozenset(map(BodyPart, PARTS[text])), text, 0.0, 3.0) for text in ANGLES]
+ATOMIC_PROMPTS = [AtomicPrompt(text, frozenset(map(BodyPart, PARTS[text])), text, 0.0, 3.0) for text in ANGLES]
 ASKED = [
     Timeline((Prompt("raise the left arm", 0, 3, PARTS["raise the left arm"]), Prompt("bow", 3, 6, PARTS["bow"]))),
     Timeline((Prompt("bow", 0, 2, PARTS["bow"]), Prompt("raise the right arm", 2, 6, PARTS["raise the right arm"]))),
@@ -71,7 +71,7 @@ SHOWN = [joined(still("raise the left arm"), still("bow")), joined(still("bow", 
 
 
 def benchmark(**settings) -> MultiTrack:
-    return MultiTrack.of(ASKED, ATOMS, ORACLE, lambda clip, start, end: still(clip), **settings)
+    return MultiTrack.of(ASKED, ATOMIC_PROMPTS, ORACLE, lambda clip, start, end: still(clip), **settings)
 
 
 @pytest.fixture(autouse=True)
@@ -166,7 +166,7 @@ def test_draws_of_timelines_are_measured_like_a_benchmark_of_the_drawn_ones(meth
     )
     for draw, units in enumerate(np.random.default_rng(0).integers(2, size=(resampling.DRAWS, 2))):
         some = MultiTrack.of(
-            [ASKED[unit] for unit in units], ATOMS, ORACLE, lambda clip, *_: still(clip), questions=questions
+            [ASKED[unit] for unit in units], ATOMIC_PROMPTS, ORACLE, lambda clip, *_: still(clip), questions=questions
         )
         motions = [motion for unit in units for motion in shown[per * unit : per * (unit + 1)]]
         expected = some.measured(method, motions, seed=0).metrics
@@ -189,48 +189,61 @@ def test_real_motion_finds_itself_and_is_compared_with_as_much_of_itself():
     assert measured.real(0) == measured.real(0) != measured.real(1)
 
 
-def test_a_text_that_no_atom_has_is_named():
+def test_a_text_that_no_atomic_prompt_has_is_named():
     strange = Timeline((Prompt("fly", 0, 2),), "0007")
     with pytest.raises(TimelineError, match="timeline 0007: 'fly' is none of the 3 texts"):
-        MultiTrack.of([strange], ATOMS, ORACLE, lambda clip, start, end: still(clip))
+        MultiTrack.of([strange], ATOMIC_PROMPTS, ORACLE, lambda clip, start, end: still(clip))
 
 
 # What is bundled ----------------------------------------------------------------------------------------------------
 
 
 def test_the_bundled_timelines_are_those_that_the_bundled_prompts_make():
-    atoms, timelines = read_atomic_prompts(BUNDLED / "prompts.json"), Timeline.read_all(BUNDLED / "timelines.json")
+    atomic_prompts, timelines = (
+        read_atomic_prompts(BUNDLED / "prompts.json"),
+        Timeline.read_all(BUNDLED / "timelines.json"),
+    )
     assert len(timelines) == 500
-    assert sample_timelines(atoms, 500, np.random.default_rng(0)) == timelines
-    assert {prompt.text for timeline in timelines for prompt in timeline.prompts} == {atom.text for atom in atoms}
+    assert sample_timelines(atomic_prompts, 500, np.random.default_rng(0)) == timelines
+    assert {prompt.text for timeline in timelines for prompt in timeline.prompts} == {
+        prompt.text for prompt in atomic_prompts
+    }
 
 
 def test_the_bundled_prompts_are_contents_of_both_data_sets_told_by_their_first_sentences():
-    atoms, contents = read_atomic_prompts(BUNDLED / "prompts.json"), {}
+    atomic_prompts, contents = read_atomic_prompts(BUNDLED / "prompts.json"), {}
     for content in reversed(CONTENTS.values()):
         contents[content.sentences[0]] = content
-    assert len(atoms) >= 40
-    for atom in atoms:
-        content = contents[atom.text]
-        assert (atom.parts, atom.cyclic) == (content.parts, content.cyclic)
-        assert atom.end - atom.start <= LONGEST or not atom.cyclic
-        if not atom.clip.startswith("dataset-"):
-            assert splits()[atom.clip.split("/")[0]] in HELD_OUT
+    assert len(atomic_prompts) >= 40
+    for prompt in atomic_prompts:
+        content = contents[prompt.text]
+        assert (prompt.parts, prompt.cyclic) == (content.parts, content.cyclic)
+        assert prompt.end - prompt.start <= LONGEST or not prompt.cyclic
+        if not prompt.clip.startswith("dataset-"):
+            assert splits()[prompt.clip.split("/")[0]] in HELD_OUT
 
 
 def test_the_bundled_evaluator_finds_what_the_bundled_model_was_asked_for():
-    atoms, ear, model = read_atomic_prompts(BUNDLED / "prompts.json"), stmc.load_evaluator(), stmc.load()
-    atoms = [atom for atom in atoms if atom.clip.startswith("dataset-")]  # of the data that both have learnt
-    asked = [atom for atom in atoms if atom.text in ("walk", "turn left", "raise the right arm", "raise both arms")]
-    timelines = [Timeline((Prompt(atom.text, 0, 4, atom.parts),)) for atom in asked]
+    atomic_prompts, ear, model = read_atomic_prompts(BUNDLED / "prompts.json"), stmc.load_evaluator(), stmc.load()
+    atomic_prompts = [
+        prompt for prompt in atomic_prompts if prompt.clip.startswith("dataset-")
+    ]  # of the data that both have learnt
+    asked = [
+        prompt
+        for prompt in atomic_prompts
+        if prompt.text in ("walk", "turn left", "raise the right arm", "raise both arms")
+    ]
+    timelines = [Timeline((Prompt(prompt.text, 0, 4, prompt.parts),)) for prompt in asked]
     motions = model.generate(timelines, seed=0, steps=10, sampler=stmc.ddim)
-    table = cosines(ear.motions([ear.features(motion) for motion in motions]), ear.texts([atom.text for atom in atoms]))
-    assert [atoms[best].text for best in table.argmax(dim=1).tolist()] == [atom.text for atom in asked]
+    table = cosines(
+        ear.motions([ear.features(motion) for motion in motions]), ear.texts([prompt.text for prompt in atomic_prompts])
+    )
+    assert [atomic_prompts[best].text for best in table.argmax(dim=1).tolist()] == [prompt.text for prompt in asked]
 
 
 def prepared(texts: Sequence[str]) -> Cache:
-    """A data set whose test split shows each text twice, in clips that the bundled atoms name."""
-    named = {atom.text: atom.clip for atom in read_atomic_prompts(BUNDLED / "prompts.json")}
+    """A data set whose test split shows each text twice, in clips that the bundled atomic prompts name."""
+    named = {prompt.text: prompt.clip for prompt in read_atomic_prompts(BUNDLED / "prompts.json")}
     features, clips = [], []
     for text in texts:
         for copy in range(2):
@@ -251,7 +264,7 @@ class AnyText(Oracle):
 
 def test_the_open_benchmark_takes_its_real_motion_from_held_out_clips_of_several_caches(tmp_path, monkeypatch):
     monkeypatch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
-    texts = [atom.text for atom in read_atomic_prompts(BUNDLED / "prompts.json")]
+    texts = [prompt.text for prompt in read_atomic_prompts(BUNDLED / "prompts.json")]
     for name, some in (("one", texts[::2]), ("other", texts[1::2])):
         prepared(some).write(tmp_path / name)
     opened = open_mtt(AnyText(), [tmp_path / "one", tmp_path / "other"], first=3)
@@ -260,7 +273,7 @@ def test_the_open_benchmark_takes_its_real_motion_from_held_out_clips_of_several
 
 
 def test_a_text_that_no_held_out_clip_shows_is_named(tmp_path, work, quick):
-    texts = [atom.text for atom in read_atomic_prompts(work / "assets" / "open_mtt" / "prompts.json")]
+    texts = [prompt.text for prompt in read_atomic_prompts(work / "assets" / "open_mtt" / "prompts.json")]
     prepared(texts[1:]).write(tmp_path / "cache")
     with pytest.raises(CacheError, match=f"no held-out clip shows '{texts[0]}'"):
         open_mtt(AnyText(), tmp_path / "cache")

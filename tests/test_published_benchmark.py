@@ -262,9 +262,9 @@ def test_the_published_table_is_the_one_that_the_published_formulas_give(work, m
 
 
 def test_the_ground_truth_is_cut_and_mirrored_as_published(work, reference_motions):
-    for atom in read_atomic_prompts(work / "texts.txt", work / "motions.txt"):
-        expected = oracle_joints(atom.clip, atom.start, atom.end)
-        shown = from_origin(reference_motions(atom.clip, atom.start, atom.end).joints[:, :22].numpy())
+    for prompt in read_atomic_prompts(work / "texts.txt", work / "motions.txt"):
+        expected = oracle_joints(prompt.clip, prompt.start, prompt.end)
+        shown = from_origin(reference_motions(prompt.clip, prompt.start, prompt.end).joints[:, :22].numpy())
         assert_close(shown, expected, atol=2e-5, rtol=0)
 
 

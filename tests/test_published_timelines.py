@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 from conftest import data_file
-from test_mtt import ATOMS, atom
+from test_mtt import ATOMIC_PROMPTS, atomic_prompt
 
 from stmc.benchmarks.atomic_prompts import read_atomic_prompts
 from stmc.benchmarks.published_timelines import LONGEST, sample_published_timelines
@@ -14,14 +14,14 @@ from stmc.timeline import Timeline, TimelineError
 
 def test_the_published_timelines_are_those_of_their_prompts_and_seed():
     published = data_file("mtt/MTT.txt")
-    atoms = read_atomic_prompts(published.parent / "texts.txt", published.parent / "motions.txt")
-    drawn = sample_published_timelines(atoms)
+    atomic_prompts = read_atomic_prompts(published.parent / "texts.txt", published.parent / "motions.txt")
+    drawn = sample_published_timelines(atomic_prompts)
     assert [each.prompts for each in drawn] == [each.prompts for each in Timeline.read_all(published)]
 
 
 def test_the_third_prompt_lies_beside_one_of_the_others_and_is_of_parts_that_it_has_not():
     beside = Counter()
-    for timeline in sample_published_timelines(ATOMS, 400, seed=0):
+    for timeline in sample_published_timelines(ATOMIC_PROMPTS, 400, seed=0):
         first, second, third = timeline.prompts
         assert timeline.rows == (0, 0, 1)
         assert (first.start, first.end) == (0.0, second.start)
@@ -34,12 +34,19 @@ def test_the_third_prompt_lies_beside_one_of_the_others_and_is_of_parts_that_it_
 
 
 def test_a_seed_gives_the_same_timelines_and_another_seed_others():
-    few, more = (sample_published_timelines(ATOMS, count, seed=3) for count in (5, 9))
-    assert more[:5] == few != sample_published_timelines(ATOMS, 5, seed=4)
+    few, more = (sample_published_timelines(ATOMIC_PROMPTS, count, seed=3) for count in (5, 9))
+    assert more[:5] == few != sample_published_timelines(ATOMIC_PROMPTS, 5, seed=4)
     assert all(one.name < other.name for one, other in pairwise(more))
 
 
-@pytest.mark.parametrize("atoms", [[], ATOMS[:1], [atom("walk", "legs"), atom("run", "legs"), atom("hop", "legs")]])
-def test_prompts_that_cannot_go_together_are_an_error_and_no_endless_loop(atoms):
+@pytest.mark.parametrize(
+    "atomic_prompts",
+    [
+        [],
+        ATOMIC_PROMPTS[:1],
+        [atomic_prompt("walk", "legs"), atomic_prompt("run", "legs"), atomic_prompt("hop", "legs")],
+    ],
+)
+def test_prompts_that_cannot_go_together_are_an_error_and_no_endless_loop(atomic_prompts):
     with pytest.raises(TimelineError, match="no three of the"):
-        sample_published_timelines(atoms, 1)
+        sample_published_timelines(atomic_prompts, 1)

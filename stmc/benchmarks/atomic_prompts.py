@@ -64,26 +64,30 @@ def read_atomic_prompts(path: str | Path, motions: str | Path | None = None) -> 
     """
     path = Path(path)
     if motions is None:
-        atoms = _of_json(path)
+        atomic_prompts = _of_json(path)
     else:
         texts, shown = _fields(path), _fields(Path(motions))
         if len(texts) != len(shown):
             raise TimelineError(f"{path} has {len(texts)} texts, {motions} {len(shown)} motions: each needs one")
-        atoms = [
-            _atom(text, parts, *motion, place=f"{path}, line {number}" if len(motion) == 3 else f"{motions}, line {at}")
+        atomic_prompts = [
+            _atomic_prompt(
+                text, parts, *motion, place=f"{path}, line {number}" if len(motion) == 3 else f"{motions}, line {at}"
+            )
             for (number, (text, *parts)), (at, motion) in zip(texts, shown, strict=True)
         ]
     seen: set[str] = set()
-    for atom in atoms:
-        if atom.text in seen:
-            raise TimelineError(f"{path}: {atom.text!r} is duplicated")
-        seen.add(atom.text)
-    return atoms
+    for prompt in atomic_prompts:
+        if prompt.text in seen:
+            raise TimelineError(f"{path}: {prompt.text!r} is duplicated")
+        seen.add(prompt.text)
+    return atomic_prompts
 
 
-def write_atomic_prompts(atoms: Sequence[AtomicPrompt], path: str | Path) -> None:
+def write_atomic_prompts(atomic_prompts: Sequence[AtomicPrompt], path: str | Path) -> None:
     """The atomic prompts as a JSON list, a line each; the file appears whole or not at all."""
-    rows = [dict(zip(_KEYS, (each.text, sorted(each.parts), *astuple(each)[2:]), strict=True)) for each in atoms]
+    rows = [
+        dict(zip(_KEYS, (each.text, sorted(each.parts), *astuple(each)[2:]), strict=True)) for each in atomic_prompts
+    ]
     lines = ",\n".join(map(json.dumps, rows))
     write_text(Path(path), f"[\n{lines}\n]\n")
 
@@ -112,10 +116,10 @@ def _of_row(row: dict, place: str) -> AtomicPrompt:
         raise TimelineError(f"{place}: shortest and longest are seconds, cyclic is true or false")
     if not 0 < shortest <= longest:
         raise TimelineError(f"{place}: shortest ({shortest}) must be above 0 and at most longest ({longest})")
-    return replace(_atom(*described, place=place), shortest=shortest, longest=longest, cyclic=cyclic)
+    return replace(_atomic_prompt(*described, place=place), shortest=shortest, longest=longest, cyclic=cyclic)
 
 
-def _atom(text: str, parts: Sequence[str], *motion: str | float, place: str) -> AtomicPrompt:
+def _atomic_prompt(text: str, parts: Sequence[str], *motion: str | float, place: str) -> AtomicPrompt:
     if len(motion) != 3:
         raise TimelineError(f"{place}: a motion is written clip # start # end (seconds)")
     clip, *span = motion
@@ -191,8 +195,8 @@ def _hundredths(prompt: AtomicPrompt, seconds: float) -> int:
     return round(_HUNDREDTH * min(max(seconds, prompt.shortest), prompt.longest))
 
 
-def _asked(atom: AtomicPrompt, start: int, end: int) -> Prompt:
-    return Prompt(atom.text, start / _HUNDREDTH, end / _HUNDREDTH, atom.parts)
+def _asked(prompt: AtomicPrompt, start: int, end: int) -> Prompt:
+    return Prompt(prompt.text, start / _HUNDREDTH, end / _HUNDREDTH, prompt.parts)
 
 
 def _complementary(prompt: AtomicPrompt, claimed: frozenset[BodyPart]) -> bool:

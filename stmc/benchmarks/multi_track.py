@@ -41,16 +41,16 @@ JERKED_SECONDS = 1
 
 @dataclass(frozen=True, eq=False)
 class MultiTrack:
-    """A `Benchmark` of `asked` timelines whose texts are those of `atoms`.
+    """A `Benchmark` of `asked` timelines whose texts are those of `atomic_prompts`.
 
-    `truth` are the evaluator's latents of the atoms in their order, `reference_motions` the motions that show them, at
-    its frame rate. `formulas` and `joints_from` say how to measure, and which joints of a model's features: by
+    `truth` are the evaluator's latents of the atomic prompts in their order, `reference_motions` the motions that show
+    them, at its frame rate. `formulas` and `joints_from` say how to measure, and which joints of a model's features: by
     definition, or as published to compare with the paper's tables. `questions` are those that geometry can answer about
     a motion, for some of the texts: no learned evaluator is asked.
     """
 
     asked: Sequence[Timeline]
-    atoms: Sequence[AtomicPrompt]
+    atomic_prompts: Sequence[AtomicPrompt]
     evaluator: TextEvaluator
     truth: GroundTruth
     reference_motions: Sequence[Motion]
@@ -59,7 +59,7 @@ class MultiTrack:
     questions: Mapping[str, Question] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = {atom.text for atom in self.atoms}
+        known = {prompt.text for prompt in self.atomic_prompts}
         for timeline in self.asked:
             for prompt in timeline.prompts:
                 if prompt.text not in known:
@@ -69,7 +69,7 @@ class MultiTrack:
     def of(
         cls,
         asked: Sequence[Timeline],
-        atoms: Sequence[AtomicPrompt],
+        atomic_prompts: Sequence[AtomicPrompt],
         evaluator: TextEvaluator,
         reference_motions: ReferenceMotions,
         others: Sequence[Motion] = (),
@@ -77,16 +77,19 @@ class MultiTrack:
         joints_from: JointsFrom = "skeleton",
         questions: Mapping[str, Question] = MappingProxyType({}),
     ) -> MultiTrack:
-        """The benchmark with the latents of its atoms, shown by `reference_motions`, and of the `others` that FID
-        compares with (none: as published, the atoms' own)."""
-        shown = [reference_motions(atom.clip, atom.start, atom.end).resampled(evaluator.fps) for atom in atoms]
+        """The benchmark with the latents of its atomic prompts, shown by `reference_motions`, and of the `others` that
+        FID compares with (none: as published, the atomic prompts' own)."""
+        shown = [
+            reference_motions(prompt.clip, prompt.start, prompt.end).resampled(evaluator.fps)
+            for prompt in atomic_prompts
+        ]
         latents = evaluator.motions([evaluator.features(motion) for motion in [*shown, *others]])
         truth = GroundTruth(
-            texts=evaluator.texts([atom.text for atom in atoms]),
-            motions=latents[: len(atoms)],
-            others=latents[len(atoms) :] if others else None,
+            texts=evaluator.texts([prompt.text for prompt in atomic_prompts]),
+            motions=latents[: len(atomic_prompts)],
+            others=latents[len(atomic_prompts) :] if others else None,
         )
-        return cls(asked, atoms, evaluator, truth, shown, formulas, joints_from, questions)
+        return cls(asked, atomic_prompts, evaluator, truth, shown, formulas, joints_from, questions)
 
     def timelines(self, method: str) -> list[Timeline]:
         """Those of the benchmark; for "independent" each of their prompts as a timeline."""
@@ -115,9 +118,9 @@ class MultiTrack:
         return found if method == INDEPENDENT else self._with_jerk(found, evidence.jerks.values)
 
     def real(self, seed: int) -> Scores:
-        """Of the atoms' real motions. FID is that of two random halves of what FID compares with: the least that can be
-        hoped for; 0 where that is the atoms' own motions, as published."""
-        found = semantics(self.truth.motions, range(len(self.atoms)), self.truth)
+        """Of the atomic prompts' real motions. FID is that of two random halves of what FID compares with: the least
+        that can be hoped for; 0 where that is the atomic prompts' own motions, as published."""
+        found = semantics(self.truth.motions, range(len(self.atomic_prompts)), self.truth)
         least = 0.0
         if self.truth.others is not None:
             order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
@@ -159,7 +162,7 @@ class MultiTrack:
         answers = []
         for place, (motion, each) in enumerate(zip(motions, spans, strict=True)):
             for start, end, number in each:
-                if question := self.questions.get(self.atoms[number].text):
+                if question := self.questions.get(self.atomic_prompts[number].text):
                     answers.append((place, bool(question(motion.trimmed(start, end)))))
         return answers
 
@@ -170,8 +173,8 @@ class MultiTrack:
         asked = [prompt.text for timeline in self.asked for prompt in timeline.prompts if prompt.text in self.questions]
         rates = {}
         for text in set(asked):
-            question, named = self.questions[text], zip(self.atoms, self.reference_motions, strict=True)
-            others = [motion for atom, motion in named if self.questions.get(atom.text) is not question]
+            question, named = self.questions[text], zip(self.atomic_prompts, self.reference_motions, strict=True)
+            others = [motion for prompt, motion in named if self.questions.get(prompt.text) is not question]
             rates[text] = sum(bool(question(motion)) for motion in others) / max(1, len(others))
         return sum(rates[text] for text in asked) / max(1, len(asked))
 
@@ -222,7 +225,7 @@ class MultiTrack:
 
     def _spans(self, method: str, lengths: Sequence[int]) -> list[list[Span]]:
         """Of every motion, which frames should show which text; none goes on beyond its end."""
-        numbers, spans = {atom.text: number for number, atom in enumerate(self.atoms)}, []
+        numbers, spans = {prompt.text: number for number, prompt in enumerate(self.atomic_prompts)}, []
         for timeline, length in zip(self.timelines(method), lengths, strict=True):
             whole = [(0, length)] * len(timeline.prompts)
             asked = whole if method in ("one_text", INDEPENDENT) else timeline.spans(self.evaluator.fps)
@@ -242,21 +245,24 @@ def open_mtt(
     do not show every text.
     """
     folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), read_caches(cache)
-    atoms, asked = read_atomic_prompts(folder / "prompts.json"), Timeline.read_all(folder / "timelines.json")[:first]
+    atomic_prompts = read_atomic_prompts(folder / "prompts.json")
+    asked = Timeline.read_all(folder / "timelines.json")[:first]
     reference_motions = cache_reference_motions(prepared, SmplRepresentation())
     rng, others = np.random.default_rng(0), []
-    for atom in atoms:
-        clips = prepared.held_out(atom.text)
+    for prompt in atomic_prompts:
+        clips = prepared.held_out(prompt.text)
         if not clips:
             raise CacheError(
-                f"{cache}: no held-out clip shows {atom.text!r}; prepare the Bandai Namco and the CMU data sets and "
+                f"{cache}: no held-out clip shows {prompt.text!r}; prepare the Bandai Namco and the CMU data sets and "
                 "name both"
             )
         drawn = [clips[index] for index in rng.integers(len(clips), size=PER_TEXT)]
         others += [reference_motions(clip.name, 0.0, _seconds(clip, prepared.fps)) for clip in drawn]
     contents = {clip.name: clip.content for clip in prepared.clips}
-    asked_of = {atom.text: QUESTIONS[contents[atom.clip]] for atom in atoms if contents[atom.clip] in QUESTIONS}
-    return MultiTrack.of(asked, atoms, evaluator, reference_motions, others, questions=asked_of)
+    asked_of = {
+        prompt.text: QUESTIONS[contents[prompt.clip]] for prompt in atomic_prompts if contents[prompt.clip] in QUESTIONS
+    }
+    return MultiTrack.of(asked, atomic_prompts, evaluator, reference_motions, others, questions=asked_of)
 
 
 def published_mtt(
@@ -270,10 +276,12 @@ def published_mtt(
     """The paper's benchmark, measured as published: `folder` holds its MTT.txt, texts.txt and motions.txt; see
     `amass_reference_motions` for the rest. The paper's tables were made from the joints of the features."""
     folder = Path(folder).expanduser()
-    atoms = read_atomic_prompts(folder / "texts.txt", folder / "motions.txt")
+    atomic_prompts = read_atomic_prompts(folder / "texts.txt", folder / "motions.txt")
     reference_motions = amass_reference_motions(amass, evaluator.fps, body)
     asked = Timeline.read_all(folder / "MTT.txt")[:first]
-    return MultiTrack.of(asked, atoms, evaluator, reference_motions, formulas=PUBLISHED, joints_from=joints_from)
+    return MultiTrack.of(
+        asked, atomic_prompts, evaluator, reference_motions, formulas=PUBLISHED, joints_from=joints_from
+    )
 
 
 @dataclass(frozen=True, eq=False)

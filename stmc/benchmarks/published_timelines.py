@@ -22,49 +22,53 @@ LEGS = 3
 """Of how many other body parts the legs count for, where prompts are drawn in proportion to theirs."""
 
 ATTEMPTS = 1000
-"""In a row without a timeline: then no three of the atoms go together."""
+"""In a row without a timeline: then no three of the atomic prompts go together."""
 
 
-def sample_published_timelines(atoms: Sequence[AtomicPrompt], count: int = 500, seed: int = SEED) -> list[Timeline]:
+def sample_published_timelines(
+    atomic_prompts: Sequence[AtomicPrompt], count: int = 500, seed: int = SEED
+) -> list[Timeline]:
     """`count` timelines of three prompts on two tracks, a function of its arguments alone.
 
     Two prompts follow each other, drawn in proportion to their body parts. The third lies on the second track beside
     one of them (6 of 7, the longer one twice as often) or anywhere beside both: it is no longer, and of body parts
     that those have not. The first two may be the same one: it has as many chances as it has parts. Raises
-    `TimelineError` where no three of the atoms go together.
+    `TimelineError` where no three of the atomic prompts go together.
     """
     rng, timelines, failed = random.Random(seed), list[Timeline](), 0
-    weights = [sum(LEGS if part is BodyPart.LEGS else 1 for part in atom.parts) for atom in atoms]
-    if len(atoms) < 2:
-        raise TimelineError(f"no three of the {len(atoms)} atomic prompts go together")
+    weights = [sum(LEGS if part is BodyPart.LEGS else 1 for part in prompt.parts) for prompt in atomic_prompts]
+    if len(atomic_prompts) < 2:
+        raise TimelineError(f"no three of the {len(atomic_prompts)} atomic prompts go together")
     while len(timelines) < count:
-        prompts = _drawn(atoms, weights, rng)
+        prompts = _drawn(atomic_prompts, weights, rng)
         failed = 0 if prompts else failed + 1
         if failed == ATTEMPTS:
-            raise TimelineError(f"no three of the {len(atoms)} atomic prompts go together: one needs parts of its own")
+            raise TimelineError(
+                f"no three of the {len(atomic_prompts)} atomic prompts go together: one needs parts of its own"
+            )
         if prompts:
             timelines.append(Timeline(prompts, f"{len(timelines):04d}", rows=(0, 0, 1)))
     return timelines
 
 
-def _drawn(atoms: Sequence[AtomicPrompt], weights: Sequence[int], rng: random.Random) -> tuple[Prompt, ...]:
-    """One attempt: three prompts, or none where no atom fits beside the first two."""
-    first, second = rng.sample(range(len(atoms)), counts=weights, k=2)
+def _drawn(atomic_prompts: Sequence[AtomicPrompt], weights: Sequence[int], rng: random.Random) -> tuple[Prompt, ...]:
+    """One attempt: three prompts, or none where no atomic prompt fits beside the first two."""
+    first, second = rng.sample(range(len(atomic_prompts)), counts=weights, k=2)
     lasting = [min(round(rng.gauss(MEAN, DEVIATION), 2), LONGEST) for _ in range(2)]
     longer = "first" if lasting[0] > lasting[1] else "second"
     [beside] = rng.sample(["first", "second", longer, "both"], counts=[2, 2, 2, 1], k=1)
     neighbours = {"first": [first], "second": [second], "both": [first, second]}[beside]
     room = {"first": lasting[0], "second": lasting[1], "both": min(sum(lasting), LONGEST)}[beside]
-    taken = frozenset[BodyPart]().union(*(atoms[index].parts for index in neighbours))
+    taken = frozenset[BodyPart]().union(*(atomic_prompts[index].parts for index in neighbours))
     third = round(MEAN + rng.gauss(0, 1) * DEVIATION, 2)
-    free = [n for n, atom in enumerate(atoms) if n not in (first, second) and not atom.parts & taken]
+    free = [n for n, prompt in enumerate(atomic_prompts) if n not in (first, second) and not prompt.parts & taken]
     if third > room or not free:
         return ()
     chosen, third = rng.choice(free), min(third, LONGEST)
     start = round((lasting[0] if beside == "second" else 0.0) + rng.uniform(0, room - third), 2)
     times = ((0.0, lasting[0]), (lasting[0], sum(lasting)), (start, start + third))
     asked = zip((first, second, chosen), times, strict=True)
-    return tuple(Prompt(atoms[n].text, *map(_hundredths, span), atoms[n].parts) for n, span in asked)
+    return tuple(Prompt(atomic_prompts[n].text, *map(_hundredths, span), atomic_prompts[n].parts) for n, span in asked)
 
 
 def _hundredths(seconds: float) -> float:
