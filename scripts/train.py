@@ -1,6 +1,5 @@
 """Trains a denoiser: `python scripts/train.py run=FOLDER data.folder=CACHE`; devices: `accelerate launch`."""
 
-import logging
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,8 +15,9 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 import stmc
 from stmc.commands import command
 from stmc.commands.shared import Trained
+from stmc.commands.training_data import read_training_data
 from stmc.data.batches import ClipBatches
-from stmc.data.cache import Cache, read_caches
+from stmc.data.cache import Cache
 from stmc.data.dataset import Dataset
 from stmc.data.vocabularies import vocabulary_of
 from stmc.diffusion import NoiseScale
@@ -29,8 +29,6 @@ from stmc.settings import record_of, setting
 from stmc.text import Cached
 from stmc.training import Callback, Denoising, Trainer, begin
 from stmc.vocabulary import sentence_encoder
-
-logger = logging.getLogger(__name__)
 
 DRAWN = (
     "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
@@ -61,28 +59,16 @@ def main(config: DictConfig) -> None:
 def train(config: DictConfig, accelerator: Accelerator) -> None:
     """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
-    sampling, described = instantiate(config.data.sampling), OmegaConf.to_container(config, resolve=True)
-    parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
-    representation = parts["representation"]
-    logger.info("reading %s", config.data.folder)
-    cache = read_caches(config.data.folder)
-    if config.data.prolonging:
-        cache = instantiate(config.data.prolonging)(cache, representation.layout)
+    sampling = instantiate(config.data.sampling)
     started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
-    dataset = instantiate(config.data.dataset, _partial_=True)(
-        cache=cache,
-        encoder=Cached(parts["text_encoder"], config.text_cache),
-        layout=representation.layout,
-        text=started.text_statistics if started else None,
-        device=accelerator.device,
-    )
+    cache, dataset = read_training_data(config, started.text_statistics if started else None, accelerator.device)
     held_out = ClipBatches(dataset, "val", sampling, settings.seed)
     torch.manual_seed(settings.seed)
     with open_dict(config):
         config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
     auxiliary = config.data.auxiliary_loss
     auxiliary_loss = instantiate(auxiliary, _partial_=True)(dataset) if auxiliary else None
-    fields = dict(representation.layout.slices)
+    fields = dict(dataset.layout.slices)
     if auxiliary_loss:
         fields[auxiliary_loss.name] = slice(dataset.features_width, None)
     model = record(config, dataset, cache)

@@ -1,7 +1,6 @@
 """Trains TMR, the evaluator: `python scripts/train_tmr.py run=FOLDER data.folder=CACHE`."""
 
 import json
-import logging
 import sys
 from collections import Counter
 from collections.abc import Mapping
@@ -15,8 +14,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from stmc.commands import command
 from stmc.commands.shared import Trained
+from stmc.commands.training_data import read_training_data
 from stmc.data.batches import ClipBatches
-from stmc.data.cache import read_caches
 from stmc.data.dataset import Dataset
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
@@ -27,8 +26,6 @@ from stmc.settings import setting
 from stmc.text import Cached
 from stmc.training import Callback, Trainer, begin
 from stmc.training.logs import Table
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,19 +50,9 @@ def main(config: DictConfig) -> None:
 def train(config: DictConfig, accelerator: Accelerator) -> None:
     """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
-    sampling, described = instantiate(config.data.sampling), OmegaConf.to_container(config, resolve=True)
-    kinds = {part: EVALUATOR_PARTS[part] for part in ("representation", "text_encoder")}
-    parts = build(described, kinds, config.trusted)
-    logger.info("reading %s", config.data.folder)
-    cache = read_caches(config.data.folder)
+    sampling = instantiate(config.data.sampling)
     started = load_evaluator(config.init_from, trusted=config.trusted) if config.init_from else None
-    dataset = instantiate(config.data.dataset, _partial_=True)(
-        cache=cache,
-        encoder=Cached(parts["text_encoder"], config.text_cache),
-        layout=parts["representation"].layout,
-        text=started.text_statistics if started else None,
-        device=accelerator.device,
-    )
+    cache, dataset = read_training_data(config, started.text_statistics if started else None, accelerator.device)
     sentences = (
         Cached(instantiate(config.false_negative_encoder), config.text_cache) if config.false_negative_encoder else None
     )

@@ -1,0 +1,45 @@
+"""The data that a command trains on, as its settings describe them: for a denoiser and for an evaluator alike.
+
+Knows settings; knows no network and no loss.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from stmc.data.cache import Cache, read_caches
+from stmc.data.dataset import Dataset
+from stmc.run import PARTS, build
+from stmc.statistics import Statistics
+from stmc.text import Cached
+
+logger = logging.getLogger(__name__)
+
+
+def read_training_data(
+    config: DictConfig, text_statistics: Statistics | None, device: torch.device
+) -> tuple[Cache, Dataset]:
+    """The caches of `data.folder` as one, prolonged where `data.prolonging` says how, and the data set that it makes
+    with the representation and the text encoder of `config`.
+
+    `text_statistics`: those of the network that training begins with; None: the data set's own.
+    """
+    described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
+    layout = parts["representation"].layout
+    logger.info("reading %s", config.data.folder)
+    cache = read_caches(config.data.folder)
+    if config.data.prolonging:
+        cache = instantiate(config.data.prolonging)(cache, layout)
+    dataset = instantiate(config.data.dataset, _partial_=True)(
+        cache=cache,
+        encoder=Cached(parts["text_encoder"], config.text_cache),
+        layout=layout,
+        text=text_statistics,
+        device=device,
+    )
+    return cache, dataset
