@@ -7,7 +7,6 @@ steps of `generate` are the library's own functions, each of which can be used a
 from __future__ import annotations
 
 import dataclasses
-import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -33,11 +32,9 @@ from stmc.representation import JointsFrom, Representation
 from stmc.sampling import DEFAULT, Sampling
 from stmc.settings import SettingError, record_of, shown, takes
 from stmc.statistics import Statistics
-from stmc.text import TextEncoder, WeightsNotFound
+from stmc.text import TextEncoder
 from stmc.timeline import Timeline, UnknownPromptWarning, advise
-from stmc.vocabulary import Recognition, Vocabulary, sentence_encoder
-
-logger = logging.getLogger(__name__)
+from stmc.vocabulary import Recogniser, Recognition, Vocabulary
 
 Precision = Literal["fp32", "bf16"]
 
@@ -92,8 +89,8 @@ class Model:
         return as_network(self.denoiser)
 
     @cached_property
-    def _sentence_encoder(self) -> TextEncoder:
-        return sentence_encoder(self.text_encoder)
+    def _recognise(self) -> Recogniser:
+        return Recogniser(self.vocabulary, self.text_encoder)
 
     @property
     def device(self) -> torch.device:
@@ -152,13 +149,7 @@ class Model:
             >>> walk.known, swim.known
             (True, False)
         """
-        if self.vocabulary is None:
-            return []
-        try:
-            return self.vocabulary.recognise(list(dict.fromkeys(texts)), self._sentence_encoder)
-        except WeightsNotFound as error:
-            logger.info("prompts are not compared with what the model knows: %s", error)
-            return []
+        return self._recognise(texts)
 
     def unknown(self, timelines: Sequence[Timeline]) -> list[Recognition]:
         """The prompts of timelines that the model hardly knows, each text once.

@@ -27,6 +27,7 @@ from stmc.vocabulary import (
     build_vocabulary,
     building,
     read_vocabulary,
+    recogniser,
     sentence_encoder,
     suggest,
     write_vocabulary,
@@ -71,6 +72,19 @@ def test_a_prompt_that_is_not_known_warns_with_the_nearest_that_are_and_is_made_
         warnings.simplefilter("error")
         model.generate("walk # 0 # 0.5", steps=1)
         replace(model, vocabulary=None).generate("swim # 0 # 0.5", steps=1)
+
+
+def test_a_text_is_compared_once_and_no_encoder_is_made_for_none(small, monkeypatch):
+    made = []
+    monkeypatch.setattr(recogniser, "sentence_encoder", lambda own: made.append(Hashes()) or made[-1])
+    model, timeline = replace(tiny(longest=60), vocabulary=small), stmc.Timeline.parse("walk # 0 # 4\njuggle # 4 # 5")
+    assert model.recognise([]) == [] and not made
+    model.plans([timeline])
+    assert [each.text for each in model.unknown([timeline, timeline])] == ["juggle"]
+    for _ in range(2):
+        with pytest.warns(UnknownPromptWarning, match="hardly knows 'juggle'"):
+            model.generate(timeline, steps=1)
+    assert [each.encoded for each in made] == [["walk", "juggle"]]
 
 
 def test_a_prompt_too_long_for_one_crop_is_asked_for_once_where_it_happens_once():
