@@ -6,13 +6,9 @@ from stmc.run.directories import (
     BUNDLED_EVALUATOR,
     CARD,
     CONFIG,
-    EVALUATOR_PARTS,
-    PARTS,
     STATISTICS,
     VOCABULARY,
     WEIGHTS,
-    build,
-    build_fitting,
     bundled,
     check,
     fingerprint,
@@ -21,6 +17,7 @@ from stmc.run.directories import (
     save,
     save_evaluator,
 )
+from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting
 from stmc.run.suggestions import suggest_parts, with_suggested_parts
 
 __all__ = [

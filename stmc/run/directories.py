@@ -20,41 +20,25 @@ from safetensors.torch import load_file, save_file
 
 from stmc.body import JOINTS
 from stmc.body_model import Skeleton
-from stmc.denoisers import Network
-from stmc.diffusion import Schedule
-from stmc.evaluators import Evaluator, Tmr
+from stmc.evaluators import Evaluator
 from stmc.files import write_text, write_whole
 from stmc.model import Model, Precision
 from stmc.renamed import with_new_names
-from stmc.representation import Representation
-from stmc.run.configs import RunError, brief, check_plain, config_text, read_config
-from stmc.run.construction import Part, construct, is_ours
+from stmc.run.configs import RunError, brief, config_text, read_config
+from stmc.run.construction import Part
+from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting, check_widths, sketch_fitting
 from stmc.run.records import EvaluatorSettings, ModelSettings, settings_of
-from stmc.run.weights import Spec, misfit, read_specs, sketch, specs_of
+from stmc.run.weights import read_specs, specs_of
 from stmc.sampling import Sampling
 from stmc.settings import shown
 from stmc.statistics import Statistics
 from stmc.tensors import found_device
-from stmc.text import TextEncoder
 from stmc.vocabulary import Vocabulary, VocabularyError, read_vocabulary, write_vocabulary
 
 BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_wide", "tmr_wide"
 CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
 VOCABULARY = "vocabulary.safetensors"
 """What a model was trained to hear; runs may have none."""
-PARTS = {
-    "denoiser": Part("stmc.denoisers", Network),
-    "schedule": Part("stmc.diffusion", Schedule),
-    "text_encoder": Part("stmc.text", TextEncoder),
-    "representation": Part("stmc.representation", Representation),
-}
-"""The parts of a model that a config describes; the first is the network with the weights."""
-EVALUATOR_PARTS = {
-    "network": Part("stmc.evaluators", Tmr),
-    "text_encoder": PARTS["text_encoder"],
-    "representation": PARTS["representation"],
-}
-"""The same of an evaluator."""
 LARGEST, SMALLEST_STD = 1e6, 1e-13
 """Bounds of statistics: no feature is a kilometre wide, and what varies less than this does not vary."""
 
@@ -137,36 +121,6 @@ def load_evaluator(
     return Evaluator(**parts, **statistics, config=config, **vars(settings)).to(place)
 
 
-def build(config: Mapping[str, Any], parts: Mapping[str, Part] = PARTS, trusted: Sequence[str] = ()) -> dict[str, Any]:
-    """These parts from their descriptions (`_target_` and arguments), a network with fresh weights.
-
-    Raises `RunError` for arguments that do not fit, and for a class that is neither this library's nor of a `trusted`
-    package (see `load`).
-    """
-    absent = [name for name in parts if name not in config]
-    if absent:
-        raise RunError(f"the config does not say how to build {', '.join(absent)}")
-    check_plain({name: config[name] for name in parts})
-    return {name: construct(config[name], name, part, trusted) for name, part in parts.items()}
-
-
-def build_fitting(
-    config: Mapping[str, Any],
-    weights: Mapping[str, Spec],
-    place: str,
-    parts: Mapping[str, Part] = PARTS,
-    trusted: Sequence[str] = (),
-) -> dict[str, Any]:
-    """As `build`, but for a network that these `weights`, which are at `place`, do not fit raises `RunError` before it
-    asks for memory."""
-    (name, part), *others = parts.items()
-    _sketched(config, weights, place, name, part, trusted)
-    built = build(config, dict(others), trusted)
-    _check_widths(config[name], built)
-    with torch.random.fork_rng(devices=[]):
-        return build(config, {name: part}, trusted) | built
-
-
 def save(
     model: Model,
     folder: str | Path,
@@ -211,35 +165,16 @@ def check(record: Model | Evaluator, trusted: Sequence[str] = ()) -> dict[str, A
     if absent:
         raise RunError(f"model.config does not say how to build {', '.join(absent)}")
     config = {part: record.config[part] for part in parts}
-    sketched = _sketched(config, specs_of(network.state_dict()), "the network", name, parts[name], trusted)
+    sketched = sketch_fitting(config, specs_of(network.state_dict()), "the network", name, parts[name], trusted)
     if type(sketched) is not type(network):
         raise RunError(f"the {name} is a {type(network).__name__}, but its config says {type(sketched).__name__}")
     built = build(config, {part: each for part, each in parts.items() if part != name}, trusted)
-    _check_widths(config[name], built)
+    check_widths(config[name], built)
     for statistic, shape in _shapes(built, parts).items():
         _check_numbers(_numbers(record)[statistic], shape, f"the model: {statistic}")
     named = {setting: getattr(record, setting) for setting in kind.__dataclass_fields__}
     sampling = record.sampling.given if isinstance(record, Model) else {}
     return config | vars(settings_of(kind, named, "the model")) | dict(sampling)
-
-
-def _sketched(
-    config: Mapping[str, Any], weights: Mapping[str, Spec], place: str, name: str, part: Part, trusted: Sequence[str]
-) -> torch.nn.Module:
-    """The network without memory. One of somebody's own may look at numbers as it is made, and gets them."""
-    check_plain(config[name], name)
-    meta = isinstance(config[name], Mapping) and is_ours(config[name], part)
-    network = sketch(lambda: construct(config[name], name, part, trusted), len(weights), meta)
-    wrong = misfit(specs_of(network.state_dict()), weights)
-    if wrong:
-        raise RunError(f"{place} does not fit the {name} of the config, {type(network).__name__}. {wrong}")
-    return network
-
-
-def _check_widths(described: Mapping[str, Any], parts: Mapping[str, Any]) -> None:
-    for argument, part in (("features", "representation"), ("text_width", "text_encoder")):
-        if argument in described and described[argument] != parts[part].width:
-            raise RunError(f"the network has {argument} {described[argument]}, the {part} {parts[part].width}")
 
 
 def _network(record: Model | Evaluator) -> torch.nn.Module:
