@@ -11,6 +11,7 @@ import torch
 from accelerate import Accelerator
 
 from stmc.files import locked
+from stmc.tensors import found_device
 
 
 def find_accelerator(device: str) -> Accelerator:
@@ -22,9 +23,7 @@ def find_accelerator(device: str) -> Accelerator:
     choices = ("auto", "cpu", "cuda")
     if device not in choices:
         raise ValueError(f"device={device!r}: choose from {', '.join(choices)}")
-    if device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("device=cuda: no GPU is available, or PyTorch was installed without it; try device=cpu")
-    return Accelerator(cpu=device == "cpu" or not torch.cuda.is_available())
+    return Accelerator(cpu=torch.device(found_device(device)).type != "cuda")
 
 
 @contextmanager
