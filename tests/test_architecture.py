@@ -197,6 +197,42 @@ def test_what_type_checkers_are_told_is_what_there_is():
     assert {name: homes[name] for name in stmc.__all__} == stmc._HOMES
 
 
+FILES = {
+    ".".join(("stmc", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path for path in TREES
+}
+
+
+def loaded(tree: ast.Module) -> set[str]:
+    """What importing a file imports: not what its functions import once they are called."""
+    names, left = set(), list(tree.body)
+    while left:
+        match left.pop():
+            case ast.Import(names=aliases):
+                names |= {alias.name for alias in aliases}
+            case ast.ImportFrom(module=module, names=aliases):
+                names |= {module, *(f"{module}.{alias.name}" for alias in aliases)}
+            case ast.If() | ast.Try() | ast.With() as block:
+                left += [node for node in ast.walk(block) if isinstance(node, (ast.Import, ast.ImportFrom))]
+    return names
+
+
+ONLY_TRAINING = {"accelerate", "tensorboard", "smplx"}
+
+
+def test_sampling_reaches_nothing_that_only_training_installs():
+    """Neither the scripts that sample nor the packages behind them import accelerate or tensorboard."""
+    found, left = set(), {"stmc.benchmarks", *(f"stmc.{stmc._HOMES[name]}" for name in ("load", "load_evaluator"))}
+    for name in ("sample", "evaluate"):
+        left |= loaded(ast.parse((REPOSITORY / "scripts" / f"{name}.py").read_text("utf-8")))
+    while left:
+        name = left.pop()
+        parents = {name.rpartition(".")[0]} - {""}
+        found.add(name)
+        left |= (parents | (loaded(FILES[name]) if name in FILES else set())) - found
+    assert "stmc.composing.running" in found and not found & ONLY_TRAINING
+
+
+@pytest.mark.slow
 def test_sampling_needs_nothing_that_only_training_installs():
     """Neither the scripts that sample nor the packages behind them import accelerate or tensorboard."""
     code = (

@@ -3,8 +3,10 @@
 import inspect
 import os
 import random
+import shutil
 import sys
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from helpers.motions import walking
 from helpers.scripts import script
 from helpers.tiny_model import Hashes, tiny
 from safetensors.torch import load_file, save_file
-from test_run import PARTS, edit, joints, loaded, run  # noqa: F401
+from test_run import PARTS, edit, joints, loaded, run, saved  # noqa: F401
 from test_text import RunsCode
 
 import stmc
@@ -32,15 +34,21 @@ def model() -> Model:
     return tiny()
 
 
-@pytest.fixture
-def evaluator_run(tmp_path):
+@pytest.fixture(scope="module")
+def saved_evaluator(tmp_path_factory):
     sizes = {"features": 205, "text_width": 384, "width": 8, "feedforward": 8, "layers": 1, "heads": 2}
     one = Statistics(torch.zeros(205), torch.ones(205)), Statistics(torch.zeros(384), torch.ones(384))
     config = {"network": {"_target_": "stmc.evaluators.Tmr"} | sizes} | {
         part: PARTS[part] for part in ("text_encoder", "representation")
     }
     judge = Evaluator(Tmr(**sizes).eval(), Hashes(), tiny().representation, *one, 20, config)
-    return save_evaluator(judge, tmp_path / "tmr", "")
+    return save_evaluator(judge, tmp_path_factory.mktemp("saved") / "tmr", "")
+
+
+@pytest.fixture
+def evaluator_run(saved_evaluator, tmp_path):
+    """A copy of one's own."""
+    return Path(shutil.copytree(saved_evaluator, tmp_path / "tmr"))
 
 
 def refused(folder, message: str = "", load=stmc.load) -> None:
@@ -404,9 +412,9 @@ def test_what_is_trusted_has_to_be_a_package_s_name(run):  # noqa: F811
 def test_what_could_not_be_loaded_again_is_not_saved(model, tmp_path, changes, message):
     given = changes | ({"config": dict(model.config) | changes["config"]} if "config" in changes else {})
     changed = Model(**(vars(model) | given))
-    for saved in (lambda: stmc.save(changed, tmp_path / "run", ""), lambda: check(changed)):
+    for refusing in (lambda: stmc.save(changed, tmp_path / "run", ""), lambda: check(changed)):
         with pytest.raises(RunError, match=message):
-            saved()
+            refusing()
     assert not (tmp_path / "run").exists()
 
 

@@ -131,6 +131,18 @@ def test_a_step_is_that_of_the_published_integrations(folder, subtests):
             columns_of_the_body_parts_are_those_of_the_published_code,
             (a_step_with_given_answers_is_that_of_the_published_integrations, "mdm"),
             (a_step_with_given_answers_is_that_of_the_published_integrations, "md"),
+        ],
+        folder,
+    )
+
+
+@pytest.mark.slow
+@SETS
+def test_a_step_with_the_published_networks_is_that_of_the_published_integrations(folder, subtests):
+    """The networks by themselves, and the steps with given answers, are of the default tier."""
+    checked(
+        subtests,
+        [
             a_step_with_mdm_is_that_of_the_published_integration,
             a_step_with_motion_diffuse_is_that_of_the_published_integration,
         ],

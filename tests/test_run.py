@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 import torch
@@ -29,9 +30,15 @@ def model() -> Model:
     return tiny()
 
 
+@pytest.fixture(scope="session")
+def saved(tmp_path_factory):
+    return stmc.save(tiny(), tmp_path_factory.mktemp("saved") / "tiny", "# A tiny model\n")
+
+
 @pytest.fixture
-def run(model, tmp_path):
-    return stmc.save(model, tmp_path / "runs" / "tiny", "# A tiny model\n")
+def run(saved, tmp_path):
+    """A copy of one's own."""
+    return Path(shutil.copytree(saved, tmp_path / "runs" / "tiny"))
 
 
 def loaded(folder, **arguments) -> Model:
