@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = Path(os.environ.get("STMC_GOLDEN", ROOT / "../shared/golden"))
 DATA = Path(os.environ.get("STMC_DATA", ROOT / "../shared/data"))
 
-EXAMPLES = {"default": 25, "slow": 1000}
+EXAMPLES = {"default": 15, "slow": 1000}
 """Of a property in each tier, where it does not say itself how many it can afford: the same ones in every run."""
 settings.register_profile(
     "default",

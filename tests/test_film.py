@@ -26,9 +26,9 @@ def frames(path) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("kind", ["webp", "gif"])
 def test_a_film_has_a_picture_for_every_frame_and_moves(kind, tmp_path):
-    render_film(WALK, tmp_path / f"walk.{kind}", TIMELINE, fps=10)
+    render_film(WALK, tmp_path / f"walk.{kind}", TIMELINE, fps=5)
     pictures = frames(tmp_path / f"walk.{kind}")
-    assert len(pictures) == 6
+    assert len(pictures) == 3
     assert all(np.abs(one - other).mean() > 0.2 for one, other in pairwise(pictures))
     with Image.open(tmp_path / f"walk.{kind}") as image:
         assert image.size == (480, 560)

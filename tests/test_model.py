@@ -47,7 +47,7 @@ def apart(one: Motion, other: Motion) -> float:
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_every_method_and_sampler_gives_each_timeline_its_motion(model, sampler, method):
-    motions = model.generate(THREE, steps=3, sampler=SAMPLERS[sampler], method=method)
+    motions = model.generate(THREE, steps=2, sampler=SAMPLERS[sampler], method=method)
     for timeline, motion in zip(THREE, motions, strict=True):
         if method == "one_text":
             assert motion.frames <= model.longest
@@ -61,7 +61,7 @@ def test_every_method_and_sampler_gives_each_timeline_its_motion(model, sampler,
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("sampler", ["ddpm", "dpm_solver"])
 def test_a_motion_is_the_same_alone_and_in_any_batch(model, sampler, method):
-    generate = partial(model.generate, steps=4, sampler=SAMPLERS[sampler], method=method)
+    generate = partial(model.generate, steps=3, sampler=SAMPLERS[sampler], method=method)
     together = generate(THREE, seed=[7, 8, 9])
     backwards = generate(THREE[::-1], seed=[9, 8, 7])[::-1]
     for timeline, seed, motion, other in zip(THREE, (7, 8, 9), together, backwards, strict=True):

@@ -10,7 +10,7 @@ from statistics import mean, pstdev
 import numpy as np
 import pytest
 from conftest import data_file
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from stmc.benchmarks.atomic_prompts import (
@@ -47,7 +47,6 @@ def sampled(prompts: list[AtomicPrompt], count: int, seed: int) -> list[Timeline
     return sample_timelines(prompts, count, np.random.default_rng(seed))
 
 
-@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32))
 def test_every_timeline_has_two_prompts_in_a_row_and_a_third_on_parts_that_those_it_overlaps_leave_free(seed):
     for timeline in sampled(ATOMIC_PROMPTS, 20, seed):

@@ -129,6 +129,7 @@ def test_baselines_are_files_that_read_as_the_baselines(tmp_path):
     assert texts == ["walk", "walk while wave", "turn while wave", "turn"]
 
 
+@pytest.mark.slow
 def test_baselines_of_the_published_timelines_are_500_each(tmp_path):
     published = data_file("mtt/MTT.txt")
     run("baselines", "baselines", f"timelines={published}", f"output={tmp_path}")

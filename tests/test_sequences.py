@@ -310,15 +310,16 @@ def test_what_cannot_be_built_or_denoised_is_an_error():
 
 @torch.no_grad()
 def test_a_motion_is_the_same_alone_and_in_a_batch():
-    network, plans = small_network().double(), plans_of(WALK_WAVE, STAND_NOD, GAP, overlap=0)
+    network, schedule = small_network(absolute_from=2).double(), Schedule.cosine(4)
+    plans = plans_of(WALK_WAVE, STAND_NOD, GAP, overlap=0)
     table = {text: words.double() for text, words in random_embeddings(plans).items()}
     lengths = [plan.frames for plan in plans]
 
     def sampled(chosen: slice, budget: int) -> Tensor:
         some = plans[chosen]
-        predict = compose_tracks(guided_sequences(network, SCHEDULE, some, table, budget=budget), some, COLUMNS)
+        predict = compose_tracks(guided_sequences(network, schedule, some, table, budget=budget), some, COLUMNS)
         draw = Noise(range(5, 8)[chosen], lengths[chosen], 10, dtype=torch.float64)
-        return last(ddpm(predict, SCHEDULE, draw(), draw))
+        return last(ddpm(predict, schedule, draw(), draw))
 
     batch = sampled(slice(0, 3), 65536)
     for i, length in enumerate(lengths):

@@ -9,8 +9,9 @@ import logging
 
 import torch
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
+from stmc.commands.entry import Config
 from stmc.data.cache import Cache, read_caches
 from stmc.data.dataset import Dataset
 from stmc.run import PARTS, build
@@ -21,7 +22,7 @@ logger = logging.getLogger(__name__)
 
 
 def read_training_data(
-    config: DictConfig, text_statistics: Statistics | None, device: torch.device
+    config: Config, text_statistics: Statistics | None, device: torch.device
 ) -> tuple[Cache, Dataset]:
     """The caches of `data.folder` as one, prolonged where `data.prolonging` says how, and the data set that it makes
     with the representation and the text encoder of `config`.
