@@ -1,5 +1,6 @@
 """Compositions in time: a data set of still poses and jumps whose scores are known in closed form, and the figures."""
 
+import functools
 import json
 import math
 from collections import Counter
@@ -32,6 +33,7 @@ POSES = {"left": ("left_shoulder", 1.2), "right": ("right_shoulder", -1.2), "bot
 SHORTER = {"count": 2, "segments": 20, "min_clips": 1}
 
 
+@functools.cache
 def still(content: str, frames: int = 90, heading: float = 0.0) -> Motion:
     """A pose that names the content, held where it is."""
     joint, angle = POSES[content]
@@ -45,8 +47,8 @@ def data(
     """So many clips of each content, and of each a mirrored one."""
     clips, features, start = [], [], 0
     for content, count in contents.items():
+        rows = REPRESENTATION.encode(still(content, frames)).float()
         for number in range(2 * count):
-            rows = REPRESENTATION.encode(still(content, frames)).float()
             name, mirrored = f"{content}-{number}", number >= count
             clips.append(
                 Clip(name, content, "", content, (), content in cyclic, mirrored, split, start, start + len(rows))

@@ -1,6 +1,7 @@
 """The multi-track benchmark: which frames should show which text, by every method; its bundled files; its scripts."""
 
 import dataclasses
+import functools
 import json
 import os
 import shutil
@@ -47,6 +48,7 @@ ANGLES = {
 PARTS = {"raise the left arm": ["left arm"], "raise the right arm": ["right arm"], "bow": ["spine"]}
 
 
+@functools.cache
 def still(text: str, frames: int = 60) -> Motion:
     """A pose that says which text it shows, held."""
     joint, angle = ANGLES[text]

@@ -278,7 +278,7 @@ def test_a_name_with_m_is_the_mirror_image(work, reference_motions, name):
     assert float((image.joints - plain.joints).norm(dim=-1).max()) > 0.05
 
 
-def test_the_mirror_images_of_the_published_atoms_are_known_by_their_names():
+def test_the_mirror_images_of_the_published_atomic_prompts_are_known_by_their_names():
     paths = [line.split("#")[0].strip() for line in data_file("mtt/motions.txt").read_text().splitlines()]
     known = [unmirrored(path) for path in paths]
     assert sum(image for _, image in known) == 22

@@ -16,7 +16,7 @@ from stmc.untrusted import shown
 
 
 class _OfJoint:
-    """What both ask: how far a joint is `_away` from where it should be, in metres in each axis."""
+    """What targets and holds share: by how much a joint is `_away` from where it should be."""
 
     unit: ClassVar[str] = "m"
 
@@ -29,6 +29,7 @@ class _OfJoint:
         return self._away(pose).flatten()
 
     def _away(self, pose: Pose) -> Float[Tensor, "_ 3"]:
+        """In metres, at each frame that it is about."""
         raise NotImplementedError
 
 
