@@ -19,7 +19,7 @@ from stmc.timeline import Prompt, Timeline
 
 TIMELINE = Timeline.parse("walk # 0 # 4 # legs\nwave # 1 # 3 # right arm")
 ARM, LEGS = (list(BodyPart).index(part) for part in (BodyPart.RIGHT_ARM, BodyPart.LEGS))
-METHODS = ["stmc", "stmc_paper", "sinc", "sinc_slerp", "double_take", "multi_diffusion"]
+METHODS = ["stmc", "stmc_paper", "sinc", "sinc_slerp", "double_take", "multi_diffusion", "teach"]
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from stmc.settings import SettingError, about
 from stmc.statistics import Statistics
 from stmc.timeline import Timeline, single_track
 
-RULES = ("stmc_paper", "multi_diffusion", "double_take", "sinc_slerp", "flow_mdm")
+RULES = ("stmc_paper", "multi_diffusion", "double_take", "sinc_slerp", "teach_b", "teach", "flow_mdm")
 
 
 class OneWord(Hashes):
@@ -116,7 +116,7 @@ def test_a_denoiser_of_crops_cannot_make_sequences():
         tiny().generate(NOD, steps=1, method="flow_mdm")
 
 
-@pytest.mark.parametrize("method", ["flow_mdm", "sinc_slerp"])
+@pytest.mark.parametrize("method", ["flow_mdm", "sinc_slerp", "teach"])
 def test_what_does_not_stitch_cannot_begin_later(flow, method):
     with pytest.raises(SettingError, match=r"stitch_from=0\.5: .* has no such setting"):
         flow.generate(NOD, steps=2, stitch_from=0.5, method=method)

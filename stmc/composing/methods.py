@@ -23,7 +23,7 @@ from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.running import Run, settings_taken
 from stmc.composing.sequences import compose_tracks
 from stmc.diffusion import SAMPLERS
-from stmc.planning import Plan, cross_fade, handshake, multi_diffusion, second_take
+from stmc.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, second_take
 from stmc.sampling import INDEPENDENT, Sampling
 from stmc.settings import SettingError, shown
 from stmc.tensors import mask
@@ -119,9 +119,28 @@ def smoothed(run: Run) -> Features:
 
 
 def smoothed_on_the_sphere(run: Run) -> Features:
-    """The same with rotations on their shortest arc (TEACH)."""
-    raw = run.statistics.restore(run.independent())
-    return run.statistics.normalise(slerp(raw, run.plans(0), run.layout, run.overlap))
+    """The same with rotations on their shortest arc: on one track TEACH's own baseline of independent actions."""
+    return _on_the_sphere(run, run.independent(), run.plans(0))
+
+
+def one_by_one(run: Run) -> Features:
+    """Crops one after the other, each with the last overlap of the ones before it in view (TEACH without slerp)."""
+    return run.autoregressive(_looking_back(run))
+
+
+def one_by_one_on_the_sphere(run: Run) -> Features:
+    """The same, then rotations on their shortest arc over the overlap wherever an action follows another (TEACH)."""
+    plans = _looking_back(run)
+    return _on_the_sphere(run, run.autoregressive(plans), plans)
+
+
+def _looking_back(run: Run) -> list[Plan]:
+    """Plans whose crops leave room for an overlap before them, and begin with it."""
+    return [look_back(plan, run.overlap) for plan in replace(run, longest=run.longest - run.overlap).plans(0)]
+
+
+def _on_the_sphere(run: Run, features: Features, plans: Sequence[Plan]) -> Features:
+    return run.statistics.normalise(slerp(run.statistics.restore(features), plans, run.layout, run.overlap))
 
 
 def seamless(run: Run) -> Features:
@@ -152,6 +171,11 @@ _FROM_THE_FIRST: Mapping[str, Any] = {"stitch_from": 0.0, "guidance_from": 0.0}
 _NEVER: Mapping[str, Any] = {"stitch_from": None, "guidance_from": None}
 _WITHOUT_OVERLAP: Mapping[str, Any] = _NEVER | {"overlap": None}
 
+
+def _one_track(timeline: Timeline, fps: float | int, longest: int) -> Timeline:
+    return single_track(timeline, fps)
+
+
 METHODS: Mapping[str, Method] = {
     "one_text": stitched(
         baseline=lambda timeline, fps, longest: one_text(timeline, longest / fps),
@@ -161,7 +185,7 @@ METHODS: Mapping[str, Method] = {
         crops="Single",
     ),
     "single_track": stitched(
-        baseline=lambda timeline, fps, longest: single_track(timeline, fps),
+        baseline=_one_track,
         label="DiffCollage",
         fixed=_FROM_THE_FIRST,
         tracks="Single",
@@ -170,6 +194,8 @@ METHODS: Mapping[str, Method] = {
     "sinc": Method(Run.independent, "SINC w/o Lerp", fixed=_WITHOUT_OVERLAP),
     "sinc_lerp": Method(smoothed, "SINC w/ Lerp", fixed=_NEVER),
     "sinc_slerp": Method(smoothed_on_the_sphere, "SINC w/ Slerp", fixed=_NEVER),
+    "teach_b": Method(one_by_one, "TEACH_B", _one_track, fixed=_NEVER, tracks="Single"),
+    "teach": Method(one_by_one_on_the_sphere, "TEACH", _one_track, fixed=_NEVER, tracks="Single"),
     "multi_diffusion": stitched(multi_diffusion, label="MultiDiffusion", fixed=_FROM_THE_FIRST),
     "double_take": Method(two_takes, "DoubleTake", fixed=_FROM_THE_FIRST),
     "stmc_paper": stitched(label="STMC (paper)", fixed=_FROM_THE_FIRST | {"noise_scale": "variance"}),

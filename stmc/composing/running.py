@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stmc.composing.autoregression import Action, action_rounds, seen_before
 from stmc.composing.batching import Guided
 from stmc.composing.inpainting import Known, impute
 from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, crops_of, sinc
@@ -119,12 +120,34 @@ class Run:
 
     def independent(self) -> Float[Tensor, "batch frames features"]:
         """The crops of plans without overlap, each sampled by itself, and then combined (SINC)."""
-        if self.meet is not None:
-            raise SettingError("constraints: the method must compose at every step; this one combines finished crops")
+        self._refuse_constraints()
         plans = self.plans(0)
         draw = self._crop_noise(plans)
         predict = self._knowing(self.guided(plans, self.sampling.guidance), plans)
         return sinc(self.denoise(predict, draw(), draw), plans, self.columns)
+
+    def autoregressive(self, plans: Sequence[Plan]) -> Float[Tensor, "batch frames features"]:
+        """The crops of plans that look back (`planning.look_back`), one after the other, each with the frames that it
+        looks back on as known (TEACH): they stand in all that is predicted, so that the crop is sampled to fit them."""
+        self._refuse_constraints()
+        made = torch.zeros(len(plans), max(plan.frames for plan in plans), self.layout.width, device=self.device)
+        for actions in action_rounds(plans):
+            for action, crop in zip(actions, self._sampled_behind(made, actions), strict=True):
+                own = slice(action.start - action.crop.start, action.crop.frames)
+                made[action.timeline, action.start : action.crop.end] = crop[own]
+        return made
+
+    def _sampled_behind(self, made: Tensor, actions: Sequence[Action]) -> Tensor:
+        """The crops of a round of actions, each with what it sees of what is `made`."""
+        plans = [action.plan for action in actions]
+        lengths = crop_lengths(plans, self.fixed_length)
+        known = seen_before(actions, made, self.known, max(lengths))
+        draw = self._noise([(self.seeds[action.timeline], action.number) for action in actions], lengths)
+        return self.denoise(impute(self.guided(plans, self.sampling.guidance), *known), draw(), draw)
+
+    def _refuse_constraints(self) -> None:
+        if self.meet is not None:
+            raise SettingError("constraints: the method must compose at every step; this one combines finished crops")
 
     def begun_independently(self, steps: int) -> Float[Tensor, "batch frames features"]:
         """The same after so many `steps`, the noisiest: as noisy as the step behind them."""

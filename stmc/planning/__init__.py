@@ -8,6 +8,7 @@ from stmc.planning.plans import Crop, Plan, Span, Tile, plan
 from stmc.planning.rules import (
     cross_fade,
     handshake,
+    look_back,
     multi_diffusion,
     reweighted,
     second_take,
@@ -24,6 +25,7 @@ __all__ = [
     "assign",
     "cross_fade",
     "handshake",
+    "look_back",
     "multi_diffusion",
     "plan",
     "reweighted",

@@ -13,6 +13,7 @@ let `reweighted` do the rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -125,6 +126,13 @@ def second_take(plan: Plan, longest: int | None = None) -> Plan:
                 tiles += [Tile(len(crops), part, *shown, 1) for part in BodyPart]
                 crops.append(Crop(None, start, end))
     return Plan(plan.frames, tuple(crops), tuple(tiles))
+
+
+def look_back(plan: Plan, frames: int) -> Plan:
+    """The plan with crops that begin up to `frames` earlier and count where they did: what an action sees of the ones
+    before it (TEACH, Athanasiou et al. 2022). The plan is one without overlap."""
+    crops = (replace(crop, start=max(0, crop.start - frames)) for crop in plan.crops)
+    return Plan(plan.frames, tuple(crops), plan.tiles)
 
 
 def transition_spans(plan: Plan, part: BodyPart | None = None) -> list[Span]:
