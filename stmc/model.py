@@ -242,7 +242,7 @@ class Model:
             method: A name of `composing.METHODS`, a `Method`, or a rule `Plan → Plan`. "stmc" stitches crops at every
                 step, cross-faded; "stmc_paper" is the paper's algorithm to the letter (section 3.3), "sinc",
                 "sinc_lerp", "single_track" and "one_text" its baselines (section 4.3); "multi_diffusion",
-                "double_take", "sinc_slerp" and "flow_mdm" are other ways to compose in time.
+                "double_take", "sinc_slerp", "teach_b", "teach" and "flow_mdm" are other ways to compose in time.
             progress: Wraps the denoising steps of each phase, `progress(steps, total=100)`, e.g. `tqdm`.
             joints_from: See `decode`.
             keep: A motion, generated or recorded, that the result is but for the `change` and what the timeline has

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 
 import pytest
 import torch
@@ -12,7 +11,7 @@ from test_model import GAP, NOD, WALK_WAVE, apart
 from torch import Tensor
 
 import stmc
-from stmc.composing import METHODS, Run, crop_seeds, slerp
+from stmc.composing import METHODS, Run, slerp
 from stmc.composing.autoregression import action_rounds
 from stmc.constraints import Hold
 from stmc.denoisers import FlowMdm
@@ -177,13 +176,16 @@ def test_several_tracks_are_sampled_as_the_single_track(model):
         model.generate(WALK_WAVE, method=run_alone, steps=1)
 
 
-def test_no_crop_is_longer_than_the_model_knows_and_every_one_sees_the_same_past(model):
-    plans = [look_back(plan(LONG, 20, 0, model.longest - 10), 10)]
-    actions = [action for [action] in action_rounds(plans)]
-    assert max(action.crop.frames for action in actions) <= model.longest
-    assert [action.start - action.crop.start for action in actions] == [0, 10, 10, 10]
-    assert all(before.crop.end == after.start for before, after in pairwise(actions))
-    assert crop_seeds(plans, [3]) == tuple((3, action.number) for action in actions)
+def test_a_prompt_too_long_for_the_network_is_actions_that_leave_room_for_what_they_see(model):
+    shapes = []
+
+    def watched(x, t, text, text_mask, mask):
+        shapes.append(x.shape[1])
+        return constant(x, t, text, text_mask, mask)
+
+    made = features(answering(watched), LONG, steps=1, guidance=1.0)
+    assert shapes == [80, 90, 90, 30] and max(shapes) <= model.longest
+    assert made[0, :, 0].tolist() == [1.0] * 240 + [2.0] * 20
 
 
 def test_a_gap_is_an_action_without_a_text_in_its_turn():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import data_file
-from helpers.scripts import configured, run
+from helpers.scripts import ROOT, configured, run
 from hydra.utils import instantiate
 
 import stmc
@@ -68,8 +68,24 @@ def test_table_a1_has_all_seven_overlaps_of_either():
     ]
 
 
+def test_flowmdm_s_table_has_teach_without_slerp_and_with_it():
+    metrics = {"r_precision": 0.9, "peak_jerk": 0.1}
+    results = [Result(name, 0, metrics, "MDM-SMPL", Sampling(steps=25)) for name in ("sinc_slerp", "teach_b", "teach")]
+    lines = printed("flowmdm_table_1", results)
+    assert [line.split()[:3] for line in lines if line.startswith("ours")][1:] == [
+        ["ours", "MDM-SMPL", "TEACH_B"], ["ours", "MDM-SMPL", "TEACH"]
+    ]  # fmt: skip
+    theirs = [line.split() for line in lines if line.startswith("published")]
+    assert len(theirs) == 8
+    page = (ROOT / "docs" / "reproducing.md").read_text("utf-8")
+    for name in ("TEACH_B", "TEACH"):
+        [told] = [line for line in page.splitlines() if line.startswith(f"| {name} | 0")]
+        [row] = [row for row in theirs if row[2] == name]
+        assert [float(cell.strip("*")) for cell in row[5:]] == [float(cell) for cell in told.split("|")[2:-1]]
+
+
 def test_an_unknown_published_table_is_an_error_with_the_choices():
-    with pytest.raises(ResultError, match="choose from stmc_appendix_d, stmc_table_1, stmc_table_a1"):
+    with pytest.raises(ResultError, match="choose from flowmdm_table_1, stmc_appendix_d, stmc_table_1, stmc_table_a1"):
         with_published(ours("stmc", steps=100), lambda results: sweep_table(results, ["steps"]), "table_9")
 
 
