@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import stmc
+from stmc.composing.methods import SEEN
 from stmc.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, reweighted
 
 FOLDER = Path(__file__).parent / "figures"
@@ -55,7 +56,7 @@ def plans() -> dict[str, Plan]:
         "half_cosine": layout(half_cosine),
         "sinc": layout(overlap=0),
         "single_track": layout(timeline=single),
-        "teach": look_back(layout(overlap=0, timeline=single), 20),
+        "teach": look_back(layout(overlap=0, timeline=single), round(SEEN * FPS)),
         "one_text": layout(overlap=0, timeline=one),
         "gap": layout(timeline=gap),
         "long_prompt": stmc.plan(

@@ -48,16 +48,23 @@ def constant(x: Tensor, t: Tensor, text: Tensor, text_mask: Tensor | None, mask:
     return text[:, :1].expand_as(x)
 
 
-def features(model: Model, timelines: Timeline | list[Timeline], method: str = "teach_b", **settings) -> Tensor:
+def features(
+    model: Model, timelines: Timeline | list[Timeline], method: str | stmc.Method = "teach_b", **settings
+) -> Tensor:
     """What the method makes, normalised, padded with zeros."""
-    found = []
+    found, method = [], METHODS[method] if isinstance(method, str) else method
 
     def watched(run: Run) -> Tensor:
-        found.append(METHODS[method].sample(run))
+        found.append(method.sample(run))
         return found[-1]
 
-    model.generate(timelines, method=dataclasses.replace(METHODS[method], sample=watched), **settings)
+    model.generate(timelines, method=dataclasses.replace(method, sample=watched), **settings)
     return found[0]
+
+
+def seeing(frames: int) -> stmc.Method:
+    """Actions one after the other, each of which sees as many frames."""
+    return stmc.Method(lambda run: run.autoregressive([look_back(plan, frames) for plan in run.plans(0)]), "")
 
 
 # Closed forms -----------------------------------------------------------------------------------------------------
@@ -78,13 +85,13 @@ def test_an_action_sees_the_last_frames_before_it_as_noisy_as_itself():
         seen.append((x[0], int(t[0]), float(text[0, 0, 0])))
         return constant(x, t, text, text_mask, mask)
 
-    features(answering(watched), TWO_ACTIONS, steps=4, seed=7, guidance=1.0, sampler=ddim, overlap=0.25)
+    features(answering(watched), TWO_ACTIONS, steps=4, seed=7, guidance=1.0, sampler=ddim)
     last, first = seen[-1], seen[4]
-    assert (last[0].shape, last[2], first[2]) == ((5 + 40, 205), 3.0, 3.0)
-    begun = Noise([(7, 1)], [45], 205)()[0]
+    assert (last[0].shape, last[2], first[2]) == ((3 + 40, 205), 3.0, 3.0)
+    begun = Noise([(7, 1)], [43], 205)()[0]
     torch.testing.assert_close(first[0], begun)
     a, b = schedule.alpha_bar[first[1]], schedule.alpha_bar[last[1]]
-    answers = torch.tensor([2.0] * 5 + [3.0] * 40)[:, None]  # the jump's last five frames, then the bow
+    answers = torch.tensor([2.0] * 3 + [3.0] * 40)[:, None]  # the jump's last three frames, then the bow
     noise = (begun - a.sqrt() * answers) / (1 - a).sqrt()
     torch.testing.assert_close(last[0], (b.sqrt() * answers + (1 - b).sqrt() * noise).float(), atol=1e-5, rtol=1e-5)
 
@@ -99,20 +106,20 @@ def test_actions_that_stay_as_they_are_stay_as_the_first_was():
     made = features(answering(stay), THREE_ACTIONS, guidance=1.0, sampler=ddim)
     assert (made[:, :40] == 1).all()
     assert (made[:, 40:] - 1).abs().max() < 0.15  # the least noisy step still has a noise of 0.03
-    alone = features(answering(stay), THREE_ACTIONS, guidance=1.0, sampler=ddim, overlap=0)
+    alone = features(answering(stay), THREE_ACTIONS, seeing(0), guidance=1.0, sampler=ddim)
     assert (alone[:, 40:] - 1).abs().max() > 0.5
 
 
-def test_without_an_overlap_actions_are_sincs(model):
+def test_actions_that_see_nothing_before_them_are_sincs(model):
     tracks = [THREE_ACTIONS, TWO_ACTIONS, GAP]
     torch.testing.assert_close(
-        features(model, tracks, steps=4, overlap=0), features(model, tracks, "sinc", steps=4), atol=1e-4, rtol=0
+        features(model, tracks, seeing(0), steps=4), features(model, tracks, "sinc", steps=4), atol=1e-4, rtol=0
     )
 
 
 def test_slerp_replaces_the_overlap_around_each_change_and_nothing_else(model):
     without, with_slerp = (features(model, TIMELINES, name, steps=3) for name in ("teach_b", "teach"))
-    plans = [plan(timeline, 20, 0, model.longest - 10) for timeline in TIMELINES]
+    plans = [plan(timeline, 20, 0, model.longest - 3) for timeline in TIMELINES]
     statistics = model.motion_statistics
     raw = slerp(statistics.restore(without), plans, model.representation.layout, 10)
     torch.testing.assert_close(with_slerp, statistics.normalise(raw))
@@ -124,14 +131,14 @@ def test_slerp_replaces_the_overlap_around_each_change_and_nothing_else(model):
 # A slow oracle ----------------------------------------------------------------------------------------------------
 
 
-def slowly(model: Model, timeline: Timeline, seed: int, steps: int, overlap: int) -> Tensor:
+def slowly(model: Model, timeline: Timeline, seed: int, steps: int, seen: int) -> Tensor:
     """Action after action by the equations, one sample, text and step at a time."""
     made, schedule = torch.zeros(0, 205), model.schedule.respaced(model.schedule.spaced(steps))
     times, embeddings = model.schedule.spaced(steps), {}
     for number, prompt in enumerate(timeline.prompts):
         for text in ("", prompt.text):
             embeddings[text] = model.embed([text])[text][None]
-        past = made[max(0, len(made) - overlap) :]
+        past = made[max(0, len(made) - seen) :]
         frames = len(past) + int(prompt.end * 20) - int(prompt.start * 20)
         draw = Noise([(seed, number)], [frames], 205)
         x = draw()
@@ -148,12 +155,12 @@ def slowly(model: Model, timeline: Timeline, seed: int, steps: int, overlap: int
 
 
 def test_a_batch_of_timelines_of_different_numbers_of_actions_is_what_the_slow_way_makes_of_each(model):
-    overlap, timelines = 7, [THREE_ACTIONS, NOD, TWO_ACTIONS]
-    made = features(model, timelines, seed=[5, 6, 7], steps=4, overlap=0.35, guidance=2.5)
+    timelines = [THREE_ACTIONS, NOD, TWO_ACTIONS]
+    made = features(model, timelines, seeing(12), seed=[5, 6, 7], steps=4, guidance=2.5)
     with torch.inference_mode():
         for row, timeline, seed in zip(made, timelines, [5, 6, 7], strict=True):
             frames = timeline.frames(20)
-            torch.testing.assert_close(row[:frames], slowly(model, timeline, seed, 4, overlap), atol=2e-4, rtol=1e-4)
+            torch.testing.assert_close(row[:frames], slowly(model, timeline, seed, 4, 12), atol=2e-4, rtol=1e-4)
             assert not row[frames:].any()
 
 
@@ -184,7 +191,7 @@ def test_a_prompt_too_long_for_the_network_is_actions_that_leave_room_for_what_t
         return constant(x, t, text, text_mask, mask)
 
     made = features(answering(watched), LONG, steps=1, guidance=1.0)
-    assert shapes == [80, 90, 90, 30] and max(shapes) <= model.longest
+    assert shapes == [80, 83, 83, 23] and max(shapes) <= model.longest
     assert made[0, :, 0].tolist() == [1.0] * 240 + [2.0] * 20
 
 

@@ -37,6 +37,10 @@ Baseline = Callable[[Timeline, "float | int", int], Timeline]
 SKIPPED = 0.1
 """The share of the steps, the noisiest, that DoubleTake's second take goes without (Shafir et al. 2024)."""
 
+SEEN = 5 / 30
+"""Seconds of what is before it that an action sees: TEACH's five frames, 30 a second (Athanasiou et al. 2022). The text
+holds for them, too: the more of them, the more of the action is over when its own frames begin."""
+
 
 @dataclass(frozen=True, eq=False)
 class Method:
@@ -124,7 +128,7 @@ def smoothed_on_the_sphere(run: Run) -> Features:
 
 
 def one_by_one(run: Run) -> Features:
-    """Crops one after the other, each with the last overlap of the ones before it in view (TEACH without slerp)."""
+    """Crops one after the other, each with the last frames before it in view (TEACH without slerp)."""
     return run.autoregressive(_looking_back(run))
 
 
@@ -135,8 +139,9 @@ def one_by_one_on_the_sphere(run: Run) -> Features:
 
 
 def _looking_back(run: Run) -> list[Plan]:
-    """Plans whose crops leave room for an overlap before them, and begin with it."""
-    return [look_back(plan, run.overlap) for plan in replace(run, longest=run.longest - run.overlap).plans(0)]
+    """Plans whose crops leave room for what they see, and begin with it."""
+    seen = min(round(SEEN * run.fps), run.longest - 1)
+    return [look_back(plan, seen) for plan in replace(run, longest=run.longest - seen).plans(0)]
 
 
 def _on_the_sphere(run: Run, features: Features, plans: Sequence[Plan]) -> Features:
@@ -194,7 +199,7 @@ METHODS: Mapping[str, Method] = {
     "sinc": Method(Run.independent, "SINC w/o Lerp", fixed=_WITHOUT_OVERLAP),
     "sinc_lerp": Method(smoothed, "SINC w/ Lerp", fixed=_NEVER),
     "sinc_slerp": Method(smoothed_on_the_sphere, "SINC w/ Slerp", fixed=_NEVER),
-    "teach_b": Method(one_by_one, "TEACH_B", _one_track, fixed=_NEVER, tracks="Single"),
+    "teach_b": Method(one_by_one, "TEACH_B", _one_track, fixed=_WITHOUT_OVERLAP, tracks="Single"),
     "teach": Method(one_by_one_on_the_sphere, "TEACH", _one_track, fixed=_NEVER, tracks="Single"),
     "multi_diffusion": stitched(multi_diffusion, label="MultiDiffusion", fixed=_FROM_THE_FIRST),
     "double_take": Method(two_takes, "DoubleTake", fixed=_FROM_THE_FIRST),
