@@ -214,6 +214,15 @@ def test_a_motion_that_is_kept_is_seen_and_stays(model):
     assert (further.joints[:80] - motion.joints).abs().max() < 1e-5
 
 
+def test_what_is_kept_of_one_timeline_is_nothing_to_the_others_of_its_batch(model):
+    kept = model.generate([THREE_ACTIONS, TWO_ACTIONS], seed=0, steps=2, method="teach_b")
+    both = model.generate(
+        [THREE_ACTIONS, TWO_ACTIONS], seed=[3, 4], steps=3, method="teach_b", keep=kept, change=stmc.Change(0.5, 2)
+    )
+    [alone] = model.generate(TWO_ACTIONS, seed=4, steps=3, method="teach_b", keep=kept[1], change=stmc.Change(0.5, 2))
+    assert apart(both[1], alone) < 1e-4
+
+
 @pytest.mark.parametrize("method", ["teach_b", "teach"])
 def test_constraints_are_refused_by_name(model, method):
     with pytest.raises(SettingError, match="constraints: the method must compose at every step"):

@@ -20,7 +20,7 @@ from stmc.planning import Crop, Plan, Tile
 
 
 class Action(NamedTuple):
-    """A crop of a timeline, both by their numbers, which makes the frames from `start` on and sees those before."""
+    """A crop of a timeline and their numbers: the frames from `start` on are its own, those before it only sees."""
 
     timeline: int
     number: int
@@ -57,16 +57,16 @@ def _in_time(timeline: int, plan: Plan) -> list[Action]:
 
 
 def seen_before(
-    actions: Sequence[Action], made: Float[Tensor, "batch frames features"], known: Known | None, frames: int
+    actions: Sequence[Action], lengths: Sequence[int], made: Float[Tensor, "batch _ features"], known: Known | None
 ) -> Known:
     """What is known to actions of one round: of timelines that are `made` so far the frames that each looks back on,
-    and of its own `frames` what is `known` of the timelines anyway."""
-    content = made.new_zeros(len(actions), frames, made.shape[-1])
+    and of the others that a denoiser sees, as many in all as `lengths` say, what is `known` of the timelines anyway."""
+    content = made.new_zeros(len(actions), max(lengths), made.shape[-1])
     weights = torch.zeros_like(content)
-    for row, action in enumerate(actions):
+    for row, (action, length) in enumerate(zip(actions, lengths, strict=True)):
         start = action.crop.start
         for own, given in zip((content, weights), known or (), strict=False):
-            piece = given[action.timeline, start : start + frames]
+            piece = given[action.timeline, start : start + length]
             own[row, : len(piece)] = piece
         content[row, : action.start - start] = made[action.timeline, start : action.start]
         weights[row, : action.start - start] = 1

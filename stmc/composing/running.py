@@ -141,7 +141,7 @@ class Run:
         """The crops of a round of actions, each with what it sees of what is `made`."""
         plans = [action.plan for action in actions]
         lengths = crop_lengths(plans, self.fixed_length)
-        known = seen_before(actions, made, self.known, max(lengths))
+        known = seen_before(actions, lengths, made, self.known)
         draw = self._noise([(self.seeds[action.timeline], action.number) for action in actions], lengths)
         return self.denoise(impute(self.guided(plans, self.sampling.guidance), *known), draw(), draw)
 
