@@ -78,9 +78,10 @@ def test_motion_diffuse_is_its_equations():
 
 
 @pytest.mark.parametrize("attention_window", [2, 4, 40], ids=["many blocks", "few blocks", "at once"])
-def test_flow_mdm_is_its_equations_in_both_modes(attention_window):
+@pytest.mark.parametrize("conditioning", ["pccat", "sat", "cat"])
+def test_flow_mdm_is_its_equations_in_both_modes(attention_window, conditioning):
     """Rows of other segments and other steps: of steps from 3 on positions are absolute."""
-    sizes = SIZES | {"layers": 2, "heads": 2}
+    sizes = SIZES | {"layers": 2, "heads": 2, "conditioning": conditioning}
     network, weights = filled(FlowMdm(**sizes, absolute_from=3, attention_window=attention_window))
     segments = [[0] * 4 + [1] * 5 + [2] * 2, [0] * 3 + [2] * 4, [1]]
     x, t, _, _, present = padded_batch([1, 1, 1])
@@ -90,7 +91,7 @@ def test_flow_mdm_is_its_equations_in_both_modes(attention_window):
     answers = network(x, t, text, None, present, segment)
     for row, (length, step) in enumerate(zip(LENGTHS, STEPS, strict=True)):
         given = (x[row, :length].numpy(), step, text[row].numpy(), segments[row])
-        expected = equations.flow_mdm(weights, 2, attention_window, step >= 3, *given)
+        expected = equations.flow_mdm(weights, 2, attention_window, step >= 3, *given, conditioning)
         agree(answers[row, :length], expected)
 
 

@@ -8,18 +8,30 @@ schedules and timelines.
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import torch
 from einops import rearrange
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from stmc.denoisers.flow_mdm_layers import AttentionMask, Layers, RotaryEmbedding, absolute_positions
+from stmc.denoisers.flow_mdm_layers import (
+    ATTENTION,
+    AttentionMask,
+    Conditioning,
+    Layers,
+    RotaryEmbedding,
+    absolute_positions,
+)
 from stmc.denoisers.layers import POSITIONS
 from stmc.denoisers.network import Network
 from stmc.tensors import sinusoids
 
 BPE_TRAINING_RATIO = 0.5
 """The share of the rows in training that have relative positions, not absolute ones (blended positional encodings)."""
+
+Positions = Literal["blended", "absolute", "relative"]
+"""Both encodings of time, in training by chance and in sampling by the step; or one of them alone."""
 
 
 class FlowMdm(Network):
@@ -31,6 +43,12 @@ class FlowMdm(Network):
     absolute. More absolute steps keep more to the texts, fewer make smoother transitions (Fig. 5). In training each row
     is relative or absolute by chance, whatever its step. `dropout` acts on the frames where they come in,
     `stochastic_depth` is the probability to skip a layer's half.
+
+    Two settings are the paper's ablations (Tables 3 and 4). `positions`: with "absolute" or "relative" there is no
+    other encoding, in training or in sampling, and `absolute_from` means nothing. `conditioning`: "pccat" is the
+    method; "sat" lets the condition into keys and values, too, with the same weights; "cat" has a cross-attention to
+    the conditions of the frames that a frame sees. These two are our reading of section 4.1: their code is not
+    published.
     """
 
     ends = "input_process.poseEmbedding", "output_process.poseFinal"
@@ -48,6 +66,8 @@ class FlowMdm(Network):
         attention_window: int = 150,
         dropout: float = 0.1,
         stochastic_depth: float = 0.1,
+        positions: Positions = "blended",
+        conditioning: Conditioning = "pccat",
     ) -> None:
         super().__init__()
         if width % 2:
@@ -56,12 +76,16 @@ class FlowMdm(Network):
             raise ValueError(
                 f"attention_window {attention_window} must be at least 1, absolute_from {absolute_from} at least 0"
             )
-        self.attention_window, self.absolute_from = attention_window, absolute_from
+        if positions not in get_args(Positions) or conditioning not in ATTENTION:
+            choices = f"positions from {', '.join(get_args(Positions))}, conditioning from {', '.join(ATTENTION)}"
+            raise ValueError(f"unknown positions {positions!r} or conditioning {conditioning!r}; choose {choices}")
+        self.attention_window, self._encodings = attention_window, positions
+        self.absolute_from = absolute_from if positions == "blended" else None
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features, width)})
         time_embed = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.embed_timestep = nn.ModuleDict({"time_embed": time_embed})
         self.embed_text = nn.Linear(text_width, width)
-        self.seqTransEncoder = _Encoder(width, feedforward, layers, heads, dropout, stochastic_depth)
+        self.seqTransEncoder = _Encoder(width, feedforward, layers, heads, dropout, stochastic_depth, conditioning)
         self.output_process = nn.ModuleDict({"poseFinal": nn.Linear(width, features)})
         self.register_buffer("positions", sinusoids(POSITIONS, width), persistent=False)
 
@@ -84,9 +108,7 @@ class FlowMdm(Network):
         """See `Denoiser`. With `segment`, which says of every frame to which segment it belongs, `text` has a word for
         each of a row's segments; without it, a row is one segment. A segment may be interrupted by others.
         `absolute_from`: None is the network's own."""
-        first = self.absolute_from if absolute_from is None else absolute_from
-        absolute = torch.rand(len(x), device=x.device) >= BPE_TRAINING_RATIO if self.training else t >= first
-        return self.blended(x, t, text, absolute, mask, segment)
+        return self.blended(x, t, text, self._absolute(t, absolute_from), mask, segment)
 
     def forward(
         self,
@@ -99,6 +121,14 @@ class FlowMdm(Network):
     ) -> Float[Tensor, "batch frames features"]:
         """See `denoise`, for a text that is not encoded yet."""
         return self.denoise(x, t, self.encode_text(text), text_mask, mask, segment)
+
+    def _absolute(self, t: Int[Tensor, " batch"], absolute_from: int | None) -> Bool[Tensor, " batch"]:
+        """Which rows have absolute positions."""
+        if self._encodings != "blended":
+            return torch.full_like(t, self._encodings == "absolute", dtype=torch.bool)
+        if self.training:
+            return torch.rand(len(t), device=t.device) >= BPE_TRAINING_RATIO
+        return t >= (self.absolute_from if absolute_from is None else absolute_from)
 
     def blended(
         self,
@@ -124,13 +154,20 @@ class FlowMdm(Network):
 
 class _Encoder(nn.Module):
     def __init__(
-        self, width: int, feedforward: int, layers: int, heads: int, dropout: float, stochastic_depth: float
+        self,
+        width: int,
+        feedforward: int,
+        layers: int,
+        heads: int,
+        dropout: float,
+        stochastic_depth: float,
+        conditioning: Conditioning,
     ) -> None:
         super().__init__()
         self.project_in = nn.Linear(width, width)
         self.pos_emb = nn.ModuleDict({"absolute": _Scale(width**-0.5)})
         self.dropout = nn.Dropout(dropout)
-        self.attn_layers = Layers(width, feedforward, layers, heads, stochastic_depth)
+        self.attn_layers = Layers(width, feedforward, layers, heads, stochastic_depth, conditioning)
         self.project_out = nn.Linear(width, width)
 
     def forward(self, frames: Tensor, condition: Tensor, position: Tensor, attention_mask: AttentionMask) -> Tensor:

@@ -1,5 +1,5 @@
 """What FlowMDM is built from: attention within a window, at a cost linear in the frames, whose queries alone know the
-condition (Barquero et al. 2024, sections 3.2 and 3.3).
+condition (Barquero et al. 2024, sections 3.2 and 3.3); and the two kinds of attention that it is compared with.
 
 Parameter names are those of the published checkpoints. Knows frames and which of them may see each other; knows no
 texts, no steps and no features.
@@ -7,8 +7,10 @@ texts, no steps and no features.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -23,6 +25,7 @@ ROTARY_DIM = 32
 BASE = 10000.0
 """Of the wavelengths of both encodings."""
 
+Frames = Float[Tensor, "batch frames width"]
 Heads = Float[Tensor, "batch heads frames channels"]
 Attend = Callable[[Heads, Heads, Heads], Heads]
 """(queries, keys, values) → the values that each frame's query finds."""
@@ -131,35 +134,85 @@ def frequencies(count: int) -> Float[Tensor, " count"]:
     return BASE ** (-torch.arange(count, dtype=torch.float64) / count)
 
 
-class PoseCentricAttention(nn.Module):
-    """Attention of frames to each other in which the condition makes a frame's query, and nothing else (Eq. 3).
+class Attention(nn.Module, ABC):
+    """Attention of frames to each other, of which a subclass says what their queries, keys and values are made of.
 
-    `width` of the frames and of the condition; each of `heads` has `HEAD` channels.
+    `width` of the frames and of the condition; each of `heads` has `HEAD` channels. `custom_query_fn`: what makes one
+    of a pose and a condition, where there is such a thing.
     """
 
-    def __init__(self, width: int, heads: int) -> None:
+    def __init__(self, width: int, heads: int, custom_query_fn: nn.Linear | None = None) -> None:
         super().__init__()
         self.heads = heads
-        self.custom_query_fn = nn.Linear(2 * width, width)
+        if custom_query_fn is not None:  # first: the order of the parameters is that of optimisers' states
+            self.custom_query_fn = custom_query_fn
         self.to_q = nn.Linear(width, heads * HEAD, bias=False)
         self.to_k = nn.Linear(width, heads * HEAD, bias=False)
         self.to_v = nn.Linear(width, heads * HEAD, bias=False)
         self.to_out = nn.Linear(heads * HEAD, width, bias=False)
 
+    @abstractmethod
+    def sources(self, poses: Frames, condition: Frames) -> tuple[Frames, Frames]:
+        """What makes a frame's query, and what makes its key and its value."""
+
     def forward(
-        self,
-        poses: Float[Tensor, "batch frames width"],
-        condition: Float[Tensor, "batch frames width"],
-        rotary: RotaryEmbedding,
-        attend: Attend,
+        self, poses: Frames, condition: Frames, rotary: RotaryEmbedding, attend: Attend
     ) -> Float[Tensor, "batch frames width"]:
-        conditioned = self.custom_query_fn(torch.cat([poses, condition], dim=-1))
-        query, key, value = (self._split(each) for each in (self.to_q(conditioned), self.to_k(poses), self.to_v(poses)))
+        asking, asked = self.sources(poses, condition)
+        query, key, value = (self._split(each) for each in (self.to_q(asking), self.to_k(asked), self.to_v(asked)))
         mixed = attend(rotary(query), rotary(key), value)
         return self.to_out(rearrange(mixed, "batch heads frames channels -> batch frames (heads channels)"))
 
     def _split(self, values: Tensor) -> Heads:
         return rearrange(values, "batch frames (heads channels) -> batch heads frames channels", heads=self.heads)
+
+
+class PoseCentricAttention(Attention):
+    """Pose-centric cross-attention: the condition makes a frame's query, and nothing else (Eq. 3)."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__(width, heads, nn.Linear(2 * width, width))
+
+    def sources(self, poses: Frames, condition: Frames) -> tuple[Frames, Frames]:
+        """The frame's pose and condition in one; its pose."""
+        return self.custom_query_fn(torch.cat([poses, condition], dim=-1)), poses
+
+
+class ConditionedAttention(PoseCentricAttention):
+    """Self-attention of poses and conditions in one: both make query, key and value (Eq. 2)."""
+
+    def sources(self, poses: Frames, condition: Frames) -> tuple[Frames, Frames]:
+        """The frame's pose and condition in one, twice."""
+        conditioned, _ = super().sources(poses, condition)
+        return conditioned, conditioned
+
+
+class SelfAttention(Attention):
+    """Self-attention of poses, which know no condition."""
+
+    def sources(self, poses: Frames, condition: Frames) -> tuple[Frames, Frames]:
+        """The frame's pose, twice."""
+        return poses, poses
+
+
+class CrossAttention(Attention):
+    """Attention of poses to conditions, each where its frame is."""
+
+    def sources(self, poses: Frames, condition: Frames) -> tuple[Frames, Frames]:
+        """The frame's pose; its condition."""
+        return poses, condition
+
+
+Conditioning = Literal["pccat", "sat", "cat"]
+"""How the condition comes to the frames: pose-centric cross-attention; self-attention of poses and conditions; or
+self-attention of poses, then cross-attention to conditions (section 4.1, "Implementation details")."""
+
+ATTENTION: Mapping[Conditioning, tuple[type[Attention], ...]] = {
+    "pccat": (PoseCentricAttention,),
+    "sat": (ConditionedAttention,),
+    "cat": (SelfAttention, CrossAttention),
+}
+"""The attention of one layer, one after the other."""
 
 
 class Feedforward(nn.Module):
@@ -180,10 +233,14 @@ class Layers(nn.Module):
     In training each of them is left out with probability `stochastic_depth`, for the whole batch (Huang et al. 2016).
     """
 
-    def __init__(self, width: int, inner: int, count: int, heads: int, stochastic_depth: float) -> None:
+    def __init__(
+        self, width: int, inner: int, count: int, heads: int, stochastic_depth: float, conditioning: Conditioning
+    ) -> None:
         super().__init__()
         inside = [
-            block for _ in range(count) for block in (PoseCentricAttention(width, heads), Feedforward(width, inner))
+            block
+            for _ in range(count)
+            for block in (*(kind(width, heads) for kind in ATTENTION[conditioning]), Feedforward(width, inner))
         ]
         self.layers = nn.ModuleList(nn.ModuleList([nn.ModuleList([nn.LayerNorm(width)]), block]) for block in inside)
         self.final_norm = nn.LayerNorm(width)
@@ -192,7 +249,7 @@ class Layers(nn.Module):
     def forward(self, frames: Float[Tensor, "batch frames width"], *attention: object) -> Tensor:
         for (norm,), block in self.layers:
             normed = norm(frames)
-            out = block(normed, *attention) if isinstance(block, PoseCentricAttention) else block(normed)
+            out = block(normed, *attention) if isinstance(block, Attention) else block(normed)
             if self.training and self.stochastic_depth:
                 # Multiplied by 0, not left out of the graph: distributed training wants a gradient for every weight.
                 out = out * (torch.rand((), device=out.device) >= self.stochastic_depth)

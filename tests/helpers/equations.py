@@ -5,6 +5,7 @@ In float64, with numpy alone, from named weights. Knows no batches and no paddin
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 
@@ -217,11 +218,12 @@ def flow_mdm(
     t: int,
     words: np.ndarray,
     segment: list,
+    conditioning: str = "pccat",
 ) -> np.ndarray:
     """FlowMDM (Barquero et al. 2024), section 3: blended positional encodings, pose-centric cross-attention.
 
     `words[segment[i]]` is the text of frame i. `absolute`: positions within segments, which alone are seen; else rotary
-    positions, and sight across segments.
+    positions, and sight across segments. Another `conditioning` is one of the ablations in section 4.1.
     """
     text = weights.linear("embed_text", words)
     step = step_token(weights.of("embed_timestep.time_embed"), t, text.shape[1])
@@ -235,22 +237,35 @@ def flow_mdm(
     def seen(query: int, key: int) -> bool:
         return abs(query - key) <= window and (not absolute or segment[query] == segment[key])
 
-    layers = encoder.layers("attn_layers.layers")
-    for norm_and_attention, norm_and_inner in zip(layers[::2], layers[1::2], strict=True):
-        normal = norm_and_attention.norm("0.0", frames)
-        frames = frames + pose_centric(norm_and_attention.of("1"), heads, normal, condition, seen, not absolute)
-        inner = norm_and_inner.of("1.ff")
-        frames = frames + inner.linear("3", gelu(inner.linear("0.0", norm_and_inner.norm("0.0", frames))))
+    layers, kinds = encoder.layers("attn_layers.layers"), (*CONDITIONINGS[conditioning], "inner")
+    for layer, kind in zip(layers, itertools.cycle(kinds), strict=False):
+        normal, inside = layer.norm("0.0", frames), layer.of("1")
+        if kind == "inner":
+            frames = frames + inside.linear("ff.3", gelu(inside.linear("ff.0.0", normal)))
+        else:
+            asking, asked = conditioned(inside, kind, normal, condition)
+            frames = frames + attention_to(inside, heads, asking, asked, seen, not absolute)
     frames = encoder.norm("attn_layers.final_norm", frames)
     return weights.linear("output_process.poseFinal", encoder.linear("project_out", frames))
 
 
-def pose_centric(
-    weights: Weights, heads: int, poses: np.ndarray, condition: np.ndarray, seen: Seen, turned: bool
+CONDITIONINGS = {"pccat": ("eq. 3",), "sat": ("eq. 2",), "cat": ("poses", "cross")}
+"""What a layer attends by, for each way in which the condition comes to the frames."""
+
+
+def conditioned(weights: Weights, kind: str, poses: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What makes queries, and what makes keys and values. Eq. 3: the condition enters the queries alone; Eq. 2: all."""
+    if kind in ("poses", "cross"):
+        return poses, poses if kind == "poses" else condition
+    both = weights.linear("custom_query_fn", np.hstack([poses, condition]))
+    return both, poses if kind == "eq. 3" else both
+
+
+def attention_to(
+    weights: Weights, heads: int, asking: np.ndarray, asked: np.ndarray, seen: Seen, turned: bool
 ) -> np.ndarray:
-    """Eq. 3: the condition enters the queries alone; keys and values are the poses'."""
-    query = weights.linear("to_q", weights.linear("custom_query_fn", np.hstack([poses, condition])))
-    key, value = weights.linear("to_k", poses), weights.linear("to_v", poses)
+    """Attention with rotary positions where frames are `turned`."""
+    query, key, value = weights.linear("to_q", asking), weights.linear("to_k", asked), weights.linear("to_v", asked)
 
     def one(query: np.ndarray, key: np.ndarray, value: np.ndarray) -> np.ndarray:
         return attended(*(rotary(each) if turned else each for each in (query, key)), value, seen)
