@@ -169,10 +169,14 @@ class Model:
         return frozenset(each.text for each in self.recognise(long) if each.happens_once)
 
     def guided(
-        self, plans: Sequence[Plan], guidance: float | int | None = None, ape_steps: float | int | None = None
+        self,
+        plans: Sequence[Plan],
+        guidance: float | int | None = None,
+        ape_steps: float | int | None = None,
+        needed: Sequence[bool] | None = None,
     ) -> Guided:
-        """A predictor of the plans' crops with classifier-free guidance (None: the model's own): see
-        `composing.guided_crops`. `ape_steps`: as of `Sampling`.
+        """A predictor of the plans' crops, or of those `needed`, with classifier-free guidance (None: the model's own):
+        see `composing.guided_crops`. `ape_steps`: as of `Sampling`.
 
         Examples:
             >>> model = stmc.load()
@@ -183,6 +187,7 @@ class Model:
             *self._asked(plans, guidance, ape_steps),
             supports_padding=self.network.supports_padding,
             fixed_length=self.network.fixed_length,
+            needed=needed,
         )
 
     def guided_sequences(

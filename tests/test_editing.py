@@ -11,6 +11,7 @@ from helpers.tiny_model import tiny
 import stmc
 from stmc.body import JOINTS, BodyPart
 from stmc.body_model import Skeleton
+from stmc.denoisers import MdmSmpl
 from stmc.editing import Change, Kept, changed_prompt, changed_prompts, on_body
 from stmc.geometry import rotation_z
 from stmc.motion import Motion
@@ -65,6 +66,28 @@ def test_a_change_of_an_arm_leaves_the_path_and_all_other_rotations(model, motio
     assert (changed.joints - motion.joints)[:, still].abs().max() < 1e-6
     moved = (changed.joints - motion.joints).abs().amax(dim=(1, 2)) > 1e-4
     assert moved[22:58].all() and not moved[:20].any() and not moved[60:].any()
+
+
+@pytest.mark.parametrize("method", ["stmc", "sinc"])
+def test_only_crops_that_a_change_needs_are_denoised_and_nothing_else_changes(model, motion, method, monkeypatch):
+    denoise, denoised = MdmSmpl.denoise, []
+
+    def counting(self, x, *others):
+        denoised.append(len(x))
+        return denoise(self, x, *others)
+
+    monkeypatch.setattr(MdmSmpl, "denoise", counting)
+
+    def made() -> Motion:
+        denoised.clear()
+        arm = Change(1.5, 2.5, ["right arm"])
+        return model.generate(TIMELINE, seed=1, steps=2, method=method, keep=motion, change=arm)[0]
+
+    few, rows = made(), sum(denoised)
+    monkeypatch.setattr("stmc.composing.running.crops_needed", lambda plans, *others: [True] * len(plans[0].crops))
+    every, all_rows = made(), sum(denoised)
+    assert apart(few, every, slice(None)) < 1e-5
+    assert rows < all_rows
 
 
 def test_a_motion_goes_on_behind_its_end(model, motion):

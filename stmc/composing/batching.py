@@ -33,6 +33,8 @@ class Request:
     """None: without a text, which needs the unconditional pass alone."""
     segment: Int[Tensor, " _"] | None = None
     """For every frame, which word of the text belongs to it; all requests have it, or none."""
+    needed: bool = True
+    """False: nobody looks at it; it comes out as zero, and costs nothing."""
 
 
 class Guided:
@@ -74,7 +76,7 @@ class Guided:
     @property
     def padding(self) -> float:
         """Which share of the frames that a step denoises lies behind the ends of the rows."""
-        return 1 - self._needed / self._denoised
+        return 1 - self._needed / self._denoised if self._denoised else 0.0
 
     def __call__(self, x: Float[Tensor, "rows frames features"], t: int) -> Float[Tensor, "rows frames features"]:
         assert x.shape[:2] == self._shape, f"rows of shape {tuple(x.shape[:2])}, but the plans have {self._shape}"
@@ -104,7 +106,7 @@ class _ForwardPass(NamedTuple):
 def _passes(requests: Sequence[Request], guidance: float | int) -> list[_ForwardPass]:
     """Everything that one step has to denoise: no second pass without a text, or where guidance ignores one of two."""
     passes = []
-    for row, request in enumerate(requests):
+    for row, request in ((row, request) for row, request in enumerate(requests) if request.needed):
         if request.text is not None and guidance != 0:
             passes.append(_ForwardPass(row, True, request.padded_frames, request.text, request.segment))
         if request.text is None or guidance != 1:

@@ -66,6 +66,7 @@ def guided_crops(
     budget: int = 32768,
     supports_padding: bool = False,
     fixed_length: int | None = None,
+    needed: Sequence[bool] | None = None,
 ) -> Guided:
     """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance: see `Guided`.
 
@@ -75,6 +76,7 @@ def guided_crops(
     `supports_padding`: texts of different numbers of words share calls. Only for denoisers that padded words do not
     disturb, such as `MdmSmpl` with its `words` set: the published network moves the frames behind the longest text.
     `fixed_length`: every crop has as many frames, whatever its own length (see `Network`), and all are predicted.
+    `needed`: of each crop, whether it is (None: all are); the others come out as zero.
 
     Raises `ValueError` for a text without an embedding.
 
@@ -86,10 +88,12 @@ def guided_crops(
         torch.Size([1, 40, 205])
     """
     check_embeddings(plans, embeddings)
-    crops = (crop for plan in plans for crop in plan.crops)
+    crops = [crop for plan in plans for crop in plan.crops]
     requests = [
-        Request(crop.frames, padded_frames, embeddings[NULL], embeddings[crop.text] if crop.text else None)
-        for crop, padded_frames in zip(crops, crop_lengths(plans, fixed_length), strict=True)
+        Request(crop.frames, frames, embeddings[NULL], embeddings[crop.text] if crop.text else None, needed=wanted)
+        for crop, frames, wanted in zip(
+            crops, crop_lengths(plans, fixed_length), needed or [True] * len(crops), strict=True
+        )
     ]
     return Guided(denoiser, schedule, requests, guidance, prediction, padding, budget, supports_padding)
 

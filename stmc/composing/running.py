@@ -20,7 +20,16 @@ from torch import Tensor
 from stmc.composing.autoregression import Action, action_rounds, seen_before
 from stmc.composing.batching import Guided
 from stmc.composing.inpainting import Known, impute
-from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, crops_of, sinc
+from stmc.composing.stitching import (
+    Columns,
+    canvas_lengths,
+    collage,
+    crop_lengths,
+    crop_seeds,
+    crops_needed,
+    crops_of,
+    sinc,
+)
 from stmc.diffusion import SAMPLERS, Draw, Noise, Predict, Sampler, Schedule, Seed
 from stmc.planning import Plan, plan
 from stmc.representation import Layout
@@ -54,7 +63,7 @@ class Run:
     overlap: int
     layout: Layout
     statistics: Statistics
-    guided: Callable[[Sequence[Plan], float | int], Guided]
+    guided: Callable[..., Guided]
     guided_sequences: Callable[[Sequence[Plan], float | int], Guided]
     fixed_length: int | None
     device: torch.device
@@ -101,7 +110,7 @@ class Run:
         is heard less: measured in the results.
         """
         guidance = self.sampling.guidance if guidance is None else guidance
-        unguided, predict = self.steps_before(self.sampling.guidance_from), cache(partial(self.guided, plans))
+        unguided, predict = self.steps_before(self.sampling.guidance_from), cache(partial(self._guided, plans))
         if not unguided or guidance <= 1:
             return predict(guidance)
         first = self.times[-unguided]
@@ -123,7 +132,7 @@ class Run:
         self._refuse_constraints()
         plans = self.plans(0)
         draw = self._crop_noise(plans)
-        predict = self._knowing(self.guided(plans, self.sampling.guidance), plans)
+        predict = self._knowing(self._guided(plans, self.sampling.guidance), plans)
         return sinc(self.denoise(predict, draw(), draw), plans, self.columns)
 
     def autoregressive(self, plans: Sequence[Plan]) -> Float[Tensor, "batch frames features"]:
@@ -160,6 +169,12 @@ class Run:
 
         _last(self.progress(islice(self._states(watched, draw(), draw, self.times), steps + 1), total=steps))
         return sinc(states[-1], plans, self.columns)
+
+    def _guided(self, plans: Sequence[Plan], guidance: float | int) -> Guided:
+        """Of the plans' crops those alone in which something is not known."""
+        if self.known is None:
+            return self.guided(plans, guidance)
+        return self.guided(plans, guidance, needed=crops_needed(plans, self.known.weights == 1, self.columns))
 
     def _knowing(self, predict: Predict, plans: Sequence[Plan]) -> Predict:
         """A predictor of crops, each alone, that answers with what is known."""

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from einops import rearrange
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stmc.body import BodyPart
@@ -74,6 +74,26 @@ def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, fixed_len
     cut, stitch = _Cut(plans, fixed_length), _Stitch(plans, columns)
     longest, behind = max(crop_lengths(plans)), fixed_length or 0
     return lambda x, t: F.pad(stitch(predict(cut(x), t)[:, :longest]), (0, 0, 0, behind))
+
+
+def crops_needed(plans: Sequence[Plan], known: Bool[Tensor, "batch _ features"], columns: Columns) -> tuple[bool, ...]:
+    """Of every crop of all plans, whether a collage of them has anything of it that is not `known` anyway.
+
+    Examples:
+        >>> plan = stmc.plan(stmc.Timeline.parse("walk # 0 # 2\\njump # 2 # 4"), fps=20, overlap=10)
+        >>> known = torch.zeros(1, 80, 5, dtype=torch.bool)
+        >>> known[:, :60] = True
+        >>> columns = {part: [column] for column, part in enumerate(stmc.BodyPart)}
+        >>> [crop.text for crop, needed in zip(plan.crops, crops_needed([plan], known, columns)) if needed]
+        ['jump']
+    """
+    needed = []
+    for plan, row in zip(plans, known.cpu(), strict=True):
+        open_parts = {part: ~row[:, list(own)].all(dim=1) for part, own in columns.items()}
+        tiles = [(tile.crop, bool(open_parts[tile.part][tile.start : tile.end].any())) for tile in plan.tiles]
+        wanted = {crop for crop, is_open in tiles if is_open}
+        needed += [crop in wanted for crop in range(len(plan.crops))]
+    return tuple(needed)
 
 
 def sinc(
