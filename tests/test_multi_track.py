@@ -232,7 +232,7 @@ def test_the_bundled_evaluator_finds_what_the_bundled_model_was_asked_for():
         if prompt.text in ("walk", "turn left", "raise the right arm", "raise both arms")
     ]
     timelines = [Timeline((Prompt(prompt.text, 0, 4, prompt.parts),)) for prompt in asked]
-    motions = model.generate(timelines, seed=0, steps=10, sampler=stmc.ddim)
+    motions = model.generate(timelines, seed=0, steps=5, sampler=stmc.ddim)
     table = cosines(
         ear.motions([ear.features(motion) for motion in motions]), ear.texts([prompt.text for prompt in atomic_prompts])
     )

@@ -44,6 +44,7 @@ def sampled(folder: Path, model: Path) -> stmc.Motion:
     return stmc.read(folder / "out" / "timeline_0.npz")
 
 
+@pytest.mark.slow
 def test_amass_with_annotations_goes_from_its_files_to_an_exported_motion(tmp_path, in_this_process, capsys):
     write_body(tmp_path, "smplh")
     places = (f"source={amass(tmp_path / 'amass')}", f"annotations={published(tmp_path / 'texts')}", f"body={tmp_path}")
