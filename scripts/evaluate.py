@@ -105,13 +105,21 @@ def chosen(experiment: DictConfig, models: dict[str, stmc.Model], trusted: tuple
     experiment leaves it open. A method that needs a text for every frame is of such networks alone. Raises
     `SettingError` for unknown names and values that do not fit."""
     methods = {name: find_method(name, trusted) for name in experiment.methods}
-    grid = itertools.product(*experiment.settings.values())
-    combinations = [record_of(Sampling, dict(zip(experiment.settings, values, strict=True))) for values in grid]
+    asked = {name: combinations({**experiment.settings, **experiment.of_methods.get(name, {})}) for name in methods}
     if experiment.real:
         yield Setting(REAL)
-    for (name, model), method, asked in itertools.product(models.items(), methods, combinations):
+    for (name, model), method in itertools.product(models.items(), methods):
         if model.network.per_frame_text or not methods[method].per_frame_text:
-            yield Setting(method, name, settled(asked, methods[method], model.own_sampling))
+            for each in asked[method]:
+                yield Setting(method, name, settled(each, methods[method], model.own_sampling))
+
+
+def combinations(settings: Mapping) -> list[Sampling]:
+    """Every combination of the values of the settings."""
+    return [
+        record_of(Sampling, dict(zip(settings, values, strict=True)))
+        for values in itertools.product(*settings.values())
+    ]
 
 
 def about(config: DictConfig) -> dict:

@@ -85,7 +85,9 @@ def test_flowmdm_s_table_has_teach_without_slerp_and_with_it():
 
 
 def test_an_unknown_published_table_is_an_error_with_the_choices():
-    with pytest.raises(ResultError, match="choose from flowmdm_table_1, stmc_appendix_d, stmc_table_1, stmc_table_a1"):
+    with pytest.raises(
+        ResultError, match=r"choose from flow_mdm_table_1, .*, stmc_appendix_d, stmc_table_1, stmc_table_a1"
+    ):
         with_published(ours("stmc", steps=100), lambda results: sweep_table(results, ["steps"]), "table_9")
 
 
@@ -123,6 +125,8 @@ def test_benchmarks_of_the_papers_bring_their_experiments_unless_another_is_aske
         ("benchmark=humanml3d",): "single_text",
         ("benchmark=mtt", "experiment=table_a1"): "table_a1",
         ("benchmark=compositions",): "comparison",
+        ("benchmark=flow_mdm_babel",): "flow_mdm_table_1",
+        ("benchmark=flow_mdm_humanml3d", "experiment=ape_steps"): "ape_steps",
     }
     assert {given: configured("evaluate", *given).experiment.name for given in names} == names
     assert list(configured("evaluate", "benchmark=humanml3d", "seeds=[4]").seeds) == [4]

@@ -3,12 +3,14 @@
 from stmc.benchmarks.compositions import Compositions
 from stmc.benchmarks.multi_track import MultiTrack, open_mtt, published_mtt
 from stmc.benchmarks.protocol import Benchmark, Scores, TextEvaluator
+from stmc.benchmarks.published_compositions import PublishedCompositions
 from stmc.benchmarks.single_text import SingleText
 
 __all__ = [
     "Benchmark",
     "Compositions",
     "MultiTrack",
+    "PublishedCompositions",
     "Scores",
     "SingleText",
     "TextEvaluator",

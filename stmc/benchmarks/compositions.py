@@ -19,12 +19,13 @@ from torch import Tensor
 
 from stmc.benchmarks.protocol import Scores, TextEvaluator
 from stmc.benchmarks.resampling import Rows, Units, resampled
+from stmc.benchmarks.transitions import pieces_of
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.matching import POOL_SIZE, embedding_diversity, matching_score, r_precision
 from stmc.metrics.plausibility import check_joints
 from stmc.metrics.realism import fid
-from stmc.metrics.smoothness import HUMANML3D_WINDOW, transition_window
+from stmc.metrics.smoothness import HUMANML3D_WINDOW
 from stmc.motion import Motion
 from stmc.representation import JointsFrom, Representation
 from stmc.timeline import Prompt, Timeline
@@ -175,24 +176,9 @@ class Compositions:
         return {content: [clip for clip in long if clip.content == content] or long for content in self._contents}
 
     def _of_motions(self, motions: Sequence[Motion]) -> Measurements:
-        fps = self.evaluator.fps
-        if len(motions) != len(self._timelines):
-            raise ValueError(f"{len(motions)} motions for {len(self._timelines)} timelines")
-        check_joints([motion.joints for motion in motions])
-        crops, windows, jerks = [], [], []
-        for timeline, motion in zip(self._timelines, motions, strict=True):
-            lost = 1 + fps / motion.fps  # at most, by rounding to frames of either rate
-            motion = motion.resampled(fps)
-            spans = timeline.spans(fps)
-            if len(motion) < spans[-1][1] - lost:
-                raise ValueError(f"the motion of timeline {timeline.name} has {len(motion)} frames, not {spans[-1][1]}")
-            features = self.evaluator.features(motion)
-            crops += [features[start:end] for start, end in spans]
-            around = [transition_window(start, self.window) for start, _ in spans[1:]]
-            windows += [features[start:end] for start, end in around]
-            jerks += [window_jerk(motion.trimmed(start, min(end, len(motion))), self.window) for start, end in around]
+        pieces = pieces_of(self._timelines, motions, self.evaluator, self.window)
         segments = tuple(segment for composition in self.compositions for segment in composition)
-        return self._measurements(segments, crops, windows, jerks)
+        return self._measurements(segments, *pieces)
 
     def _of_clips(self, compositions: Sequence[Sequence[Segment]], chance: np.random.Generator) -> Measurements:
         """The clips of the segments as subsequences, and for each transition a window from anywhere in a clip of the
@@ -248,7 +234,7 @@ class Compositions:
             "transition_fid": fid(windows, real.windows),
             "transition_diversity": embedding_diversity(windows, len(windows), seed),
         }
-        return Scores(metrics).with_jerk(jerks, real.jerks)
+        return Scores(metrics).with_jerk(jerks, float(real.jerks.mean()))
 
     def _true(self, segments: Sequence[Segment]) -> Bool[Tensor, "segments segments"]:
         """Of which segments' clips the text of each segment is true."""

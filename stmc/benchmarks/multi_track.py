@@ -151,7 +151,9 @@ class MultiTrack:
 
     def _with_jerk(self, scores: Scores, jerks: Float[Tensor, "windows frames"]) -> Scores:
         """As they are where all motions, or all real ones, are shorter than a window."""
-        return scores.with_jerk(jerks, self._real_jerks) if len(jerks) and len(self._real_jerks) else scores
+        return (
+            scores.with_jerk(jerks, float(self._real_jerks.mean())) if len(jerks) and len(self._real_jerks) else scores
+        )
 
     def _shown(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> dict[str, float]:
         answers = [answer for _, answer in self._answers(motions, spans)]

@@ -24,11 +24,11 @@ class Scores(NamedTuple):
     curves: Mapping[str, list[float]] = MappingProxyType({})
     resampled: Mapping[str, list[float]] = MappingProxyType({})
 
-    def with_jerk(self, jerks: Float[Tensor, "windows frames"], real: Float[Tensor, "_ frames"]) -> Scores:
-        """These, and of the jerk in windows around transitions, in m/frame³, the peak, the area between it and the mean
-        of `real` motion's, and the curve "jerk"."""
+    def with_jerk(self, jerks: Float[Tensor, "windows frames"], average: float | int) -> Scores:
+        """These, and of the jerk in windows around transitions, in m/frame³, the peak, the area between it and the
+        `average` of real motion, and the curve "jerk"."""
         curve = jerk_curve(jerks)
-        jerky = {"peak_jerk": peak_jerk(curve), "area_under_jerk": area_under_jerk(curve, float(real.mean()))}
+        jerky = {"peak_jerk": peak_jerk(curve), "area_under_jerk": area_under_jerk(curve, average)}
         return Scores({**self.metrics, **jerky}, {**self.curves, "jerk": curve.tolist()}, self.resampled)
 
 

@@ -25,7 +25,7 @@ from stmc.published.checkpoint import (
     size_of,
     state_dict,
 )
-from stmc.representation import HumanML3DRepresentation
+from stmc.representation import BabelRepresentation, HumanML3DRepresentation
 from stmc.run import EVALUATOR_PARTS
 from stmc.statistics import Statistics
 from stmc.tensors import found_device
@@ -35,7 +35,7 @@ WEIGHTS, CHECKPOINT = Path("last_weights"), Path("logs/checkpoints/last.ckpt")
 PARTS = ("motion_encoder", "text_encoder", "motion_decoder")
 STATISTICS = Path("stats/humanml3d/guoh3dfeats")
 """Where they lie in TMR's own folder, two levels above a run: per dimension, unlike HumanML3D's `Std.npy`."""
-FPS, HEADS = 20, 4
+FPS, BABEL_FPS, HEADS = 20, 30, 4
 DISTILBERT = "distilbert/distilbert-base-uncased"
 SECTIONS = ("movement_encoder", "text_encoder", "motion_encoder")
 
@@ -108,11 +108,17 @@ def read_guo(file: Path) -> GuoEvaluator:
 
 
 def read_guo_evaluator(
-    weights: str | Path, statistics: str | Path, glove: str | Path, device: torch.device | str = "cpu"
+    weights: str | Path,
+    statistics: str | Path,
+    glove: str | Path,
+    device: torch.device | str = "cpu",
+    longest: int = 196,
 ) -> MatchingEvaluator:
-    """The whole evaluator of Guo et al. from their files: `weights` is `text_mot_match/model/finest.tar`, `statistics`
-    the folder of the evaluator's own `mean.npy` and `std.npy` (`Comp_v6_KLD01/meta`, not HumanML3D's `Mean.npy`),
-    `glove` that of the word vectors.
+    """The whole evaluator of Guo et al. from their files, or that of FlowMDM's for BABEL: `weights` is
+    `text_mot_match/model/finest.tar`, `glove` the folder of the word vectors. `statistics` is the folder of the
+    evaluator's own mean and deviation, which are not HumanML3D's `Mean.npy`: `mean.npy` and `std.npy`
+    (`Comp_v6_KLD01/meta`), or `t2m_mean.npy` and `t2m_std.npy`; for BABEL its `rfeats_mean.pt` and `rfeats_std.pt`.
+    `longest` as of `MatchingEvaluator`.
 
     Raises `CheckpointError` for the weights and statistics, `ArraysError` for the word vectors, where they are missing
     or do not fit.
@@ -121,12 +127,18 @@ def read_guo_evaluator(
     words, vectors = network.text_encoder.pos_emb.out_features, Glove.read(glove)
     if vectors.vectors.shape[1] != words:
         raise ArraysError(f"{glove}: vectors of {vectors.vectors.shape[1]} numbers, but {weights} knows {words}")
-    return MatchingEvaluator(network, _own_statistics(Path(statistics).expanduser()), vectors)
+    folder, babel = Path(statistics).expanduser(), BabelRepresentation()
+    if network.seen == babel.width:
+        names = (folder / "rfeats_mean.pt", folder / "rfeats_std.pt")
+        moments = read_tensor_statistics(*names, babel.width)
+        return MatchingEvaluator(network, moments, vectors, BABEL_FPS, babel, longest)
+    return MatchingEvaluator(network, _own_statistics(folder), vectors, FPS, longest=longest)
 
 
 def _own_statistics(folder: Path) -> Statistics:
     width, moments = HumanML3DRepresentation().width, []
-    for name in ("mean.npy", "std.npy"):
+    prefix = "t2m_" if (folder / "t2m_mean.npy").is_file() else ""
+    for name in (f"{prefix}mean.npy", f"{prefix}std.npy"):
         if not (folder / name).is_file():
             raise CheckpointError(f"{folder / name} does not exist; it is in Comp_v6_KLD01/meta beside the evaluator")
         moments.append(torch.from_numpy(read_npy(folder / name)).float())

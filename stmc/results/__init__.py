@@ -5,7 +5,7 @@ imported here: what only reads and writes records need not wait for what draws.
 """
 
 from stmc.results.intervals import Estimate, estimate
-from stmc.results.published import published_results, single_text_table, with_published
+from stmc.results.published import published_results, repetition_table, single_text_table, with_published
 from stmc.results.records import Result, ResultError, by_setting, read_results, write_results
 from stmc.results.tables import Table, comparison_table, sweep_table
 
@@ -19,6 +19,7 @@ __all__ = [
     "estimate",
     "published_results",
     "read_results",
+    "repetition_table",
     "single_text_table",
     "sweep_table",
     "with_published",

@@ -31,32 +31,45 @@ def published_results(name: str) -> list[Result]:
 def with_published(results: Iterable[Result], table: Callable[[Iterable[Result]], Table], published: str) -> Table:
     """`table` of the results, and below it that of a published table's records, each row with its source."""
     own, theirs = table(results), table(published_results(published))
+    headings = max(own.headings, theirs.headings, key=len)
+
+    def labelled(source: str, row: Row) -> Row:
+        return replace(row, labels=(source, *row.labels, *["–"] * (len(headings) - len(row.labels))))
+
     blocks = tuple(
-        tuple(replace(row, labels=(source, *row.labels)) for row in block)
+        tuple(labelled(source, row) for row in block)
         for source, made in (("ours", own), ("published", theirs))
         for block in made.blocks
     )
     columns = measures(key for block in blocks for row in block for key in row.estimates)
-    return Table(f"{own.caption} {REMARK}", ("Source", *own.headings), columns, blocks)
+    return Table(f"{own.caption} {REMARK}", ("Source", *headings), columns, blocks)
 
 
 def single_text_table(results: Iterable[Result]) -> Table:
-    """Rows as the field's tables of single texts have them: real motion first, then each denoiser; means over
-    repetitions ± 1.96 s / √n, with the s² that divides by n, as by the published evaluations."""
+    """The `repetition_table` of the field's benchmark of single texts."""
+    return repetition_table(results, "HumanML3D, single texts")
+
+
+def repetition_table(results: Iterable[Result], title: str) -> Table:
+    """Rows as the field's tables have them: real motion first, then each denoiser and method, with the share of steps
+    with absolute positions where there are such shares; means over repetitions ± 1.96 s / √n, with the s² that divides
+    by n, as by the published evaluations."""
     groups = by_setting(results)
-    rows = [
-        (
-            (setting.method != REAL, place(setting), setting.denoiser),
-            Row((setting.denoiser or "–", variant(setting)), _estimates(runs), competes=setting.method != REAL),
-        )
-        for setting, runs in groups.items()
-    ]
+    blended = any(setting.sampling.ape_steps is not None for setting in groups)
+    rows = []
+    for setting, runs in groups.items():
+        share = setting.sampling.ape_steps
+        labels = (setting.denoiser or "–", variant(setting))
+        labels += ("–" if share is None else f"{share:.1%}",) if blended else ()
+        order = (setting.method != REAL, place(setting), setting.denoiser, -1 if share is None else share)
+        rows.append((order, Row(labels, _estimates(runs), competes=setting.method != REAL)))
     ordered = tuple(row for _, row in sorted(rows, key=lambda each: each[0]))
     blocks = tuple(block for block in (_where(ordered, False), _where(ordered, True)) if block)
     repetitions = max((len(runs) for runs in groups.values()), default=0)
-    caption = f"HumanML3D, single texts: means over {repetitions} repetitions ± 95% confidence intervals (1.96 s / √n)."
+    caption = f"{title}: means over {repetitions} repetitions ± 95% confidence intervals (1.96 s / √n)."
     columns = measures(key for row in ordered for key in row.estimates)
-    return Table(caption, ("Denoiser", "Method"), columns, blocks)
+    headings = ("Denoiser", "Method", *(("APE steps",) if blended else ()))
+    return Table(caption, headings, columns, blocks)
 
 
 def normal_estimate(values: list[float | int]) -> Estimate:

@@ -10,6 +10,7 @@ from helpers.source_folders import humanml3d
 from stmc.evaluators import GuoEvaluator
 
 WORDS = ("sos", "eos", "unk", "a", "person", "walk", "in", "circle", "someone", "an", "arm", "raise", "slowly")
+SECTIONS = ("movement_encoder", "text_encoder", "motion_encoder")
 WIDTH = 6
 """Of a word's vector; the true ones have 300."""
 
@@ -36,9 +37,9 @@ def network() -> GuoEvaluator:
 def evaluator(folder: Path) -> dict[str, Path]:
     """The files of the evaluator below `folder`, by the names of the settings that want them."""
     made, meta = network(), folder / "Comp_v6_KLD01" / "meta"
-    sections = ("movement_encoder", "text_encoder", "motion_encoder")
+
     meta.mkdir(parents=True)
-    torch.save({name: getattr(made, name).state_dict() for name in sections} | {"epoch": 3}, folder / "finest.tar")
+    torch.save({name: getattr(made, name).state_dict() for name in SECTIONS} | {"epoch": 3}, folder / "finest.tar")
     np.save(meta / "mean.npy", np.linspace(-0.1, 0.1, 263))
     np.save(meta / "std.npy", np.linspace(0.2, 0.6, 263))
     return {"weights": folder / "finest.tar", "statistics": meta, "glove": glove(folder / "glove")}

@@ -24,7 +24,7 @@ class CaptionedClip:
     """Raw features, and all captions that are true of them."""
 
     name: str
-    features: Float[Tensor, "frames 263"]
+    features: Float[Tensor, "_ features"]
     captions: tuple[Caption, ...]
 
 
