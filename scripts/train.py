@@ -45,6 +45,9 @@ class Settings(Trained):
     noise_scale: str = setting(
         "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
     )
+    guidance: float | int | None = setting(
+        None, "weight of the texts when the model is sampled, unless told otherwise; null: 2.5"
+    )
     init_from: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
     draw_every: int = setting(2000, "steps between pictures", at_least=1)
     draw: tuple[str, ...] = setting(DRAWN, "timelines of which pictures are drawn")
@@ -76,9 +79,10 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     if started:
         denoiser.load_state_dict(started.denoiser.state_dict())
         denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
-    if sampling.texts_per_row[1] > 1 and not denoiser.per_frame_text:
+    if sampling.several_texts and not denoiser.per_frame_text:
         raise ValueError(
-            f"data.sampling.texts_per_row={list(sampling.texts_per_row)} needs a denoiser with per_frame_text, such as "
+            f"data.sampling.texts_per_row={list(sampling.texts_per_row)} and order={sampling.order}: rows of several "
+            f"texts need a denoiser with per_frame_text, such as "
             f"denoiser=flow_mdm_small, not {type(denoiser).__name__}; others see one text a row: [1, 1]"
         )
     check(model, config.trusted)  # before the first step: what could not be loaded is not trained
@@ -105,7 +109,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
 
 def own_sampling(config: DictConfig) -> Sampling:
     """How the model is sampled unless told otherwise."""
-    return record_of(Sampling, {"noise_scale": config.noise_scale})
+    return record_of(Sampling, {"noise_scale": config.noise_scale, "guidance": config.guidance})
 
 
 def record(config: DictConfig, dataset: Dataset, cache: Cache) -> Model:

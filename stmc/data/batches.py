@@ -14,7 +14,7 @@ import numpy as np
 
 from stmc.data.dataset import NULL, BatchPlan, Crops, Dataset
 from stmc.data.epochs import Epochs
-from stmc.data.sequences import Sequences
+from stmc.data.sequences import Sequences, recorded
 from stmc.training.loss import Batch
 
 WHOLE_RECEIVERS = 1 / 3
@@ -24,7 +24,7 @@ WHOLE_RECEIVERS = 1 / 3
 Receivers = Literal["walking", "any"]
 """Whose bodies compositions are put on: see `Sampling.compose_prob`."""
 
-Order = Literal["balanced", "epochs"]
+Order = Literal["balanced", "epochs", "rows"]
 """How rows come out of the data set: see `Sampling.order`."""
 
 Trimmed = Literal["either_end", "in_all"]
@@ -48,6 +48,8 @@ class Sampling:
     With `trimmed` "in_all" the others lose at most `trim` at both ends together. With `order` "epochs" every content
     comes once an epoch, in shuffled batches (see `Epochs`), and a transition is cut out of the whole recording of the
     very clip that was drawn: for data sets whose every entry is a content of its own, as these are published.
+    With `order` "rows" the contents come as in epochs, and a row is all clips of one whole, as they were recorded, each
+    with its text, for denoisers that know a text for every frame; nothing but `rows` and `text_dropout` is then asked.
     `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
     of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
     lengths, so more contents, in every batch.
@@ -93,12 +95,19 @@ class Sampling:
             if getattr(self, name) not in get_args(choices):
                 chosen = getattr(self, name)
                 raise ValueError(f"unknown {name} {chosen!r}; choose from {', '.join(get_args(choices))}")
-        if self.order == "epochs" and (self.pool, self.pieces) != (1, 1):
-            raise ValueError(f"order epochs has batches as they come: pool {self.pool}, pieces {self.pieces} must be 1")
+        if self.order != "balanced" and (self.pool, self.pieces) != (1, 1):
+            raise ValueError(
+                f"order {self.order} has batches as they come: pool {self.pool}, pieces {self.pieces} must be 1"
+            )
         if not 0 < self.slowest <= self.fastest:
             raise ValueError(f"slowest {self.slowest} must be above 0 and at most fastest {self.fastest}")
         if not (0 < self.shortest <= self.longest and 0 < self.crop_shortest <= self.crop_longest <= self.longest):
             raise ValueError(f"lengths must rise from shortest to longest: {self}")
+
+    @property
+    def several_texts(self) -> bool:
+        """Whether a row may have more texts than one."""
+        return self.order == "rows" or self.texts_per_row[1] > 1
 
 
 class ClipBatches:
@@ -123,10 +132,11 @@ class ClipBatches:
     def _in_sequence(self, chosen: np.ndarray) -> Sequences | None:
         """How crops are put into rows of several; None where each is a row."""
         (least, most), dataset = self.sampling.texts_per_row, self.dataset
+        if self.sampling.several_texts and dataset.words.max() > 1:
+            asked = "order rows" if self.sampling.order == "rows" else f"texts_per_row {least} to {most}"
+            raise ValueError(f"{asked} needs a text encoder that makes one word of a text")
         if most == 1:
             return None
-        if dataset.words.max() > 1:
-            raise ValueError(f"texts_per_row {least} to {most} needs a text encoder that makes one word of a text")
         return Sequences(dataset, chosen, least, most, max(1, int(self.sampling.longest * dataset.fps)))
 
     def _balance(self) -> np.ndarray:
@@ -151,13 +161,18 @@ class ClipBatches:
         sampling = self.sampling
         split = sum(self.split.encode())  # training and validation draw differently
         rng = np.random.default_rng([self.seed, number, process, split])
-        plan = self._compose(self._draw(self._chosen(number, process, rng), rng), rng)
-        plan = self._sequences(plan, rng) if self._sequences else plan
+        plan = self._plan(self._chosen(number, process, rng), rng)
         frames = plan.arrangement.lengths
         order = np.argsort(frames, kind="stable")
         pieces = _cut_evenly(frames[order], sampling.pool * sampling.pieces)
         rows = [order[begin:end] for begin, end in pieces]
         return [plan.rows(rows[index]) for index in rng.permutation(len(rows))]
+
+    def _plan(self, chosen: np.ndarray, rng: np.random.Generator) -> BatchPlan:
+        if self.sampling.order == "rows":
+            return recorded(self.dataset, chosen, self.sampling.text_dropout, rng)
+        plan = self._compose(self._draw(chosen, rng), rng)
+        return self._sequences(plan, rng) if self._sequences else plan
 
     def _compose(self, plan: BatchPlan, rng: np.random.Generator) -> BatchPlan:
         """Puts some rows as donors on the bodies of others that last at least as long."""
@@ -188,7 +203,7 @@ class ClipBatches:
 
     def _chosen(self, number: int, process: int, rng: np.random.Generator) -> np.ndarray:
         """The clips of a pool's rows."""
-        if self.sampling.order == "epochs":
+        if self.sampling.order != "balanced":
             return self._epochs(number, process)
         return rng.choice(self._described, self.sampling.rows * self.sampling.pool, p=self.shares)
 

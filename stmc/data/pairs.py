@@ -39,7 +39,7 @@ class PairBatches:
                 f"pairs need texts: uncond_crop_prob ({sampling.uncond_crop_prob}) and text_dropout "
                 f"({sampling.text_dropout}) must be 0"
             )
-        if sampling.texts_per_row[1] > 1:
+        if sampling.several_texts:
             raise ValueError(f"pairs are of one text each: texts_per_row ({sampling.texts_per_row}) must be [1, 1]")
         self.batches, self.threshold = batches, threshold
         keys = {key: column for column, key in enumerate(dataset.choices)}

@@ -121,6 +121,21 @@ class _Links:
         return int(candidates[distance.argmin()]) if distance.min() <= FARTHEST else -1
 
 
+def recorded(dataset: Dataset, drawn: np.ndarray, dropout: float | int, random: np.random.Generator) -> BatchPlan:
+    """A row of each `drawn` clip's content: all its clips whole, as they follow each other in the recording. Of each
+    one a sentence is drawn, which is dropped by itself with probability `dropout`."""
+    places: dict[str, list[int]] = {}
+    for place in np.flatnonzero(dataset.described).tolist():
+        places.setdefault(dataset.clips[place].content, []).append(place)
+    rows = [sorted(places[dataset.clips[place].content], key=lambda each: dataset.clips[each].start) for place in drawn]
+    clip, row = np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(each) for each in rows])
+    start, end = (np.array([getattr(dataset.clips[place], side) for place in clip]) for side in ("start", "end"))
+    said = [dataset.sentence(*pair) for pair in zip(clip.tolist(), random.random(len(clip)).tolist(), strict=True)]
+    sentence = np.where(random.random(len(clip)) < dropout, NULL, np.array(said, dtype=int))
+    body, none = Crops(clip, start, end, end - start, np.ones(len(clip))), np.zeros(len(clip), dtype=int)
+    return BatchPlan(body, sentence, replace(body, frames=none), none, sentence, row, none)
+
+
 def following(clips: Sequence[Clip], chosen: np.ndarray, fps: float | int) -> np.ndarray:
     """For every clip, which of the `chosen` ones its recording passes into, or -1: the one that begins nearest to its
     end, within `TOUCHING` seconds."""

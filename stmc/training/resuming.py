@@ -18,6 +18,7 @@ MAY_CHANGE = (
         "draw",
         "draw_every",
         "noise_scale",
+        "guidance",
         "allow_changed_settings",
     ),  # what is done with the weights, not what they become
 )

@@ -30,7 +30,18 @@ TOLERANCE = 0.5
 """Seconds that an annotation may go on after its recording has ended: clocks and roundings differ."""
 
 _CODE = ("arrays", "representation", "body", "body_model", "geometry", "inverse_kinematics", "motion", "untrusted")
-_SOURCES = ("amass", "annotat*", "archives", "asf", "bandai_sentences", "bvh", "cmu*", "humanml3d_texts", "segments")
+_SOURCES = (
+    "amass",
+    "annotat*",
+    "babel_rows",
+    "archives",
+    "asf",
+    "bandai_sentences",
+    "bvh",
+    "cmu*",
+    "humanml3d_texts",
+    "segments",
+)
 
 
 @runtime_checkable
@@ -128,6 +139,11 @@ class Conversion:
         return begin, after
 
 
+def read_both_ways(folder: Path) -> Annotations:
+    """The annotations of a folder, and their mirror images: see `annotations`."""
+    return with_mirror_images(read_annotations(folder))
+
+
 @dataclass(frozen=True)
 class AnnotatedAmass:
     """`source` is AMASS's folder, `annotations` that of `annotations.read_annotations`; a `Preparation`.
@@ -135,7 +151,8 @@ class AnnotatedAmass:
     `recordings` says how to read the source: AMASS's own files, or the recordings of CMU's that AMASS is made of
     (`cmu_recordings.CmuRecordings`). `body`: the folder of the SMPL-H files, or one of them, to pose the joints with
     its neutral body (no betas), as published; without it the default skeleton's joints are posed. For `shortest` and
-    `longest` see `Conversion`.
+    `longest` see `Conversion`. `read` makes annotations of their folder; `conversion` makes clips of a recording with
+    its entries: `Conversion`, or `babel_rows.RowConversion`.
     """
 
     source: str | Path
@@ -146,10 +163,12 @@ class AnnotatedAmass:
     shortest: float | int = 2.0
     longest: float | int = 10.0
     recordings: Callable[[Path], RecordingSource] = Recordings
+    read: Callable[[Path], Annotations] = read_both_ways
+    conversion: Callable[..., Callable[[Recording, Sequence[Annotated]], Cache]] = Conversion
 
     @cached_property
     def _annotated(self) -> Annotations:
-        return with_mirror_images(read_annotations(Path(self.annotations).expanduser()))
+        return self.read(Path(self.annotations).expanduser())
 
     @cached_property
     def _recordings(self) -> RecordingSource:
@@ -184,8 +203,9 @@ class AnnotatedAmass:
         """All that a piece depends on beside its recording."""
         state = code(*_CODE, "data/cache", "data/spans", *(f"data/sources/{name}" for name in _SOURCES))
         kind = type(self.representation).__qualname__
+        kind_of_clips = getattr(self.conversion, "func", self.conversion).__qualname__  # of a partial one, or itself
         bones = self._skeleton.offsets.tolist()
-        return state, self.fps, kind, bones, self.shortest, self.longest
+        return state, self.fps, kind, bones, self.shortest, self.longest, kind_of_clips
 
     def fingerprint(self) -> str:
         """Of every recording that is annotated, all annotations, the skeleton, the code and the settings."""
@@ -194,7 +214,7 @@ class AnnotatedAmass:
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`."""
         offsets = tuple(tuple(row) for row in self._skeleton.offsets.tolist())
-        convert = Conversion(self.fps, self.representation, offsets, self.shortest, self.longest)
+        convert = self.conversion(self.fps, self.representation, offsets, self.shortest, self.longest)
         skipped = list(self._annotated.skipped)
 
         def pieces() -> Iterator[Piece]:

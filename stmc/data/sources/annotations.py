@@ -205,18 +205,29 @@ def _segment(value: Any, text: str, times: tuple[str, str]) -> Segment:
 def _babel(folder: Path) -> Annotations:
     """Sequences with what happens in their frames, or as a whole where nobody labelled frames. Test labels are not
     published: `val` serves as such. Transitions have no text of their own and are left out."""
-    entries, skipped = [], []
+    entries, skipped = [], list[tuple[str, str]]()
+    for name, path, split, value in babel_entries(folder, skipped):
+        try:
+            segments = tuple(_labels(value))
+            if not segments:
+                raise ValueError("no label but transitions")
+            entries.append(Annotated(name, path, False, split, segments))
+        except ValueError as error:
+            skipped.append((name, str(error)))
+    return Annotations(tuple(entries), tuple(skipped))
+
+
+def babel_entries(folder: Path, skipped: list[tuple[str, str]]) -> Iterator[tuple[str, str, str, Mapping[str, Any]]]:
+    """Every sequence of BABEL's `train.json` and `val.json`: its name, AMASS's path, its split and all that is said of
+    it; those without a path are added to the `skipped`, with the reason. Raises `LayoutError` for other files."""
     for split in ("train", "val"):
         for name, value in _object(folder / f"{split}.json").items():
             try:
-                path, image = _path(_without_release(value))
-                segments = tuple(_labels(value))
-                if not segments:
-                    raise ValueError("no label but transitions")
-                entries.append(Annotated(name, path, image, split, segments))
+                path, _ = _path(_without_release(value))
             except ValueError as error:
                 skipped.append((name, str(error)))
-    return Annotations(tuple(entries), tuple(skipped))
+                continue
+            yield name, path, split, value
 
 
 def _without_release(value: Any) -> Any:

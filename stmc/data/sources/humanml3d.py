@@ -41,9 +41,12 @@ _FOLDERS, _FILES = ("new_joint_vecs", "texts"), ("Mean.npy", "Std.npy", "train.t
 
 @dataclass(frozen=True)
 class ProcessedHumanML3D:
-    """`source` is the folder `HumanML3D/`; a `Preparation`. Its own mean and std go with the cache."""
+    """`source` is the folder `HumanML3D/`; a `Preparation`. Its own mean and std go with the cache. Clips have
+    `shortest` to `longest` frames."""
 
     source: str | Path
+    shortest: int = SHORTEST
+    longest: int = LONGEST
 
     @property
     def _folder(self) -> Path:
@@ -111,7 +114,11 @@ class ProcessedHumanML3D:
     def fingerprint(self) -> str:
         """Of every clip in the lists, its captions, the statistics, the lists and the code."""
         files = [path for name in self._splits for path in self._inputs(name)]
-        return fingerprint([*(self._folder / name for name in _FILES), *files], [self._code])
+        return fingerprint([*(self._folder / name for name in _FILES), *files], [self._code, *self._lengths])
+
+    @property
+    def _lengths(self) -> tuple[int, int]:
+        return self.shortest, self.longest
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`."""
@@ -121,13 +128,15 @@ class ProcessedHumanML3D:
         for start in range(0, len(names), AT_ONCE):
             batch = {name: self._splits[name] for name in names[start : start + AT_ONCE]}
             inputs = [path for name in batch for path in self._inputs(name)]
-            convert = partial(convert_clips, self._folder, batch)
-            pieces.append(Piece(f"{names[start]} ...", fingerprint(inputs, [self._code, batch]), convert))
+            convert = partial(convert_clips, self._folder, batch, *self._lengths)
+            name = fingerprint(inputs, [self._code, batch, *self._lengths])
+            pieces.append(Piece(f"{names[start]} ...", name, convert))
         return replace(converted(pieces, len(pieces), scratch, workers, watch, unsafe), statistics=self._statistics)
 
 
-def convert_clips(folder: Path, splits: Mapping[str, str]) -> Cache:
-    """The clips of these names, each in its split; those that cannot be used are left out, with the reason."""
+def convert_clips(folder: Path, splits: Mapping[str, str], shortest: int = SHORTEST, longest: int = LONGEST) -> Cache:
+    """The clips of these names with `shortest` to `longest` frames, each in its split; those that cannot be used are
+    left out, with the reason."""
     builder = CacheBuilder(HUMANML3D_LAYOUT.width)
     for name, split in splits.items():
         try:
@@ -143,11 +152,11 @@ def convert_clips(folder: Path, splits: Mapping[str, str]) -> Cache:
             begin, end = 0, len(features)
             if (caption.start, caption.end) != WHOLE:
                 begin, end = int(caption.start * FPS), min(int(caption.end * FPS), len(features))
-            if SHORTEST <= end - begin <= LONGEST:
+            if shortest <= end - begin <= longest:
                 spans.setdefault((begin, end), []).append(caption.text)
             else:
-                kind = "too long" if end - begin > LONGEST else "too short"
-                builder.skipped.append((name, f"{kind}: {end - begin} frames, not {SHORTEST} to {LONGEST}"))
+                kind = "too long" if end - begin > longest else "too short"
+                builder.skipped.append((name, f"{kind}: {end - begin} frames, not {shortest} to {longest}"))
         builder.add(features, AnnotatedSpans(name, split, name[:1] == "M", spans))
     return builder.cache(FPS, "humanml3d")
 
