@@ -17,9 +17,9 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from stmc.benchmarks.pieces import pieces_of
 from stmc.benchmarks.protocol import Scores, TextEvaluator
 from stmc.benchmarks.resampling import Rows, Units, resampled
-from stmc.benchmarks.transitions import pieces_of
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.matching import POOL_SIZE, embedding_diversity, matching_score, r_precision

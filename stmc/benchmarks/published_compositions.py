@@ -18,8 +18,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stmc.benchmarks.pieces import pieces_of
 from stmc.benchmarks.protocol import Scores, TextEvaluator
-from stmc.benchmarks.transitions import pieces_of
 from stmc.data.sources.composition_lists import Composition, sample_compositions
 from stmc.data.sources.composition_references import References
 from stmc.metrics.kinematics import window_jerk
