@@ -27,7 +27,8 @@ BASE = 10000.0
 
 Frames = Float[Tensor, "batch frames width"]
 Heads = Float[Tensor, "batch heads frames channels"]
-Attend = Callable[[Heads, Heads, Heads], Heads]
+Values = Float[Tensor, "batch heads frames found"]
+Attend = Callable[[Heads, Heads, Values], Values]
 """(queries, keys, values) → the values that each frame's query finds."""
 
 
@@ -80,12 +81,12 @@ def _in_blocks(visible: Bool[Tensor, "_ blocks own around"], size: int) -> Atten
     """Queries in blocks of `size` frames, each with the keys and values of its own block and of the two beside it."""
     blocks = visible.shape[1]
 
-    def around(values: Heads) -> Tensor:
+    def around(values: Tensor) -> Tensor:
         behind = blocks * size - values.shape[2]
         windows = F.pad(values, (0, 0, size, size + behind)).unfold(2, 3 * size, size)
         return rearrange(windows, "batch heads blocks channels around -> (batch blocks) heads around channels")
 
-    def attend(query: Heads, key: Heads, value: Heads) -> Heads:
+    def attend(query: Heads, key: Heads, value: Values) -> Values:
         batch, _, frames, _ = query.shape
         own = F.pad(query, (0, 0, 0, blocks * size - frames))
         own = rearrange(own, "batch heads (blocks own) channels -> (batch blocks) heads own channels", blocks=blocks)
@@ -162,6 +163,15 @@ class Attention(nn.Module, ABC):
         query, key, value = (self._split(each) for each in (self.to_q(asking), self.to_k(asked), self.to_v(asked)))
         mixed = attend(rotary(query), rotary(key), value)
         return self.to_out(rearrange(mixed, "batch heads frames channels -> batch frames (heads channels)"))
+
+    def scores(
+        self, poses: Frames, condition: Frames, rotary: RotaryEmbedding, attend: Attend
+    ) -> Float[Tensor, "batch heads frames frames"]:
+        """How much each frame attends to each: what it finds where every frame's value is the frame itself."""
+        asking, asked = self.sources(poses, condition)
+        query, key = self._split(self.to_q(asking)), self._split(self.to_k(asked))
+        itself = torch.eye(poses.shape[1], dtype=query.dtype, device=query.device)
+        return attend(rotary(query), rotary(key), itself.expand(*query.shape[:2], -1, -1))
 
     def _split(self, values: Tensor) -> Heads:
         return rearrange(values, "batch frames (heads channels) -> batch heads frames channels", heads=self.heads)

@@ -1,4 +1,5 @@
-"""Figures of Barquero et al. 2024: the jerk around transitions, of any benchmark, and what absolute steps trade.
+"""Figures of Barquero et al. 2024: the jerk around transitions, of any benchmark, what absolute steps trade, and what a
+frame attends to.
 
 Knows records and matplotlib's figures, as `charts` does.
 """
@@ -8,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -53,6 +55,25 @@ def trade_off(results: Sequence[Result]) -> Figure:
     """What more steps with absolute positions do to subsequences and transitions (their Fig. 5): R-precision, FID of
     transitions and area under the jerk against the share of these steps. Raises as `charts.sweep`."""
     return sweep(results, "ape_steps", ("r_precision", "transition_fid", "area_under_jerk"))
+
+
+def attention_curves(scores: Sequence[np.ndarray], frame: int) -> Figure:
+    """How much one frame attends to every other, a curve for each step of denoising, from blue (the noisiest) to red
+    (their Fig. 2). `scores`: [frames, frames] for each step, as `denoisers.recorded_attention` has them. Raises
+    `ResultError` for no step, and for a frame that is none."""
+    if not len(scores) or not 0 <= frame < len(scores[0]):
+        raise ResultError(f"{len(scores)} steps, and frame {frame} of {len(scores[0]) if len(scores) else 0}")
+    plot, [axes] = grid(1, wide=5.6, tall=3.4)
+    for step, rows in enumerate(scores):
+        row = np.asarray(rows[frame])
+        colour = colormaps["coolwarm"](step / max(1, len(scores) - 1))
+        axes.plot(np.arange(len(row)) - frame, row, color=colour, linewidth=1.0)
+    axes.axvline(0, color=INK, linewidth=0.6)
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("frames from the one that attends", color=INK, fontsize=9)
+    axes.set_ylabel("attention, mean of layers and heads", color=INK, fontsize=9)
+    dress(axes, "both")
+    return plot
 
 
 def _draw_curves(axes: Axes, groups: Groups) -> None:
