@@ -296,24 +296,24 @@ def test_too_little_to_compare_is_an_error(changes, message, files, references, 
 def test_the_papers_protocol_is_the_default():
     for data, table, window, jerk in (("humanml3d", 2, 60, 0.033031363), ("babel", 1, 30, 0.016383045)):
         config = configured("evaluate", f"benchmark=flow_mdm_{data}")
-        assert config.experiment.name == f"flow_mdm_table_{table}"
+        assert config.experiment.name == f"flowmdm_table_{table}"
         assert (config.benchmark.references.window, config.benchmark.average_jerk) == (window, jerk)
         assert (len(config.seeds), config.benchmark.diversity_pairs) == (10, 300)
 
 
 def test_sampling_techniques_have_absolute_positions_throughout_and_flow_mdm_its_own():
-    experiment = configured("evaluate", "experiment=flow_mdm_table_1").experiment
+    experiment = configured("evaluate", "experiment=flowmdm_table_1").experiment
     flow = dataclasses.replace(tiny(), denoiser=FlowMdm(205, WIDTH, 90, 16, 32, 1, 2))
     asked = list(loaded("evaluate").chosen(experiment, {"FlowMDM": flow, "MDM": tiny()}, ()))
     shares = {(each.denoiser, each.method): each.sampling.ape_steps for each in asked if each.denoiser}
-    rules = ("double_take", "multi_diffusion", "single_track")
+    rules = ("teach_b", "teach", "double_take", "multi_diffusion", "single_track")
     assert shares == {("FlowMDM", rule): 1.0 for rule in rules} | {("MDM", rule): None for rule in rules} | {
         ("FlowMDM", "flow_mdm"): 0.1
     }
 
 
 def test_ablations_are_sampled_with_either_encoding_where_they_have_both():
-    experiment = configured("evaluate", "experiment=flow_mdm_table_3").experiment
+    experiment = configured("evaluate", "experiment=flowmdm_table_3").experiment
     both, one = (
         dataclasses.replace(tiny(), denoiser=FlowMdm(205, WIDTH, 90, 16, 32, 1, 2, positions=positions))
         for positions in ("blended", "relative")
@@ -332,16 +332,18 @@ def test_ablations_are_sampled_with_either_encoding_where_they_have_both():
 def test_tables_have_our_rows_and_the_papers(table, rows):
     theirs = {
         (each.denoiser, each.method, each.sampling.ape_steps): each.metrics
-        for each in published_results(f"flow_mdm_table_{table}")
+        for each in published_results(f"flowmdm_table_{table}")
     }
     assert len(theirs) == rows
     full = {
-        k: v for k, v in theirs.items() if k[1] == "flow_mdm" and k[2] in (0.125, 0.06) and k[0] in ("FlowMDM", "PCCAT")
+        key: metrics
+        for key, metrics in theirs.items()
+        if key[0] in ("FlowMDM", "PCCAT") and key[1] == "flow_mdm" and key[2] in (None, 0.125, 0.06)
     }
     [(_, metrics)] = full.items()
     assert metrics["area_under_jerk"] == (0.13 if table in (1, 3) else 0.51)
     mine = [Result("double_take", seed, {"r_precision": 0.5, "peak_jerk": 0.1 + seed}, "M") for seed in range(3)]
-    made = instantiate(configured("evaluate", f"experiment=flow_mdm_table_{table}").experiment.table)(mine)
+    made = instantiate(configured("evaluate", f"experiment=flowmdm_table_{table}").experiment.table)(mine)
     lines = made.text().splitlines()
     assert "over 3 repetitions" in lines[0] and f"FlowMDM's Table {table}" in lines[0]
     assert sum(line.startswith("published") for line in lines) == rows
@@ -363,7 +365,7 @@ def test_the_command_prints_table_2_with_the_published_rows(files, tmp_path, cap
     assert {(each.method, each.seed) for each in results} == {
         (name, seed) for name in ("ground_truth", "multi_diffusion") for seed in (0, 1)
     }
-    table = (tmp_path / "out" / "flow_mdm_table_2.txt").read_text()
+    table = (tmp_path / "out" / "flowmdm_table_2.txt").read_text()
     assert table in capsys.readouterr().out
     assert sum(line.startswith("published") for line in table.splitlines()) == 6
-    assert (tmp_path / "out" / "flow_mdm_table_2.png").stat().st_size > 0
+    assert (tmp_path / "out" / "flowmdm_table_2.png").stat().st_size > 0
