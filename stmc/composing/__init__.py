@@ -6,6 +6,7 @@ from stmc.composing.guided import NULL, SequenceDenoiser, distinct_texts, guided
 from stmc.composing.inpainting import Known, impute, inpaint
 from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.methods import METHODS, Method, Rule, find_method, settled, stitched
+from stmc.composing.retiming import retimed
 from stmc.composing.running import Progress, Run
 from stmc.composing.sequences import body_sequences, compose_tracks
 from stmc.composing.stitching import Columns, canvas_lengths, collage, crop_lengths, crop_seeds, sinc
@@ -34,6 +35,7 @@ __all__ = [
     "impute",
     "inpaint",
     "kept_shares",
+    "retimed",
     "settled",
     "sinc",
     "slerp",

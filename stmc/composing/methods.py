@@ -20,9 +20,10 @@ from torch import Tensor
 from stmc.composing.double_take import kept_shares
 from stmc.composing.inpainting import inpaint
 from stmc.composing.interpolation import slerp, smooth_seams
+from stmc.composing.retiming import retimed
 from stmc.composing.running import Run, settings_taken
 from stmc.composing.sequences import compose_tracks
-from stmc.diffusion import SAMPLERS
+from stmc.diffusion import SAMPLERS, Predict
 from stmc.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, second_take
 from stmc.sampling import INDEPENDENT, Sampling
 from stmc.settings import SettingError, shown
@@ -95,9 +96,15 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
     return Method(sample, label or getattr(rule, "__name__", "stitched"), baseline, **more)
 
 
-def stitch(run: Run, plans: Sequence[Plan]) -> Features:
-    """STMC by `plans`, from the run's `stitch_from` on."""
-    predict, draw = run.collage(plans), run.noise(plans)
+def cross_faded(run: Run) -> Features:
+    """STMC with cross-faded transitions, in which arms that have far to go take their time."""
+    plans = [cross_fade(plan) for plan in run.plans()]
+    return stitch(run, plans, retimed(run.collage(plans), run.plans(), run.layout, run.statistics))
+
+
+def stitch(run: Run, plans: Sequence[Plan], predict: Predict | None = None) -> Features:
+    """STMC by `plans`, from the run's `stitch_from` on, with their collage or another predictor of timelines."""
+    predict, draw = run.constrained(predict or run.collage(plans)), run.noise(plans)
     independent = run.steps_before(run.sampling.stitch_from)
     if not independent:
         return run.denoise(predict, draw(), draw)
@@ -169,7 +176,7 @@ def two_takes(run: Run) -> Features:
     steps = max(1, len(run.times) - int(SKIPPED * len(run.times)))
     draw = run.noise(takes, [(seed, 0) for seed in run.seeds])
     x = run.schedule.q_sample(content, run.times[steps - 1], draw())
-    return run.denoise(inpaint(run.collage(takes, 0.0), content, kept), x, draw, steps)
+    return run.denoise(inpaint(run.constrained(run.collage(takes, 0.0)), content, kept), x, draw, steps)
 
 
 _FROM_THE_FIRST: Mapping[str, Any] = {"stitch_from": 0.0, "guidance_from": 0.0}
@@ -204,7 +211,7 @@ METHODS: Mapping[str, Method] = {
     "multi_diffusion": stitched(multi_diffusion, label="MultiDiffusion", fixed=_FROM_THE_FIRST),
     "double_take": Method(two_takes, "DoubleTake", fixed=_FROM_THE_FIRST),
     "stmc_paper": stitched(label="STMC (paper)", fixed=_FROM_THE_FIRST | {"noise_scale": "variance"}),
-    "stmc": stitched(cross_fade, label="STMC (cross-faded)"),
+    "stmc": Method(cross_faded, "STMC (cross-faded)"),
     "flow_mdm": Method(seamless, "FlowMDM", fixed=_WITHOUT_OVERLAP, per_frame_text=True, crops="None"),
 }
 """Table 1's rows in its order, and others beside those that they are nearest to. "stmc_paper" is the paper's algorithm

@@ -92,8 +92,8 @@ class Run:
         return [plan(timeline, self.fps, overlap, self.longest, self.once) for timeline in self.timelines]
 
     def collage(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
-        """A predictor of the timelines by their plans, with the run's guidance or another; see `constrained`."""
-        return self.constrained(collage(self.crops(plans, guidance), plans, self.columns, self.fixed_length))
+        """A predictor of the timelines by their plans, with the run's guidance or another."""
+        return collage(self.crops(plans, guidance), plans, self.columns, self.fixed_length)
 
     def constrained(self, predict: Predict) -> Predict:
         """The predictor of timelines whose every answer meets what is asked for beside the texts: constraints first,
