@@ -62,7 +62,7 @@ def test_an_arm_that_jumps_reaches_over_the_whole_transition_instead():
     plan = planned(RAISED)  # transitions at 35 to 45 and 55 to 65
     angles = angles_of(steady(turning(jumping(80, at=40)), plan))
     way = torch.arange(12) / 11
-    reach = (way**3 * (10 - 15 * way + 6 * way**2)).diff()
+    reach = (way**2 * (3 - 2 * way)).diff()
     mixed = (1 - FASTEST / 11) / (1 - reach.max())
     steps = mixed * reach
     steps[5] += 1 - mixed
@@ -106,6 +106,7 @@ def test_features_without_rotations_stay_as_they_are():
 SPANS = st.lists(st.integers(1, 39), min_size=2, max_size=2, unique=True).map(sorted)
 
 
+@pytest.mark.filterwarnings("ignore::stmc.timeline.TimelineWarning")  # prompts may claim one arm
 @given(st.lists(SPANS, min_size=1, max_size=2), st.integers(0, 2**20), st.integers(2, 12), st.booleans())
 def test_no_arm_turns_further_in_a_frame_than_twice_its_mean_and_ends_are_kept(spans, seed, overlap, rough):
     """Of any motion, also where transitions touch or meet the timeline's ends, alone and in a batch."""

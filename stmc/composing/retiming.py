@@ -29,7 +29,7 @@ ARMS = (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)
 
 FASTEST = 2.0
 """How far an arm turns in one frame of a transition at most, over its mean there. A swing to and fro has pi / 2, and a
-reach 15 / 8: both stay as they are."""
+reach 3 / 2: both stay as they are."""
 
 Steps = Float[Tensor, "windows steps"]
 
@@ -39,8 +39,8 @@ def retimed(predict: Predict, plans: Sequence[Plan], layout: Layout, statistics:
     crop to another, and turns further in some frame than `FASTEST` times the mean of that transition, it goes through
     the same poses at a steadier pace.
 
-    The pace is mixed from its own and that of a reach, which people make with minimum jerk (Flash and Hogan 1985), with
-    no more of the latter than is needed. Frames outside transitions, and arms that are slow enough, are not touched.
+    The pace is mixed from its own and that of a reach, from rest to rest with the least acceleration (a cubic), with no
+    more of the latter than is needed. Frames outside transitions, and arms that are slow enough, are not touched.
     Transitions that touch are one. The `plans` are those of `planning.plan`. Features without rotations stay as they
     are.
     """
@@ -80,7 +80,7 @@ class _Arm:
         rows, first, last = torch.tensor(spans).split(1, dim=1)
         frames = torch.arange(int((last - first).max()) + 1)
         way = (frames / (last - first)).clamp(max=1)
-        reach = (last - first) * (way**3 * (10 - 15 * way + 6 * way**2)).diff(dim=1)
+        reach = (last - first) * (way**2 * (3 - 2 * way)).diff(dim=1)
         columns, where = torch.tensor(layout.columns[part]), layout["rotations"]
         own = Statistics(*(each.cpu()[columns] for each in (statistics.mean, statistics.std)))
         turning = (columns >= where.start) & (columns < where.stop)
