@@ -43,6 +43,14 @@ def retimed(predict: Predict, plans: Sequence[Plan], layout: Layout, statistics:
     more of the latter than is needed. Frames outside transitions, and arms that are slow enough, are not touched.
     Transitions that touch are one. The `plans` are those of `planning.plan`. Features without rotations stay as they
     are.
+
+    Examples:
+        >>> model = stmc.load()
+        >>> plans = model.plans([stmc.Timeline.parse("walk # 0 # 2\\nraise the right arm # 1 # 2 # right arm")])
+        >>> predict = stmc.collage(model.guided(plans), plans, model.representation.columns)
+        >>> predict = stmc.composing.retimed(predict, plans, model.representation.layout, model.motion_statistics)
+        >>> predict(torch.zeros(1, 40, 205), 50).shape
+        torch.Size([1, 40, 205])
     """
     arms = [_Arm.of(plans, part, layout, statistics) for part in ARMS if "rotations" in layout.slices]
     cached = [PerDevice(partial(_Arm.to, arm)) for arm in arms if arm is not None]
@@ -120,14 +128,8 @@ def _windows(plan: Plan, part: BodyPart) -> list[Span]:
 
 def paced(steps: Steps, reach: Steps) -> Steps:
     """Steps of the same sum of which none is longer than `FASTEST` times their mean: as they are where they are that
-    already, else mixed with those of a `reach`, of mean 1 and 0 where there is no step.
-
-    Examples:
-        >>> jump, reach = torch.tensor([[0.0, 0.0, 8.0, 0.0, 0.0, 0.0, 0.0, 0.0]]), torch.ones(1, 8)
-        >>> paced(jump, reach)
-        tensor([[0.8571, 0.8571, 2.0000, 0.8571, 0.8571, 0.8571, 0.8571, 0.8571]])
-    """
-    mean = steps.sum(dim=1, keepdim=True) / (reach.sum(dim=1, keepdim=True)).round()
+    already, else mixed with those of a `reach`, of mean 1 and 0 where there is no step."""
+    mean = steps.sum(dim=1, keepdim=True) / reach.sum(dim=1, keepdim=True)
     longest = steps.amax(dim=1, keepdim=True)
     fast = longest > FASTEST * mean
     mixed = (longest - FASTEST * mean) / (longest - reach.amax(dim=1, keepdim=True) * mean).where(fast, 1)
