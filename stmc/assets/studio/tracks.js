@@ -234,8 +234,9 @@ export function createTracks(studio, player, work) {
   }
 
   function begin(event) {
-    const bar = event.target.closest(".bar");
-    if (bar) return event.target.closest("input") ? null : store.set({ editing: bar.dataset.key, selected: bar.dataset.key });
+    const under = document.elementFromPoint(event.clientX, event.clientY); // the target is what held the pointer
+    const bar = under?.closest(".bar");
+    if (bar) return under.closest("input") ? null : store.set({ editing: bar.dataset.key, selected: bar.dataset.key });
     const start = Math.max(0, snapped(timeAt(event) - 0.5, marks(null), NEAR / scale()));
     const track = Math.floor((event.clientY - bars.getBoundingClientRect().top) / height);
     draft(start, track);

@@ -158,8 +158,9 @@ export function createWork(studio, tab, say) {
     if (!first && seen.seeds.join() !== document.seeds.join()) scope = everything; // new seeds are for new motions
     seen = document;
     later("check", CHECK_AFTER, check);
+    if (same) return; // what waits still holds
     clearTimeout(timers.generate);
-    if (same || studio.knows(document) || !store.get().auto || !document.prompts.length) return;
+    if (studio.knows(document) || !store.get().auto || !document.prompts.length) return;
     later("generate", GENERATE_AFTER, function wait() {
       if (store.get().history.gesture !== null) return later("generate", GENERATE_AFTER, wait);
       generate(scope);
