@@ -127,7 +127,7 @@ find("name").onchange = ({ target }) => {
   studio.edit({ kind: "name", name: target.value });
   target.value = studio.present().name;
 };
-const SAVED = { saved: "Saved", saving: "Saving…", away: "Server away: kept in this browser", conflict: "Changed in another tab" };
+const SAVED = { saved: "Saved", saving: "Saving…", away: "Server away: kept in this browser", stranger: "Kept in this browser: open the studio's new address", conflict: "Changed in another tab" };
 watch(store, ({ history, saved }) => [history, saved], ({ history, saved }) => {
   find("undo").disabled = !history.past.length;
   find("redo").disabled = !history.future.length;

@@ -74,7 +74,7 @@ export function createSaving(studio, conflict) {
     } catch (error) {
       if (error.status === 409) await settle(error.data);
       else {
-        store.set({ saved: "away" });
+        store.set({ saved: error.status === 401 ? "stranger" : "away" });
         timer = setTimeout(push, AGAIN_AFTER);
       }
     }

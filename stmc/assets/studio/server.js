@@ -61,7 +61,7 @@ export function followJob(id, hear) {
   for (const kind of ["done", "failed", "cancelled"])
     source.addEventListener(kind, (event) => finish(kind, JSON.parse(event.data || "{}")));
   source.addEventListener("error", () => {
-    if (source.readyState === EventSource.CLOSED) finish("lost", { error: "the server knows this job no more" });
+    if (source.readyState === EventSource.CLOSED) finish("lost", {});
   });
   return () => source.close();
 }

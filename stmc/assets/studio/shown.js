@@ -71,10 +71,9 @@ export function createShown(studio, stage) {
     const { favourites } = store.get();
     if (favourites.some(({ motion }) => motion.id === sample.motion.id))
       return store.set({ favourites: favourites.filter(({ motion }) => motion.id !== sample.motion.id) });
-    const name = `${nameOf(sample)}, ${favourites.length + 1}`;
     if (sample.key !== store.get().chosen) studio.choose(sample.key);
     requestAnimationFrame(() => requestAnimationFrame(() =>
-      store.set({ favourites: [...store.get().favourites, { ...sample, name, picture: stage.picture(144) }] })));
+      store.set({ favourites: [...store.get().favourites, { ...sample, name: nameOf(sample), picture: stage.picture(144) }] })));
   }
 
   // What is made from now on begins with this motion.

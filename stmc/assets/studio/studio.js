@@ -38,7 +38,7 @@ export const INITIAL = {
   job: null, // {stage, seed, step, steps}
   auto: true,
   quality: "full",
-  saved: "saved", // or "saving", "away", "conflict"
+  saved: "saved", // or "saving", "away", "stranger" (to a server that was started anew), "conflict"
 };
 
 export function createStudio() {

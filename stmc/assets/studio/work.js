@@ -7,6 +7,7 @@ import { PARTS, duration, timelineOf } from "./state.js";
 
 const CHECK_AFTER = 120; // milliseconds without an edit
 const GENERATE_AFTER = 350;
+const AGAIN_AFTER = 2000; // where the server is away
 
 export function createWork(studio, tab, say) {
   const { store } = studio;
@@ -36,7 +37,7 @@ export function createWork(studio, tab, say) {
       if (error.status === 422) {
         const prompt = document.prompts[error.data.prompt]?.id ?? null;
         store.set({ check: { document, prompts: {}, owners: {}, transitions: {}, warnings: [], error: error.message, prompt } });
-      } else later("check", 2000, check);
+      } else later("check", AGAIN_AFTER, check);
     }
   }
 
@@ -85,13 +86,13 @@ export function createWork(studio, tab, say) {
   async function generate(scope = everything) {
     clearTimeout(timers.generate);
     const answer = await checked();
-    if (!answer) return say(store.get().check?.error ?? "Write a prompt first.");
+    if (!answer) return unanswered(scope);
     const { base, change, fresh } = scope(answer.owners);
     if (base && !change.length) return scope === afterEdit ? null : say("Nothing is left to make: all of it is locked.");
     await cancel();
     const document = studio.present();
     const seeds = fresh ? document.seeds.map(() => Math.floor(Math.random() * 1e6)) : document.seeds;
-    const about = { document, seeds, asked: asked(document, answer.owners), varied: Boolean(base), arrived: new Set() };
+    const about = { document, scope, seeds, asked: asked(document, answer.owners), varied: Boolean(base), arrived: new Set() };
     store.set({ job: { stage: "waiting", seed: seeds[0], step: 0, steps: 0 } });
     try {
       const { job } = await server.startJob({
@@ -102,15 +103,24 @@ export function createWork(studio, tab, say) {
       stop = server.followJob(job, (kind, data) => running === job && heard(kind, data, about));
     } catch (error) {
       store.set({ job: null });
-      say(sentence(error.message), "Try again", () => generate(scope));
+      if (error.status === 0) later("generate", AGAIN_AFTER, () => generate(scope));
+      else say(sentence(error.message), "Try again", () => generate(scope));
     }
+  }
+
+  function unanswered(scope) {
+    const { check: answer } = store.get();
+    if (answer?.error) say(sentence(answer.error));
+    else if (!studio.present().prompts.length) say("Write a prompt first.");
+    else later("generate", AGAIN_AFTER, () => generate(scope)); // the server is away, or another edit came between
   }
 
   function heard(kind, data, about) {
     if (kind === "progress") return store.set({ job: data });
     if (kind === "motion") return arrived(data, about);
     finish();
-    if (kind === "failed" || kind === "lost") say(sentence(data.error), "Try again", () => generate());
+    if (kind === "failed") say(sentence(data.error), "Try again", () => generate(about.scope));
+    if (kind === "lost") later("generate", AGAIN_AFTER, () => generate(about.scope)); // the server began anew
     if (kind === "done" && next) [next, timers.next] = [null, setTimeout(next)];
   }
 
