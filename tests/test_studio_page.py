@@ -141,12 +141,11 @@ def automatic(tab: browser.Tab, on: bool) -> None:
 # ---- the document alone ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_ten_thousand_random_edits_end_in_the_timeline_made_at_once_and_can_all_be_undone_and_redone(seed, tab):
+def test_ten_thousand_random_edits_end_in_the_timeline_made_at_once_and_can_all_be_undone_and_redone(tab):
     edits = (Path(__file__).parent / "helpers" / "random_edits.js").read_text("utf-8")
     tab.ask("import('/assets/state.js').then((state) => { window.state = state; })")
     tab.wait("window.state !== undefined")
-    result = tab.ask(f"({edits})(window.state, {seed}, 10000)")
+    result = tab.ask(f"({edits})(window.state, 1, 10000)")
     assert result["problems"] == []
     assert result["untried"] == []
     assert result["steps"] > 4000
@@ -161,8 +160,8 @@ def test_a_timeline_is_written_moved_stretched_split_and_deleted_with_keys_alone
     press(tab, "ArrowRight", CONTROL)  # by 1 s
     press(tab, "ArrowRight", SHIFT)  # its end
     tab.wait(f"{BARS}[0][1].startsWith('1 s to 4.1 s')")
-    press(tab, "3")
-    tab.wait("document.querySelector('[data-key=\"part-legs\"]').getAttribute('aria-pressed') === 'false'")
+    press(tab, "5")
+    tab.wait("document.querySelector('[data-key=\"part-spine\"]').getAttribute('aria-pressed') === 'true'")
     write(tab, "wave with the left hand")
     assert tab.ask(f"{BARS}.map(([text, where]) => [text, where.split(', ')[1]])") == [
         ["walk forwards", "track 1"],
@@ -336,6 +335,8 @@ def test_a_phone_s_width_is_enough(server, tmp_path):
         shown(tab)
         picture(tab, "9_phone")
         assert tab.ask("document.documentElement.scrollWidth") <= 390
-        order = "['stage', 'player', 'tracks', 'side'].map((id) => document.getElementById(id).getBoundingClientRect().top)"
+        order = (
+            "['stage', 'player', 'tracks', 'side'].map((id) => document.getElementById(id).getBoundingClientRect().top)"
+        )
         tops = tab.ask(order)
         assert tops == sorted(tops)
