@@ -15,9 +15,9 @@ import pytest
 import uvicorn
 from helpers import browser
 from helpers.tiny_model import Hashes, tiny
-from scripts.studio import listen
 
 import stmc
+from scripts.studio import listen
 from stmc.run import bundled
 from stmc.run.directories import VOCABULARY
 from stmc.studio import application
