@@ -1,5 +1,6 @@
 // What is made anew of a motion: times and body parts that nothing locks, that one prompt decides, or that an edit has
-// touched. Spans are {start, end} in seconds. `owners`: for each body part [[prompt id or null, start, end], …].
+// touched. Spans are {start, end} in seconds. A `plan` is what the server says of a timeline: `owners`, for each body part
+// [[prompt id or null, start, end], …], and `prompts`, by id, with the body parts that each claims.
 
 import { PARTS, merged } from "./state.js";
 
@@ -37,34 +38,33 @@ function joined(spansOf) {
 const ownedBy = (owners, part, wanted) =>
   (owners[part] ?? []).filter(([owner]) => wanted(owner)).map(([, start, end]) => ({ start, end }));
 
-function lockedOf(document, owners, part, duration) {
+// Where gaps are kept, a prompt changes what it claims alone, though it may also own what nobody claims.
+function lockedOf(document, { owners, prompts }, part, duration) {
   if (document.locks.parts.includes(part)) return [{ start: 0, end: duration }];
   const ids = new Set(document.prompts.filter(({ locked }) => locked).map(({ id }) => id));
-  return [
-    ...document.locks.spans,
-    ...ownedBy(owners, part, (owner) => owner === null ? document.locks.gaps : ids.has(owner)),
-  ];
+  const gap = (owner) => document.locks.gaps && !prompts[owner]?.parts.includes(part);
+  return [...document.locks.spans, ...ownedBy(owners, part, (owner) => ids.has(owner) || gap(owner))];
 }
 
 export const hasLocks = ({ prompts, locks }) =>
   locks.gaps || locks.parts.length > 0 || locks.spans.length > 0 || prompts.some(({ locked }) => locked);
 
 // All that is not locked.
-export const unlocked = (document, owners, duration) =>
-  joined((part) => without([{ start: 0, end: duration }], lockedOf(document, owners, part, duration)));
+export const unlocked = (document, plan, duration) =>
+  joined((part) => without([{ start: 0, end: duration }], lockedOf(document, plan, part, duration)));
 
 // Of `wanted` (changes), what is not locked.
-export const unlockedOf = (wanted, document, owners, duration) =>
+export const unlockedOf = (wanted, document, plan, duration) =>
   joined((part) => {
     const spans = wanted.filter(({ parts }) => parts.includes(part));
-    return without(within(spans, [{ start: 0, end: duration }]), lockedOf(document, owners, part, duration));
+    return without(within(spans, [{ start: 0, end: duration }]), lockedOf(document, plan, part, duration));
   });
 
 // What one prompt decides.
-export const decidedBy = (id, owners) => joined((part) => ownedBy(owners, part, (owner) => owner === id));
+export const decidedBy = (id, { owners }) => joined((part) => ownedBy(owners, part, (owner) => owner === id));
 
 // Who asks what of each body part, and what is demanded beside it, in words that compare.
-export function asked(document, owners) {
+export function asked(document, { owners }) {
   const says = new Map(document.prompts.map(({ id, text, start, end }) => [id, `${text} # ${start} # ${end}`]));
   const parts = Object.fromEntries(PARTS.map((part) => [
     part, (owners[part] ?? []).map(([owner, start, end]) => [says.get(owner) ?? null, start, end]),

@@ -74,6 +74,10 @@ watch(store, ({ drawing }) => [drawing], ({ drawing }) => {
   stage.draw(drawing);
   find("drawing").hidden = !drawing;
 });
+watch(store, ({ history, samples }) => [history.present.prompts.length, samples.length], ({ history, samples }) => {
+  find("empty").hidden = samples.length > 0;
+  find("empty").textContent = history.present.prompts.length ? "No motion yet." : "Write a prompt on a track below, or open an example.";
+});
 watch(store, ({ history, constraint }) => [history.present.constraints, constraint],
   ({ history, constraint }) => stage.mark(history.present.constraints, constraint));
 watch(store, ({ history, check }) => [history.present.prompts, check], ({ history, check }) => {
@@ -105,14 +109,14 @@ const begin = {
   },
 };
 
-// A recorded motion is kept where no prompt holds.
+// Of a recorded motion, what no prompt claims is kept.
 async function upload(file) {
   const { motion } = await server.uploadMotion(file);
   const document = { ...documentOfTimeline({ name: file.name.replace(/\.\w+$/, ""), prompts: [] }) };
   document.locks = { ...document.locks, gaps: true };
   const sample = { key: "recorded", seed: null, steps: "recorded", motion, demands: [], asked: {}, varied: true };
   saving.create({ document, samples: [sample], chosen: "recorded" });
-  say("The recorded motion is kept where no prompt holds: write prompts where it shall change.");
+  say("Of the recorded motion, what no prompt claims is kept: write prompts where it shall change.");
 }
 
 find("open").onclick = () => openOpen(studio, saving, begin);

@@ -128,7 +128,7 @@ export function createSamplesPanel(studio, work, page) {
       favourites.length ? make("ul", { class: "favourites" }, favourites.map(ofFavourite))
         : make("p", { class: "faint" }, "Pin a sample to keep it, whatever you change."),
       heading("Kept"),
-      toggle("gaps", "Keep the motion where no prompt holds", document.locks.gaps, (on) => studio.edit({ kind: "lockGaps", on })),
+      toggle("gaps", "Keep what no prompt claims", document.locks.gaps, (on) => studio.edit({ kind: "lockGaps", on })),
       make("p", { class: "faint" }, locksOf(document)),
       heading("How it is made"),
       toggle("auto", "Preview after each edit", auto, (on) => store.set({ auto: on })),

@@ -61,7 +61,6 @@ export function createShown(studio, stage) {
         button(nameOf(sample), () => studio.choose(sample.key), { class: "pill", "aria-pressed": String(sample.key === chosen) }),
         button("", () => pin(sample), { class: "pill", "aria-pressed": String(pinned), "aria-label": `Pin ${nameOf(sample)}` }, "pin"));
     });
-    find("empty").hidden = samples.length > 0;
   }
 
   const nameOf = ({ seed, steps }) => (steps === "recorded" ? "Recorded" : `Seed ${seed}`);

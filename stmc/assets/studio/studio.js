@@ -80,7 +80,11 @@ export function createStudio() {
     remember(document, samples, chosen) {
       results.set(document, { samples, chosen });
     },
-    knows: (document) => results.has(document),
+    // Whether there is nothing to make of a document.
+    knows(document, quality) {
+      const known = results.get(document);
+      return Boolean(known) && (quality === "preview" || known.samples.every(({ steps }) => steps !== "preview"));
+    },
     choose(key) {
       store.set({ chosen: key });
       if (results.has(present())) results.set(present(), { samples: store.get().samples, chosen: key });

@@ -148,7 +148,8 @@ export function createTracks(studio, player, work) {
       make("i", { class: kind, style: `left:${x(start)};width:${x(end - start)};${colour ? `background:${colour}` : ""}` });
     const owned = (check?.owners[part] ?? []).map(([id, start, end]) => {
       const prompt = promptOf(present, id);
-      return block({ start, end }, prompt?.locked ? "owned held" : "owned", prompt ? colourOf(prompt.colour) : NEUTRAL);
+      const kept = prompt?.locked || (present.locks.gaps && !check.prompts[id]?.parts.includes(part));
+      return block({ start, end }, kept ? "owned held" : "owned", prompt ? colourOf(prompt.colour) : NEUTRAL);
     });
     const changing = (check?.transitions[part] ?? []).map(([start, end]) => block({ start, end }, "transition"));
     const held = present.locks.spans.map((span) => block(span, "held"));

@@ -64,22 +64,24 @@ export function createWork(studio, tab, say) {
   const length = () => duration(studio.present());
 
   // After an edit: only what it has touched where the motion is not what the seed alone gives; else all.
-  function afterEdit(owners) {
+  function afterEdit(plan) {
     const base = studio.chosen();
-    if (base?.varied) return { base, change: unlockedOf(touched(base.asked, asked(studio.present(), owners)), studio.present(), owners, length()) };
-    return everything(owners);
+    if (!base?.varied) return everything(plan);
+    const document = studio.present();
+    return { base, change: unlockedOf(touched(base.asked, asked(document, plan)), document, plan, length()) };
   }
 
-  function everything(owners) {
+  function everything(plan) {
     const base = studio.chosen();
     if (!base || !hasLocks(studio.present())) return { base: null, change: [] };
-    return { base, change: unlocked(studio.present(), owners, length()) };
+    return { base, change: unlocked(studio.present(), plan, length()) };
   }
 
-  function anew(wanted, owners) {
+  // `wanted(plan)`, with other seeds.
+  function anew(wanted, plan) {
     const base = studio.chosen();
-    if (!base) return everything(owners);
-    return { base, change: unlockedOf(wanted(owners), studio.present(), owners, length()), fresh: true };
+    if (!base) return everything(plan);
+    return { base, change: unlockedOf(wanted(plan), studio.present(), plan, length()), fresh: true };
   }
 
   // ---- jobs ---------------------------------------------------------------------------------------------------------------
@@ -87,12 +89,12 @@ export function createWork(studio, tab, say) {
     clearTimeout(timers.generate);
     const answer = await checked();
     if (!answer) return unanswered(scope);
-    const { base, change, fresh } = scope(answer.owners);
+    const { base, change, fresh } = scope(answer);
     if (base && !change.length) return scope === afterEdit ? null : say("Nothing is left to make: all of it is locked.");
     await cancel();
     const document = studio.present();
     const seeds = fresh ? document.seeds.map(() => Math.floor(Math.random() * 1e6)) : document.seeds;
-    const about = { document, scope, seeds, asked: asked(document, answer.owners), varied: Boolean(base), arrived: new Set() };
+    const about = { document, scope, seeds, asked: asked(document, answer), varied: Boolean(base), arrived: new Set() };
     store.set({ job: { stage: "waiting", seed: seeds[0], step: 0, steps: 0 } });
     try {
       const { job } = await server.startJob({
@@ -152,15 +154,18 @@ export function createWork(studio, tab, say) {
 
   // What is kept of a motion should be its full quality: waits for it where it is on its way.
   function makeAnew(wanted) {
-    const act = () => generate((owners) => anew(wanted, owners));
+    const act = () => generate((plan) => anew(wanted, plan));
     if (running !== null && studio.chosen()?.steps === "preview") next = act;
     else act();
   }
 
   let seen = null;
   let scope = afterEdit;
-  store.subscribe(({ history }) => {
+  let open = null;
+  store.subscribe(({ id, history, quality }) => {
     const document = history.present;
+    if (open !== id) cancel(); // its motions are of another document
+    open = id;
     if (document === seen) return;
     const first = seen === null;
     const meant = (each) => JSON.stringify([timelineOf(each).prompts, each.constraints, each.cleanFeet, each.seeds]);
@@ -170,7 +175,8 @@ export function createWork(studio, tab, say) {
     later("check", CHECK_AFTER, check);
     if (same) return; // what waits still holds
     clearTimeout(timers.generate);
-    if (studio.knows(document) || !store.get().auto || !document.prompts.length) return;
+    if (studio.knows(document, quality)) return cancel();
+    if (!store.get().auto || !document.prompts.length) return;
     later("generate", GENERATE_AFTER, function wait() {
       if (store.get().history.gesture !== null) return later("generate", GENERATE_AFTER, wait);
       generate(scope);
@@ -181,7 +187,7 @@ export function createWork(studio, tab, say) {
   return {
     generate: () => generate(),
     cancel,
-    makePromptAnew: (id) => makeAnew((owners) => decidedBy(id, owners)),
+    makePromptAnew: (id) => makeAnew((plan) => decidedBy(id, plan)),
     makeSpanAnew: ({ start, end }) => makeAnew(() => [{ start, end, parts: PARTS }]),
     argued,
   };
