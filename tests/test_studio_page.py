@@ -127,8 +127,7 @@ def write(tab: browser.Tab, text: str) -> None:
 def shown(tab: browser.Tab, other_than: str = "") -> str:
     """The names of the motions on the stage, once nothing is made any more."""
     tab.wait(f"(document.body.dataset.shown || '') !== {json.dumps(other_than)}")
-    tab.wait("document.getElementById('progress').hidden")
-    time.sleep(0.5)  # the last motion is fetched after the job has ended
+    tab.wait("document.getElementById('progress').hidden && document.getElementById('stage').ariaBusy === 'false'")
     return tab.ask("document.body.dataset.shown")
 
 

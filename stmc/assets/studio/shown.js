@@ -25,6 +25,7 @@ export function createShown(studio, stage) {
   async function show({ samples, chosen }) {
     const number = ++asked;
     const next = new Map();
+    find("stage").setAttribute("aria-busy", "true");
     for (const { motion } of samples) {
       try {
         next.set(motion.id, figures.get(motion.id) ?? (await figureOf(await bytesOf(motion.id))));
@@ -32,7 +33,10 @@ export function createShown(studio, stage) {
         if (error.status === 404) return forget(motion.id);
         say(`The motion cannot be shown: ${error.message}.`);
       }
-      if (number !== asked) return; // others are wanted meanwhile
+      if (number !== asked) { // others are wanted meanwhile
+        for (const [id, figure] of next) if (figures.get(id) !== figure) figure.dispose();
+        return;
+      }
     }
     for (const [id, figure] of figures) if (!next.has(id)) figure.dispose();
     figures = next;
@@ -40,6 +44,7 @@ export function createShown(studio, stage) {
     const style = getComputedStyle(document.documentElement);
     for (const figure of next.values()) figure.paintWay(style.getPropertyValue("--way").trim());
     label();
+    find("stage").setAttribute("aria-busy", "false");
     document.body.dataset.shown = samples.map(({ motion }) => motion.id).join(" ");
   }
 
