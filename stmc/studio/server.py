@@ -46,9 +46,9 @@ from stmc.studio.timelines import (
     with_suggestions,
     write_timeline,
 )
-from stmc.text import Cached, MiniLM
+from stmc.text import Cached
 from stmc.timeline import Timeline, TimelineError
-from stmc.vocabulary import Suggestion, read_vocabulary, suggest
+from stmc.vocabulary import Suggestion, read_vocabulary, sentence_encoder, suggest
 
 MOST_SEEDS = 8
 """Samples of one job."""
@@ -77,11 +77,12 @@ def application(model: Model, folder: str | Path, token: str, port: int, steps: 
     encoder = model.text_encoder
     if not isinstance(encoder, Cached) and hasattr(encoder, "encode"):
         model = dataclasses.replace(model, text_encoder=Cached(encoder, folder / "texts"))
-    answers = Answers(model, Motions(folder / "motions"), Documents(folder / "documents"), folder / "texts", steps)
+    answers = Answers(model, Motions(folder / "motions"), Documents(folder / "documents"), steps)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         answers.motions.prune(answers.documents.texts())
+        await run_in_threadpool(answers.suggest, ["walk"])  # reads the encoder's weights before somebody waits for them
         yield
         await run_in_threadpool(answers.jobs.close)
 
@@ -126,11 +127,11 @@ def answered(handler: Handler) -> Handler:
 class Answers:
     """What each address does."""
 
-    def __init__(self, model: Model, motions: Motions, documents: Documents, texts: Path, steps: int) -> None:
+    def __init__(self, model: Model, motions: Motions, documents: Documents, steps: int) -> None:
         self.model, self.motions, self.documents, self.steps = model, motions, documents, steps
         self.jobs = Jobs(model.generate, motions)
         self.vocabulary = read_vocabulary(bundled() / VOCABULARY)
-        self.encoder = Cached(MiniLM(), texts)
+        self.encoder = sentence_encoder(model.text_encoder)
 
     def suggest(self, texts: Sequence[str]) -> list[Suggestion]:
         """Body parts for texts."""
