@@ -17,12 +17,12 @@ from helpers.source_folders import Threads
 
 from stmc.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
+from stmc.bvh import Bvh, BvhError, parse_bvh
 from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.data.sources import archives, bandai, bandai_clips
 from stmc.data.sources.bandai_clips import BandaiClips
 from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe
-from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
 from stmc.geometry import mirror_positions
 from stmc.metrics.kinematics import forward_speed, turn, wrist_height
 from stmc.motion import Motion
@@ -410,7 +410,7 @@ def test_the_fingerprint_is_of_the_clips_all_the_code_that_converts_them_and_the
     named: list[str] = []
     monkeypatch.setattr(bandai_clips, "code", lambda *places: named.extend(places) or "other code")
     assert BandaiClips(source, FPS).fingerprint() != own
-    assert set(named) >= {"data/sources/bandai*", "data/sources/bvh", "geometry", "motion"}
+    assert set(named) >= {"data/sources/bandai*", "bvh", "geometry", "motion"}
 
 
 # The real thing ---------------------------------------------------------------------------------------------------

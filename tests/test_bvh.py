@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.data.sources.bvh import BvhError, parse_bvh
+from stmc.bvh import LONGEST_HIERARCHY, BvhError, parse_bvh
 
 HEADER = """HIERARCHY
 ROOT Hips
@@ -87,6 +87,14 @@ def test_the_world_places_each_joint_by_all_rotations_above_it():
     close(rotations[0, toe], (turned[hips] @ turned[knee]).numpy())
 
 
+def test_an_end_site_s_offset_is_that_of_the_joint_before_it():
+    assert parse_bvh(TEXT).ends == {2: (0.0, 0.0, 2.0), 3: (0.0, 0.0, -1.0)}
+    twice = TEXT.replace(
+        "      End Site\n", "      End Site\n      {\n        OFFSET 5 6 7\n      }\n      End Site\n", 1
+    )
+    assert parse_bvh(twice).ends[2] == (5.0, 6.0, 7.0)
+
+
 def test_line_ends_tabs_and_numbers_in_one_line_do_not_matter():
     expected = parse_bvh(TEXT)
     one_line = TEXT.replace(f"{FIRST}\n", f"{FIRST} ")
@@ -114,6 +122,7 @@ def test_the_frame_rate_is_the_one_the_rounded_frame_time_means(time, fps):
         ("Frames: 2", "Frames: 3", "22 numbers for 3 frames of 11 channels (33 expected)"),
         (f"{SECOND}\n", "11 21 31 41", "15 numbers for 2 frames of 11 channels (22 expected)"),
         (f"{FIRST}\n{SECOND}\n", "", "0 numbers for 2 frames"),
+        (f"{SECOND}\n", f"{SECOND} 7\n", "more numbers than expected for 2 frames of 11 channels (22 expected)"),
         ("11 21 31", "11 2l 31", "not a number: could not convert string to float: '2l'"),
         ("16 26 36", "16 nan 36", "Xrotation of 'Knee' is nan in frame 1"),
         ("7 90", "-inf 90", "Zposition of 'Tail' is -inf in frame 0"),
@@ -162,9 +171,11 @@ def test_a_file_cut_anywhere_is_refused_and_not_misread():
         ("Frames: 2", f"Frames: {'9' * 5000}", "expected a number, found '999"),
         ("11 21 31", f"11 {'2l' * 100_000} 31", "not a number: could not convert string to float: '2l"),
         ("JOINT Toe", f"JOIN {'Toe' * 100_000}", "line 10: 'JOIN Toe"),
+        ("CHANNELS 2", f"CHANNELS 100002 {'Xrotation ' * 100_000}", "not a line of a BVH hierarchy"),
+        ("JOINT Toe", "\n" * LONGEST_HIERARCHY, "characters, more than 4,194,304, the limit"),
         ("Yrotation Xrotation Zrotation", f"Yrotation Xrotation {'W' * 100_000}", "unknown channel 'WWW"),
     ],
-    ids=range(11),
+    ids=range(13),
 )
 def test_numbers_and_words_that_are_too_large_are_refused_in_a_sentence(old, new, named):
     assert old in TEXT

@@ -13,11 +13,11 @@ from helpers.source_folders import Threads
 
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
+from stmc.bvh import parse_bvh
 from stmc.data import preparation
 from stmc.data.sources import asf, cmu, cmu_clips
 from stmc.data.sources.asf import AcclaimError, parse_amc, parse_asf
 from stmc.data.sources.bandai_sentences import CONTENTS
-from stmc.data.sources.bvh import parse_bvh
 from stmc.data.sources.segments import Segment, read_segments, splits, table, unseen
 from stmc.geometry import axis_angle_to_matrix, global_rotations
 

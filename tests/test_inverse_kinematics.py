@@ -14,8 +14,8 @@ from torch.testing import assert_close
 import stmc
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
+from stmc.bvh import parse_bvh
 from stmc.data.sources import bandai
-from stmc.data.sources.bvh import parse_bvh
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
 from stmc.inverse_kinematics import joints_to_rotations, motion_of_joints
 from stmc.motion import Motion

@@ -359,6 +359,24 @@ def test_frame_rates_are_bounded(client, fps):
     assert client.get(f"/api/motions/{told['motion']['id']}.bvh", params={"fps": fps}).status_code == 422
 
 
+@pytest.mark.parametrize("name", ["walk.bvh", "W%C3%A4lk.BVH", "walk.npz"])
+def test_a_motion_that_is_brought_along_is_read_as_its_file_s_name_says(client, name):
+    [told] = made(sampled(client, steps="preview"))
+    content = client.get(f"/api/motions/{told['motion']['id']}.{name[-3:].lower()}").content
+    answer = client.post("/api/motions", content=content, headers={"X-Filename": name})
+    assert answer.status_code == 201
+    own, folder = answer.json()["motion"], Path(client.app.state.folder) / "motions"
+    assert (own["frames"], own["fps"]) == (40, 20)
+    back, motion = (stmc.read(folder / f"{each['id']}.npz") for each in (own, told["motion"]))
+    np.testing.assert_allclose(back.joints, motion.joints, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["walk.glb", "walk", "", "..%2F..%2Fwalk.npz%00", "%FF.bvh", "a." + "x" * 3000])
+def test_a_motion_of_another_kind_is_refused(client, name):
+    answer = client.post("/api/motions", content=b"not a motion", headers={"X-Filename": name})
+    assert answer.status_code == 422 and len(answer.json()["error"]) < 300
+
+
 @pytest.mark.parametrize("content", [b"", b"PK", b"not a motion", np.zeros(3).tobytes()], ids=repr)
 def test_a_file_that_is_no_motion_is_refused(client, content):
     assert client.post("/api/motions", content=content).status_code == 422

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from stmc.body_model import Skeleton
 from stmc.export.bvh import save_bvh
+from stmc.export.bvh_reader import load_bvh
 from stmc.export.glb import save_glb
 from stmc.export.mujoco import save_csv, save_mjcf
 from stmc.export.npz import load_npz, save_npz
@@ -14,6 +15,7 @@ from stmc.motion import Motion
 from stmc.timeline import Timeline
 
 _WRITERS = {".npz": save_npz, ".bvh": save_bvh, ".glb": save_glb, ".csv": save_csv, ".xml": save_mjcf}
+_READERS = {".npz": load_npz, ".bvh": load_bvh}
 
 
 def write(
@@ -53,10 +55,13 @@ def write(
 
 
 def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
-    """The motion of an `.npz` that `write` or AMASS wrote.
+    """The motion of an `.npz` that `write` or AMASS wrote, or of a `.bvh`: `write`'s, Mixamo's, Bandai's, CMU's, and
+    others whose joints have such names.
 
-    Where the file has no joints, `skeleton` is posed (by default the bundled one). Raises `ValueError` for another
-    suffix and for what is missing inside.
+    `skeleton` (by default the bundled one) is posed where an `.npz` has no joints; rotations of a `.bvh` of other
+    joints than ours turn its bones to where the file's point. A `.bvh` does not say its unit: it is the metre,
+    centimetre, millimetre, inch or CMU's in which the legs are 0.5 to 1.3 m long; y is up. Raises `ValueError` for
+    another suffix and for what is missing inside.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -65,6 +70,7 @@ def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
         Motion(20 frames at 20 fps, 1.00 s)
     """
     path = Path(path)
-    if path.suffix.lower() != ".npz":
-        raise ValueError(f"{path}: cannot read {path.suffix!r} files; choose .npz")
-    return load_npz(path, Skeleton.default() if skeleton is None else skeleton)
+    load = _READERS.get(path.suffix.lower())
+    if load is None:
+        raise ValueError(f"{path}: cannot read {path.suffix!r} files; choose from {', '.join(_READERS)}")
+    return load(path, Skeleton.default() if skeleton is None else skeleton)

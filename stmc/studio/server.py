@@ -13,6 +13,7 @@ from contextlib import asynccontextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -164,8 +165,9 @@ class Answers:
         return _attached(content, f"timeline.{kind}", "application/json" if kind == "json" else "text/plain")
 
     async def receive(self, request: Request) -> Response:
-        """Somebody's motion."""
-        name = await run_in_threadpool(self.motions.received, await request.body())
+        """Somebody's motion, of the kind that the file's name says; without a name an `.npz`."""
+        kind = Path(unquote(request.headers.get("x-filename", "motion.npz"))).suffix.lower()
+        name = await run_in_threadpool(self.motions.received, await request.body(), kind)
         motion = self.motions.get(name)
         told = {"id": name, "duration": motion.duration, "fps": motion.fps, "frames": motion.frames}
         return JSONResponse({"motion": told}, 201)

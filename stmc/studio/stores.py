@@ -50,6 +50,9 @@ FORMATS = {
 }
 """What a motion can be taken away as."""
 
+RECEIVED = (".npz", ".bvh")
+"""Suffixes of motions that are brought along."""
+
 
 def _named(identity: str) -> str:
     if not ID.fullmatch(identity):
@@ -97,10 +100,12 @@ class Motions:
         self._hold(name, motion)
         return motion
 
-    def received(self, content: bytes) -> str:
-        """Keeps the motion of somebody's `.npz`. Raises `Refused` where it is none."""
+    def received(self, content: bytes, kind: str) -> str:
+        """Keeps the motion of somebody's file with the suffix `kind`. Raises `Refused` where it is none."""
+        if kind not in RECEIVED:
+            raise Refused(422, f"a recorded motion is a {' or a '.join(RECEIVED)} file")
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "motion.npz"
+            path = Path(folder) / f"motion{kind}"
             path.write_bytes(content)
             try:
                 motion = read(path)

@@ -29,7 +29,17 @@ from stmc.representation import Representation
 TOLERANCE = 0.5
 """Seconds that an annotation may go on after its recording has ended: clocks and roundings differ."""
 
-_CODE = ("arrays", "representation", "body", "body_model", "geometry", "inverse_kinematics", "motion", "untrusted")
+_CODE = (
+    "arrays",
+    "representation",
+    "body",
+    "body_model",
+    "bvh",
+    "geometry",
+    "inverse_kinematics",
+    "motion",
+    "untrusted",
+)
 _SOURCES = (
     "amass",
     "annotat*",
@@ -37,7 +47,6 @@ _SOURCES = (
     "archives",
     "asf",
     "bandai_sentences",
-    "bvh",
     "cmu*",
     "humanml3d_texts",
     "segments",

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.data.sources.bvh import MOST_VALUES, Bvh
+from stmc.bvh import MOST_VALUES, Bvh
 from stmc.untrusted import cut, shown
 
 MOST_WORDS, LONGEST_WORD = 4_000_000, 40

@@ -21,11 +21,11 @@ from torch import Tensor
 
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
+from stmc.bvh import Bvh, BvhError, parse_bvh
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
 from stmc.data.sources.archives import read_texts
 from stmc.data.sources.bandai_sentences import CONTENTS, STYLES, describe, mirrored_content
-from stmc.data.sources.bvh import Bvh, BvhError, parse_bvh
 from stmc.data.sources.segments import Segment, read_segments
 from stmc.motion import Motion
 from stmc.representation.smpl import SmplRepresentation

@@ -12,9 +12,9 @@ from stmc.data.cache import Cache, fingerprint
 from stmc.data.preparation import Watch, code, find_source
 from stmc.data.sources import bandai
 
-_CODE = tuple(f"data/sources/{name}" for name in ("archives", "bandai*", "bvh", "segments"))
-_CODE += ("data/cache", "body", "body_model", "geometry", "motion", "representation/layout", "representation/smpl")
-_CODE += ("untrusted",)
+_CODE = tuple(f"data/sources/{name}" for name in ("archives", "bandai*", "segments"))
+_CODE += ("data/cache", "body", "body_model", "bvh", "geometry", "motion", "representation/layout")
+_CODE += ("representation/smpl", "untrusted")
 
 
 @dataclass(frozen=True)

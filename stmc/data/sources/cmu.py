@@ -21,9 +21,9 @@ from torch.nn.functional import normalize
 
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
+from stmc.bvh import Bvh, parse_bvh
 from stmc.data.sources.archives import read_texts
 from stmc.data.sources.asf import parse_amc, parse_asf
-from stmc.data.sources.bvh import Bvh, parse_bvh
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, shortest_arc
 from stmc.inverse_kinematics import joints_to_rotations
 from stmc.motion import Motion

@@ -26,8 +26,8 @@ from stmc.representation.smpl import SmplRepresentation
 STYLE = "normal"
 """Of all clips: CMU labels none."""
 
-_CODE = tuple(f"data/sources/{name}" for name in ("archives", "asf", "bandai_sentences", "bvh", "segments"))
-_CODE += ("data/sources/cmu*", "data/cache", "body", "body_model", "geometry", "inverse_kinematics", "motion")
+_CODE = tuple(f"data/sources/{name}" for name in ("archives", "asf", "bandai_sentences", "segments"))
+_CODE += ("data/sources/cmu*", "data/cache", "body", "body_model", "bvh", "geometry", "inverse_kinematics", "motion")
 _CODE += ("representation/layout", "representation/smpl", "untrusted")
 
 Rows = list[tuple[list[Clip], Float[Tensor, "frames features"]]]

@@ -1,13 +1,14 @@
 """Reads BVH motion capture: a tree of named joints and, frame by frame, where each stands in its parent.
 
-Knows the file format and nothing of any body; what the joints mean is the data set's business (see `bandai`).
+Knows the file format and nothing of any body; what the joints mean is the business of data sets (`data.sources`) and
+of `export.bvh_reader`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -21,7 +22,13 @@ from stmc.untrusted import cut, shown
 MOST_VALUES = 2_000_000
 """Of a motion: frames times joints, a hundred times what a minute of a hundred joints has at 3 frames per second."""
 
+LONGEST_HIERARCHY = 2**22
+"""Characters of everything before the frames: a hundred joints have some 10,000."""
+
 _AXES = {"X": 0, "Y": 1, "Z": 2}
+_MOST_WORDS = 9
+"""Of a line of the hierarchy: a joint has three position and three rotation channels at most."""
+
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -41,6 +48,8 @@ class Bvh:
     positions: Float[Tensor, "frames joints 3"]
     rotations: Float[Tensor, "frames joints 3 3"]
     fps: float | int
+    ends: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+    """The offset of the first End Site of a joint, by the joint's index."""
 
     def world(self) -> tuple[Float[Tensor, "frames joints 3 3"], Float[Tensor, "frames joints 3"]]:
         """Rotations and positions of every joint in the file's world frame, by forward kinematics."""
@@ -63,6 +72,7 @@ class _Joint:
     parent: int
     offset: tuple[float, ...] = ()
     channels: tuple[str, ...] = ()
+    end: _Joint | None = None
 
 
 def parse_bvh(text: str) -> Bvh:
@@ -71,11 +81,13 @@ def parse_bvh(text: str) -> Bvh:
     A joint's position is its position channels where it has them (as in the Bandai data set), else its OFFSET.
     Euler angles are intrinsic, in the order of the channels, in degrees. Raises `BvhError` for a missing section, a
     line or a channel that is unknown, a frame count that does not match the numbers, values that are not finite in
-    float32, a frame rate that is not from 1 to 1000, or more than `MOST_VALUES`.
+    float32, a frame rate that is not from 1 to 1000, more than `MOST_VALUES`, or a hierarchy above `LONGEST_HIERARCHY`.
     """
     header, *rest = re.split(r"^[ \t]*MOTION[ \t\r]*$", text, maxsplit=1, flags=re.MULTILINE)
     if not rest:
         raise BvhError("no MOTION section: the file is truncated or not a BVH file")
+    if len(header) > LONGEST_HIERARCHY:
+        raise BvhError(f"HIERARCHY has {len(header):,} characters, more than {LONGEST_HIERARCHY:,}, the limit")
     joints = _hierarchy(header.splitlines())
     words = rest[0].split(maxsplit=5)
     if len(words) < 5 or words[0] != "Frames:" or words[2:4] != ["Frame", "Time:"]:
@@ -92,16 +104,16 @@ def parse_bvh(text: str) -> Bvh:
 
 def _hierarchy(lines: Sequence[str]) -> list[_Joint]:
     joints: list[_Joint] = []
-    site = _Joint("End Site", -1, -1)  # an end has an offset and no motion: of no use here
-    path, opening = [], site
+    path, opening = [], _Joint("", -1, -1)
     for number, line in enumerate(lines, start=1):
         try:
-            match line.split():
+            match line.split(maxsplit=_MOST_WORDS):
                 case ["ROOT" | "JOINT", name]:
                     opening = _Joint(name, len(joints), path[-1].index if path else -1)
                     joints.append(opening)
                 case ["End", "Site"]:
-                    opening = site
+                    opening = _Joint("End Site", -1, -1)  # it has an offset and no motion
+                    path[-1].end = path[-1].end or opening
                 case ["{"]:
                     path.append(opening)
                 case ["}"]:
@@ -126,13 +138,15 @@ def _hierarchy(lines: Sequence[str]) -> list[_Joint]:
 
 def _values(text: str, frames: int, joints: Sequence[_Joint]) -> np.ndarray:
     columns = [(channel, joint.name) for joint in joints for channel in joint.channels]
+    expected = frames * len(columns)
+    words = text.split(maxsplit=expected)
+    if len(words) != expected:
+        found = f"{len(words)} numbers" if len(words) < expected else "more numbers than expected"
+        raise BvhError(f"{found} for {frames} frames of {len(columns)} channels ({expected} expected)")
     try:
-        values = np.array(text.split(), dtype=np.float64)
+        values = np.array(words, dtype=np.float64)
     except ValueError as error:
         raise BvhError(f"MOTION holds something that is not a number: {cut(str(error), 100)}") from error
-    expected = frames * len(columns)
-    if values.size != expected:
-        raise BvhError(f"{values.size} numbers for {frames} frames of {len(columns)} channels ({expected} expected)")
     values = values.reshape(frames, len(columns))
     finite = np.abs(values) <= _LARGEST  # NaN is not
     if not finite.all():
@@ -166,6 +180,7 @@ def _motion(joints: Sequence[_Joint], values: np.ndarray, fps: float | int) -> B
         positions=torch.from_numpy(positions),
         rotations=torch.from_numpy(rotations),
         fps=fps,
+        ends={joint.index: joint.end.offset for joint in joints if joint.end is not None and joint.end.offset},
     )
 
 
