@@ -132,13 +132,15 @@ def test_the_motion_of_cmu_s_conversion_is_that_of_its_joints(tmp_path):
     actor = Actor({**names}, turns, path)
     for side in ("left_", "right_"):
         actor.parents[f"{side}foot"] = f"{side}ankle"
+        actor.offsets[f"{side}collar"] = np.zeros(3)  # as in the real files, where chests' bones have no length
         actor.offsets[f"{side}foot"] = Skeleton.default().offsets[JOINTS.index(f"{side}foot")].numpy() / actor.unit
+    actor.offsets["neck"] = np.zeros(3)
     back = read_text(actor.bvh(), tmp_path)
     assert back.fps == 120
     up = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float64)
     assert (back.translation - path @ up.T * (0.0254 / 0.45 / actor.unit)).abs().max() < 1e-4
-    head = JOINTS.index("head")
-    assert degrees(world(back)[:, head], up @ turns[:, head]) < 0.01
+    trunk = [JOINTS.index(joint) for joint in ("pelvis", "spine1", "spine3", "neck", "head", "left_collar")]
+    assert degrees(world(back)[:, trunk], up @ turns[:, trunk]) < 0.1
 
 
 def test_a_turned_rest_pose_is_not_taken_for_ours(tmp_path):
@@ -152,6 +154,16 @@ def test_a_turned_rest_pose_is_not_taken_for_ours(tmp_path):
     seen = [JOINTS.index(joint) for joint in ("pelvis", "spine3", "neck")]
     assert degrees(world(back)[:, seen], world(motion)[:, seen]) < 1
     assert degrees(world(back)[:, JOINTS.index("head")], world(motion)[:, JOINTS.index("head")]) < 30
+
+
+def test_a_rest_pose_that_lies_and_lacks_bones_is_refused(tmp_path):
+    offsets = Skeleton.default().offsets.double().clone()
+    offsets[JOINTS.index("neck")] = 0
+    lying = axis_angle_to_matrix(torch.tensor([1.6, 0.0, 0.0], dtype=torch.float64))
+    motion = walking(seconds=0.2)
+    motion = Motion.posed(motion.rotations, motion.translation, 20, Skeleton(offsets @ lying.T))
+    with pytest.raises(ValueError, match="not upright, and has bones without length"):
+        read_text(named(written(motion, tmp_path), MIXAMO), tmp_path)
 
 
 @pytest.mark.parametrize(

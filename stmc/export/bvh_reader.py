@@ -35,6 +35,9 @@ LEGS = (0.5, 1.3)
 UNITS = (1.0, 0.01, 0.001, 0.0254, 0.0254 / 0.45)
 """Metres of what files count in: metres, centimetres, millimetres, inches, CMU's unit. The first that fits is it."""
 
+_SHORTEST = 1e-3
+"""Metres of a bone that has a direction."""
+
 _STRAIGHT = 0.8
 """The least cosine between bones of two rest poses that are alike."""
 
@@ -99,10 +102,11 @@ _KNOWN = (
 def load_bvh(path: Path, skeleton: Skeleton) -> Motion:
     """The motion of a BVH file, float32, on the file's own bones: metres, z up.
 
-    Files of our joints, at rest as SMPL, keep their rotations. Of others, bones keep their directions, and rotations
-    are those of `skeleton` whose bones have them (`joints_to_rotations`); heads and hands turn as the file's where it
-    rests upright and looks along z. `skeleton` also lends hands. Raises `ValueError` naming the file: for text that is
-    no BVH, joints that are missing, legs that are nobody's in any of `UNITS`, and files over `MOST_BYTES`.
+    Files of our joints, at rest as SMPL, keep their rotations. Of others, arms and legs are `skeleton`'s, turned so
+    that its bones point where the file's do (`joints_to_rotations`); all else turns as the file's does from its rest
+    pose, where that is upright and looks along z, and elsewhere as arms and legs. `skeleton` also lends hands.
+    Raises `ValueError` naming the file: for text that is no BVH, joints that are missing, legs that are nobody's in any
+    of `UNITS`, a rest pose that is not upright of bones without length, and files over `MOST_BYTES`.
     """
     try:
         return _motion(parse_bvh(read_text(path, MOST_BYTES)), skeleton)
@@ -129,7 +133,9 @@ def _motion(bvh: Bvh, skeleton: Skeleton) -> Motion:
     else:
         world = global_rotations(joints_to_rotations(joints, body), PARENTS[:NUM_ROTATIONS])
         if _alike(rest, body.rest, _UPRIGHT):
-            world = _with_ends(world, turned, index, rest, body.rest)
+            world = _turned_from_rest(world, turned, index, rest, body.rest)
+        elif not (_lengths(joints[0]) > _SHORTEST).all():
+            raise BvhError("its rest pose is not upright, and has bones without length: it is not known how it turns")
     wrists = list(PARENTS[NUM_ROTATIONS:])
     reached = joints[:, wrists] + einsum(world[:, wrists], hands, "frames hands i j, hands j -> frames hands i")
     local = torch.cat([world[:, :1], world[:, list(PARENTS[1:NUM_ROTATIONS])].mT @ world[:, 1:]], dim=1)
@@ -206,6 +212,7 @@ _UPRIGHT = (
     ("left_hip", "left_ankle"),
     ("right_hip", "right_ankle"),
 )
+_LIMB = ("shoulder", "elbow", "hip", "knee")
 _ARMS = (("left_shoulder", "left_wrist"), ("right_shoulder", "right_wrist"))
 
 
@@ -218,17 +225,27 @@ def _direction(rest: Tensor, start: str, end: str) -> Float[Tensor, " 3"]:
     return normalize(rest[JOINTS.index(end)] - rest[JOINTS.index(start)], dim=0)
 
 
-def _with_ends(
+def _turned_from_rest(
     world: Float[Tensor, "frames 22 3 3"], turned: Tensor, index: Mapping[str, int], rest: Tensor, ours: Tensor
 ) -> Float[Tensor, "frames 22 3 3"]:
-    """World rotations whose heads and hands, of which joints do not tell, turn as the file's do from its rest pose."""
+    """World rotations of which all but those of arms and legs are the file's, from its rest pose on.
+
+    They see what joints do not show: where heads and hands turn, and chests whose bones have no length, as CMU's. Feet
+    are flat in both rest poses, whatever their bones' slopes; hands make up for how the file's rest pose spreads arms.
+    """
     world = world.clone()
-    world[:, JOINTS.index("head")] = turned[:, index["head"]]
-    for side in ("left", "right"):
-        forearm = f"{side}_elbow", f"{side}_wrist"
-        spread = shortest_arc(_direction(ours, *forearm), _direction(rest, *forearm))
-        world[:, JOINTS.index(forearm[1])] = turned[:, index[forearm[1]]] @ spread
+    for number, joint in enumerate(JOINTS[:NUM_ROTATIONS]):
+        if joint.endswith(_LIMB):
+            continue
+        world[:, number] = turned[:, index.get(joint, index["spine1"])]
+        if joint.endswith("wrist"):
+            forearm = joint.replace("wrist", "elbow"), joint
+            world[:, number] @= shortest_arc(_direction(ours, *forearm), _direction(rest, *forearm))
     return world
+
+
+def _lengths(joints: Float[Tensor, "22 3"]) -> Float[Tensor, " 21"]:
+    return (joints[1:] - joints[list(PARENTS[1:NUM_ROTATIONS])]).norm(dim=-1)
 
 
 def _leg(rest: Tensor) -> float:
