@@ -63,7 +63,9 @@ class Settings(Sampling, OnDevice, Sharded):
         "stmc",
         f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",
     )
-    keep: str | None = setting(None, "a motion, .npz, that results are but for `change` and what is behind its end")
+    keep: str | None = setting(
+        None, "a motion, .npz or .bvh: results are it but for `change` and what is behind its end"
+    )
     change: tuple[str, ...] = setting((), "what is made anew of it: start # end # body parts, in seconds, each")
     constraints: str | None = setting(None, "a .json of paths, headings, keyframes, hands and feet for every timeline")
     samples: int = setting(1, "motions of each timeline, with seeds from `seed` on", at_least=1, at_most=100_000)
