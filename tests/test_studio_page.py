@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import uvicorn
 from helpers import browser
+from helpers.scripts import loaded
 from helpers.tiny_model import Hashes, tiny
 
 import stmc
-from scripts.studio import listen
 from stmc.run import bundled
 from stmc.run.directories import VOCABULARY
 from stmc.studio import application
@@ -40,7 +40,7 @@ BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria
 def serving(folder: Path, port: int = 0) -> Iterator[int]:
     """The studio over a folder, at a port, until the end."""
     model = dataclasses.replace(tiny(), vocabulary=read_vocabulary(bundled() / VOCABULARY), text_encoder=Hashes())
-    with listen(port) as listening:
+    with loaded("studio").listen(port) as listening:
         port = listening.getsockname()[1]
         app = application(model, folder, TOKEN, port, steps=12)
         server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1))
