@@ -5,14 +5,11 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Sequence
-from importlib import import_module
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
-from types import ModuleType
 
 import stmc
 from stmc.commands.endings import guarded
 from stmc.commands.entry import Command
-from stmc.commands.places import place
+from stmc.commands.places import load_script, place
 from stmc.settings import SettingError
 
 SHORT = {"import": "import_checkpoint"}
@@ -42,7 +39,7 @@ def found(name: str) -> Command:
     script = SHORT.get(name, name).replace("-", "_")
     if script not in scripts():
         raise SettingError(f"unknown command {name!r}: choose from {', '.join(scripts())}")
-    return _module(script).main
+    return load_script(script).main
 
 
 def scripts() -> dict[str, str]:
@@ -56,14 +53,3 @@ def listed() -> str:
     names = {script: short for short, script in SHORT.items()}
     rows = [f"  {names.get(script, script):<18}{told.partition(':')[0]}" for script, told in scripts().items()]
     return "\n".join(["Usage: stmc COMMAND [SETTING=VALUE …]", "", *rows, "", "stmc COMMAND --help says more.", ""])
-
-
-def _module(script: str) -> ModuleType:
-    """A script as a module: installed, or of the checkout that this package lies in."""
-    name = f"stmc.scripts.{script}"
-    if find_spec("stmc.scripts") is not None:
-        return import_module(name)
-    spec = spec_from_file_location(name, place("scripts") / f"{script}.py")
-    module = sys.modules[name] = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

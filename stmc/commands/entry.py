@@ -18,7 +18,7 @@ from omegaconf import OmegaConf, open_dict
 from stmc.commands.arguments import Asked, quoted, read
 from stmc.commands.endings import guarded
 from stmc.commands.help import explanation
-from stmc.commands.places import place
+from stmc.commands.places import load_script, place
 from stmc.settings import SettingError, about, defaults, record_of
 
 Config = Any
@@ -120,10 +120,8 @@ def command(
 
 def _job(name: str, config: Config) -> None:
     """One of many runs. A launcher may start it in another process or on another machine: there the command is found by
-    its name."""
-    from stmc.commands.dispatch import found  # which knows commands, and so this module
-
-    command = found(name)
+    the name of its script."""
+    command: Command = load_script(name).main
     command.begin(command.completed(config))
 
 
