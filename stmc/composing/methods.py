@@ -98,8 +98,9 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
 
 def cross_faded(run: Run) -> Features:
     """STMC with cross-faded transitions, in which arms that have far to go take their time."""
-    plans = [cross_fade(plan) for plan in run.plans()]
-    return stitch(run, plans, retimed(run.collage(plans), run.plans(), run.layout, run.statistics))
+    plans = run.plans()
+    faded = [cross_fade(plan) for plan in plans]
+    return stitch(run, faded, retimed(run.collage(faded), plans, run.layout, run.statistics))
 
 
 def stitch(run: Run, plans: Sequence[Plan], predict: Predict | None = None) -> Features:
