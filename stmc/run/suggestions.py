@@ -5,14 +5,18 @@ Only the model's vocabulary is read, and MiniLM, which sentences are compared wi
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 from stmc.body import BodyPart
 from stmc.run.directories import VOCABULARY, bundled
 from stmc.text import TextEncoder
 from stmc.timeline import Timeline
-from stmc.vocabulary import Suggestion, Vocabulary, read_vocabulary, sentence_encoder, suggest
+from stmc.vocabulary import Suggestion, read_vocabulary, sentence_encoder, suggest
+
+Suggest = Callable[[Sequence[str]], Sequence[Suggestion]]
+"""Texts → what body parts each seems to be about."""
 
 
 def suggest_parts(text: str) -> Suggestion:
@@ -27,7 +31,7 @@ def suggest_parts(text: str) -> Suggestion:
         >>> sorted(stmc.suggest_parts("walk backwards").parts)
         [<BodyPart.LEGS: 'legs'>]
     """
-    return suggest([text], *_examples())[0]
+    return _own()([text])[0]
 
 
 def with_suggested_parts(timeline: Timeline) -> Timeline:
@@ -42,20 +46,27 @@ def with_suggested_parts(timeline: Timeline) -> Timeline:
         walk forwards legs
         wave with the right hand right arm
     """
+    return with_suggestions(timeline, _own())[0]
+
+
+def with_suggestions(timeline: Timeline, suggest: Suggest) -> tuple[Timeline, dict[str, Suggestion]]:
+    """The same with any suggestions, and what was suggested for each text that lists no body parts."""
     texts = list(dict.fromkeys(prompt.text for prompt in timeline.prompts if not prompt.parts))
-    if not texts:
-        return timeline
-    parts = {text: each.parts for text, each in zip(texts, suggest(texts, *_examples()), strict=True)}
-    return replace(
-        timeline,
-        prompts=tuple(
-            prompt if prompt.parts or parts[prompt.text] == frozenset(BodyPart)
-            else replace(prompt, parts=parts[prompt.text])
-            for prompt in timeline.prompts
-        ),
-    )  # fmt: skip
+    found = dict(zip(texts, suggest(texts), strict=True)) if texts else {}
+    prompts = tuple(
+        prompt
+        if prompt.parts or found[prompt.text].parts == frozenset(BodyPart)
+        else replace(prompt, parts=found[prompt.text].parts)
+        for prompt in timeline.prompts
+    )
+    return (replace(timeline, prompts=prompts) if texts else timeline), found
+
+
+def suggester(encoder: TextEncoder) -> Suggest:
+    """Suggestions by the bundled model's sentences, compared with what `encoder` makes of the texts."""
+    return partial(suggest, examples=read_vocabulary(bundled() / VOCABULARY), encoder=encoder)
 
 
 @cache
-def _examples() -> tuple[Vocabulary, TextEncoder]:
-    return read_vocabulary(bundled() / VOCABULARY), sentence_encoder()
+def _own() -> Suggest:
+    return suggester(sentence_encoder())

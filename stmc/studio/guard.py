@@ -49,8 +49,7 @@ class Guard:
         if answer is not None:
             await answer(scope, receive, _with_headers(send))
             return
-        most = MOST_UPLOAD if scope["path"] == UPLOADS else MOST_BYTES
-        await self.app(scope, _bounded(receive, most), _with_headers(send))
+        await self.app(scope, _bounded(receive, _most(scope)), _with_headers(send))
 
     def _refusal(self, scope: Scope) -> Response | None:
         """The answer where the request goes no further."""
@@ -68,10 +67,9 @@ class Guard:
             ours = origin is None or origin.removeprefix("http://") in self.hosts
             if headers.get("x-stmc") != "1" or not ours:
                 return _refused(403, "only the studio's own page may do that")
-            most = MOST_UPLOAD if scope["path"] == UPLOADS else MOST_BYTES
             length = headers.get("content-length", "0")
-            if not length.isdecimal() or len(length) > 12 or int(length) > most:
-                return _refused(413, f"the request is larger than {most / 2**20:.0f} MiB")
+            if not length.isdecimal() or len(length) > 12 or int(length) > _most(scope):
+                return _refused(413, f"the request is larger than {_most(scope) / 2**20:.0f} MiB")
         return None
 
     def _given(self, scope: Scope) -> bool:
@@ -88,6 +86,11 @@ class Guard:
 
 class TooLarge(Exception):
     """More bytes came than were announced, or than are taken."""
+
+
+def _most(scope: Scope) -> int:
+    """Bytes of a request to this path."""
+    return MOST_UPLOAD if scope["path"] == UPLOADS else MOST_BYTES
 
 
 def _bounded(receive: Receive, most: int) -> Receive:

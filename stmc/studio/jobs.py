@@ -201,9 +201,9 @@ class Jobs:
     def _sample(self, job: Job) -> None:
         for steps in job.asked.steps:
             for seed, motion in zip(job.asked.seeds, self._generated(job, steps), strict=True):
-                told = {"id": self.motions.add(motion), "duration": motion.duration, "fps": motion.fps}
+                told = self.motions.told(self.motions.add(motion))
                 demands = [_demand(each, motion) for each in job.asked.constraints]
-                job.tell("motion", seed=seed, steps=steps, motion=told | {"frames": motion.frames}, demands=demands)
+                job.tell("motion", seed=seed, steps=steps, motion=told, demands=demands)
 
     def _generated(self, job: Job, steps: int) -> Sequence[Motion]:
         asked = job.asked

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from importlib.resources import files
 from pathlib import Path
@@ -29,8 +29,7 @@ from stmc.constraints import Constraint, Keyframe, constraint_of
 from stmc.constraints.reading import KINDS
 from stmc.editing import Change
 from stmc.model import Model
-from stmc.run import bundled
-from stmc.run.directories import VOCABULARY
+from stmc.run.suggestions import suggester, with_suggestions
 from stmc.settings import SettingError
 from stmc.studio.guard import Guard, TooLarge
 from stmc.studio.jobs import PREVIEW, Asked, Jobs
@@ -44,12 +43,11 @@ from stmc.studio.timelines import (
     in_order,
     read_timelines,
     timeline_of,
-    with_suggestions,
     write_timeline,
 )
 from stmc.text import Cached
 from stmc.timeline import Timeline, TimelineError
-from stmc.vocabulary import Suggestion, read_vocabulary, sentence_encoder, suggest
+from stmc.vocabulary import sentence_encoder
 
 MOST_SEEDS = 8
 """Samples of one job."""
@@ -131,12 +129,7 @@ class Answers:
     def __init__(self, model: Model, motions: Motions, documents: Documents, steps: int) -> None:
         self.model, self.motions, self.documents, self.steps = model, motions, documents, steps
         self.jobs = Jobs(model.generate, motions)
-        self.vocabulary = read_vocabulary(bundled() / VOCABULARY)
-        self.encoder = sentence_encoder(model.text_encoder)
-
-    def suggest(self, texts: Sequence[str]) -> list[Suggestion]:
-        """Body parts for texts."""
-        return suggest(texts, self.vocabulary, self.encoder)
+        self.suggest = suggester(sentence_encoder(model.text_encoder))
 
     async def page(self, request: Request) -> Response:
         """The page itself."""
@@ -168,9 +161,7 @@ class Answers:
         """Somebody's motion, of the kind that the file's name says; without a name an `.npz`."""
         kind = Path(unquote(request.headers.get("x-filename", "motion.npz"))).suffix.lower()
         name = await run_in_threadpool(self.motions.received, await request.body(), kind)
-        motion = self.motions.get(name)
-        told = {"id": name, "duration": motion.duration, "fps": motion.fps, "frames": motion.frames}
-        return JSONResponse({"motion": told}, 201)
+        return JSONResponse({"motion": self.motions.told(name)}, 201)
 
     async def export(self, request: Request) -> Response:
         """A motion as a file."""

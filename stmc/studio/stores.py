@@ -100,6 +100,11 @@ class Motions:
         self._hold(name, motion)
         return motion
 
+    def told(self, name: str) -> dict[str, Any]:
+        """What the page knows of a motion: its name, seconds, frames, and frames a second."""
+        motion = self.get(name)
+        return {"id": name, "duration": motion.duration, "fps": motion.fps, "frames": motion.frames}
+
     def received(self, content: bytes, kind: str) -> str:
         """Keeps the motion of somebody's file with the suffix `kind`. Raises `Refused` where it is none."""
         if kind not in RECEIVED:

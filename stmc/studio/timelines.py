@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from stmc.body import BodyPart
 from stmc.model import Model
+from stmc.run.suggestions import Suggest, with_suggestions
 from stmc.studio.refusals import Refused, take
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
 from stmc.untrusted import shown
@@ -88,23 +88,6 @@ def write_timeline(timeline: Timeline, kind: str) -> bytes:
         return path.read_bytes()
 
 
-Suggest = Callable[[Sequence[str]], Sequence[Suggestion]]
-"""Texts → what body parts each seems to be about."""
-
-
-def with_suggestions(timeline: Timeline, suggest: Suggest) -> tuple[Timeline, list[Suggestion | None]]:
-    """The timeline with suggested body parts where a prompt lists none, and for each prompt what was suggested. What
-    concerns the whole body goes on listing none, and so yields to prompts that list some."""
-    texts = list(dict.fromkeys(prompt.text for prompt in timeline.prompts if not prompt.parts))
-    found = dict(zip(texts, suggest(texts), strict=True)) if texts else {}
-    suggested = [None if prompt.parts else found[prompt.text] for prompt in timeline.prompts]
-    prompts = tuple(
-        prompt if each is None or each.parts == frozenset(BodyPart) else replace(prompt, parts=each.parts)
-        for prompt, each in zip(timeline.prompts, suggested, strict=True)
-    )
-    return replace(timeline, prompts=prompts), suggested
-
-
 def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any]:
     """What the page shows of a timeline before it is sampled. Raises `Refused` for what cannot be planned.
 
@@ -113,6 +96,7 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", TimelineWarning)
+        own = [prompt.parts for prompt in timeline.prompts]
         timeline, suggested = with_suggestions(timeline, suggest)
         try:
             model.plans([timeline])
@@ -120,8 +104,8 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any
             raise Refused(422, str(error), prompt=None) from None
     unknown = {each.text: each for each in model.unknown([timeline])}
     prompts = [
-        _described(prompt, row, suggestion, unknown.get(prompt.text))
-        for prompt, row, suggestion in zip(timeline.prompts, timeline.rows, suggested, strict=True)
+        _described(prompt, row, None if listed else suggested[prompt.text], unknown.get(prompt.text))
+        for prompt, row, listed in zip(timeline.prompts, timeline.rows, own, strict=True)
     ]
     return {
         "prompts": prompts,
