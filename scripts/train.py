@@ -41,7 +41,7 @@ class Settings(Trained):
     objective: Mapping = setting(
         {"prediction": "x0", "weights": {}},
         "prediction: what the denoiser says (x0, eps, v or score); weights: of fields that count more or less than 1; "
-        "timestep_alpha: more than 1 trains noisy steps more often",
+        "timestep_alpha: more than 1 trains noisy steps more often; energy_floor: small motions count as much as large",
     )
     noise_scale: str = setting(
         "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)

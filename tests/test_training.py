@@ -1,11 +1,13 @@
 """The objective against closed forms, and the loop: it learns, it averages, and a kill changes nothing."""
 
 import csv
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -29,6 +31,7 @@ from stmc.training import (
     SettingsChanged,
     Trainer,
     draw_noise,
+    energy_weights,
     find_accelerator,
     loop,
     squared_errors,
@@ -98,6 +101,28 @@ def test_errors_are_summed_over_real_frames_only():
         Constant(4), Schedule.cosine(10), batch_of(motion, mask), torch.tensor([0, 5, 9]), torch.randn(3, 6, 4)
     )
     torch.testing.assert_close(errors, (motion.square() * mask[..., None]).sum(dim=(0, 1)))
+
+
+def test_small_motions_count_as_much_as_large_ones():
+    motion = torch.tensor([1.0, 100.0])[:, None, None] * torch.randn(2, 50, 4)
+    motion[1, 20:] = math.nan  # padding
+    batch = batch_of(motion, torch.arange(50) < torch.tensor([50, 20])[:, None])
+    weight = energy_weights(replace(batch, motion=motion.nan_to_num(7.0)), floor=1e-6)
+    energy = torch.stack([motion[0].var(dim=0, correction=0).mean(), motion[1, :20].var(dim=0, correction=0).mean()])
+    torch.testing.assert_close(weight[0] * energy[0], weight[1] * energy[1])
+    torch.testing.assert_close((weight * torch.tensor([50.0, 20.0])).sum(), torch.tensor(70.0))  # 1 a frame on average
+    still = energy_weights(batch_of(torch.ones(2, 5, 4)), floor=0.3)
+    assert still.tolist() == [1.0, 1.0]
+    with pytest.raises(ValueError, match="energy_floor 0 must be above 0, or None"):
+        Denoising(Schedule.cosine(4), energy_floor=0)
+
+
+def test_rows_count_by_their_weight_in_the_sums():
+    motion, weight = torch.randn(2, 6, 4), torch.tensor([2.0, 0.5])
+    errors = squared_errors(
+        Constant(4), Schedule.cosine(10), batch_of(motion), torch.tensor([0, 5]), torch.randn(2, 6, 4), weight=weight
+    )
+    torch.testing.assert_close(errors, (2 * motion[0].square() + 0.5 * motion[1].square()).sum(dim=0))
 
 
 @pytest.mark.parametrize("prediction", ["x0", "eps", "v"])

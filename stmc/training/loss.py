@@ -84,8 +84,11 @@ class Denoising:
     weights: Mapping[str, float | int] = field(default_factory=dict)
     auxiliary_loss: AuxiliaryLoss | None = None
     timestep_alpha: float | int = 1.0
+    energy_floor: float | int | None = None
 
     def __post_init__(self) -> None:
+        if self.energy_floor is not None and self.energy_floor <= 0:
+            raise ValueError(f"energy_floor {self.energy_floor} must be above 0, or None")
         if self.timestep_alpha <= 0:
             raise ValueError(f"timestep_alpha {self.timestep_alpha} must be above 0: 1 is uniform, 2 noisier")
         if self.auxiliary_loss is not None and self.prediction != "x0":
@@ -101,7 +104,8 @@ class Denoising:
     def __call__(self, network: Denoiser, piece: Batch, generator: torch.Generator) -> Float[Tensor, " terms"]:
         """Squared errors per column, at steps and with noise that `generator` draws."""
         t, noise = draw_noise(piece, self.schedule.steps, generator, self.timestep_alpha)
-        return squared_errors(network, self.schedule, piece, t, noise, self.prediction, self.auxiliary_loss)
+        weight = None if self.energy_floor is None else energy_weights(piece, self.energy_floor)
+        return squared_errors(network, self.schedule, piece, t, noise, self.prediction, self.auxiliary_loss, weight)
 
     def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
         """The weighted mean over columns."""
@@ -125,24 +129,39 @@ def squared_errors(
     noise: Float[Tensor, "batch frames features"],
     prediction: Prediction = "x0",
     auxiliary_loss: AuxiliaryLoss | None = None,
+    weight: Float[Tensor, " batch"] | None = None,
 ) -> Float[Tensor, " _"]:
     """Squared error of the prediction from x_t, per feature, summed over real frames: Eq. 5 before its mean.
 
-    The errors of what `auxiliary_loss` makes of the features follow those of the features; it needs a prediction of x0.
+    `weight`: how much each row counts; None: as one. The errors of what `auxiliary_loss` makes of the features follow those of the features; it needs a prediction of x0.
     """
     noisy = schedule.q_sample(batch.motion, t, noise)
     target = schedule.from_x0(batch.motion, noisy, t, prediction)
     output = batch.denoised(denoiser, noisy, t)
-    sums = [_summed(output.float(), target, batch.mask)]
+    sums = [_summed(output.float(), target, batch.mask, weight)]
     if auxiliary_loss is not None:
         both = None if batch.mask is None else batch.mask[:, 1:] & batch.mask[:, :-1]
         with torch.autocast(output.device.type, enabled=False):
-            sums.append(_summed(auxiliary_loss(output.float()), auxiliary_loss(target), both))
+            sums.append(_summed(auxiliary_loss(output.float()), auxiliary_loss(target), both, weight))
     return torch.cat(sums)
 
 
-def _summed(output: Tensor, target: Tensor, mask: Tensor | None) -> Tensor:
+def energy_weights(batch: Batch, floor: float | int) -> Float[Tensor, " batch"]:
+    """How much each row counts where all motions are to be learned alike: 1 / (energy + `floor`), scaled so that a real
+    frame counts as one on average. The energy is the variance over real frames, the mean over features."""
+    motion, mask = batch.motion.float(), batch.mask
+    real = torch.ones_like(motion[..., 0]) if mask is None else mask.float()
+    frames = real.sum(dim=1)
+    mean = (motion * real[..., None]).sum(dim=1) / frames[:, None]
+    away = (motion - mean[:, None]).square() * real[..., None]
+    weight = 1 / (away.mean(dim=2).sum(dim=1) / frames + floor)
+    return weight * (frames.sum() / (weight * frames).sum())
+
+
+def _summed(output: Tensor, target: Tensor, mask: Tensor | None, weight: Tensor | None = None) -> Tensor:
     errors = (output - target).square()
+    if weight is not None:
+        errors = errors * weight[:, None, None]
     if mask is not None:
         errors = torch.where(mask[..., None], errors, 0.0)
     return errors.sum(dim=(0, 1))
