@@ -133,7 +133,8 @@ def squared_errors(
 ) -> Float[Tensor, " _"]:
     """Squared error of the prediction from x_t, per feature, summed over real frames: Eq. 5 before its mean.
 
-    `weight`: how much each row counts; None: as one. The errors of what `auxiliary_loss` makes of the features follow those of the features; it needs a prediction of x0.
+    `weight`: how much each row counts; None: as one. The errors of what `auxiliary_loss` makes of the features follow
+    those of the features; it needs a prediction of x0.
     """
     noisy = schedule.q_sample(batch.motion, t, noise)
     target = schedule.from_x0(batch.motion, noisy, t, prediction)
