@@ -18,7 +18,7 @@ from torch import Tensor
 from stmc.body import BodyPart
 from stmc.body_model import Skeleton
 from stmc.composing import Known, Run
-from stmc.constraints import Constraint, Guidance, Keyframe, Path, Pose, Target, project
+from stmc.constraints import Constraint, Guidance, Heading, Keyframe, Path, Pose, Target, project
 from stmc.editing import Change, Kept, changed_prompt, on_body
 from stmc.feet import clean_feet
 from stmc.motion import Motion
@@ -156,9 +156,10 @@ class Conditions:
         """x, y, z and heading by which each motion's features are moved to where it begins."""
         if self.kept:
             return [self._place(kept.motion) for kept in self.kept]
-        paths = (each for each in self.constraints if isinstance(each, Path) and each.start == 0)
-        x, y, angle = next((path.begins() for path in paths), (0.0, 0.0, 0.0))
-        return [(x, y, 0.0, angle)] * len(self.frames)
+        first = [each for each in self.constraints if isinstance(each, Path | Heading) and each.start == 0]
+        x, y, angle = next((each.begins() for each in first if isinstance(each, Path)), (0.0, 0.0, 0.0))
+        angle = next((each.angle for each in first if isinstance(each, Heading)), angle)
+        return [(x, y, 0.0, float(angle))] * len(self.frames)
 
     def _place(self, motion: Motion) -> tuple[float, float, float, float]:
         angle = float(motion.heading[0])

@@ -173,6 +173,16 @@ def test_a_motion_begins_where_its_path_does_and_looks_along_it(model):
     assert float(motion.heading[0]) == pytest.approx(math.pi / 2, abs=0.3)
 
 
+def test_a_motion_begins_as_a_heading_demands_that_starts_with_it(model):
+    demanded = Heading(2.5)
+    [motion] = model.generate(WALK, steps=4, constraints=[demanded])
+    assert float(motion.heading[0]) == pytest.approx(2.5, abs=0.3)
+    assert worst(demanded, motion) < 0.3
+    [aside] = model.generate(WALK, steps=4, constraints=[Path([(2, 1), (3, 1)], facing=None), demanded])
+    assert (aside.translation[0, :2] - torch.tensor([2.0, 1.0])).norm() < 0.03
+    assert float(aside.heading[0]) == pytest.approx(2.5, abs=0.3)
+
+
 def test_constraints_leave_alone_what_is_kept(model):
     [before] = model.generate(WALK, seed=1, steps=4)
     target = Target("right_hand", (-0.35, -0.35, 1.25), 2.0)
