@@ -81,6 +81,19 @@ def test_contents_are_drawn_by_the_power_of_their_number_of_clips(dataset, balan
     assert share == pytest.approx(walks**balance / (walks**balance + raises**balance), abs=0.03)
 
 
+def test_a_content_is_drawn_so_many_times_as_often_as_its_emphasis_says(dataset):
+    _, clips = draw(dataset, balance=0.0, emphasis={"walk": 3.0}, uncond_crop_prob=0.0)
+    share = sum(clip.content == "walk" for clip in clips) / len(clips)
+    assert share == pytest.approx(3 / 4, abs=0.03)
+    for emphasis, error in (
+        ({"wlak": 2.0}, r"emphasis of \['wlak'\]: the data have kick, raise, walk"),
+        ({"walk": -1.0}, "at least 0 times"),
+        ({"walk": 0.0, "raise": 0.0}, "no content is left"),
+    ):
+        with pytest.raises(ValueError, match=error):
+            draw(dataset, emphasis=emphasis)
+
+
 def test_a_content_of_too_few_clips_is_seen_only_without_text(dataset):
     _, clips = draw(dataset, uncond_crop_prob=0.0)
     assert "kick" not in {clip.content for clip in clips}

@@ -5,8 +5,8 @@ Knows a dataset; knows no features and no network.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal, get_args
 
@@ -36,8 +36,9 @@ class Sampling:
     """What a batch is made of; seconds, of the clips' own time.
 
     `rows` a batch on average, each content as often as its number of clips to the power of `balance` says (1: as in
-    the data; 0: all alike). A clip whose content is cyclic is cut to any crop of at least `shortest`, the others
-    lose at most `trim` of their length at either end; nothing is longer than `longest`. A share `uncond_crop_prob` of
+    the data; 0: all alike), and those of `emphasis` so many times as often. A clip whose content is cyclic is cut to
+    any crop of at least `shortest`, the others lose at most `trim` of their length at either end; nothing is longer
+    than `longest`. A share `uncond_crop_prob` of
     the rows is cut anywhere out of any clip, `crop_shortest` to `crop_longest`, and has no text: transitions. A share
     `text_dropout` of the others loses its text. Of the rows whose content claims no legs, a share `compose_prob` is put
     on the body of another row, as in a collage: an arm is raised while walking. With `receivers` "walking" its content
@@ -60,6 +61,7 @@ class Sampling:
 
     rows: int = 64
     balance: float = 0.4
+    emphasis: Mapping[str, float | int] = field(default_factory=dict)
     shortest: float = 1.5
     longest: float = 10.0
     trim: float = 0.12
@@ -89,6 +91,8 @@ class Sampling:
         }
         if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in shares.values())):
             raise ValueError(f"trim {self.trim} must be in [0, 0.5), {shares} in [0, 1]")
+        if wrong := {name: times for name, times in self.emphasis.items() if times < 0}:
+            raise ValueError(f"emphasis {wrong}: a content is drawn at least 0 times as often")
         if len(self.texts_per_row) != 2 or not 1 <= self.texts_per_row[0] <= self.texts_per_row[1]:
             raise ValueError(f"texts_per_row {self.texts_per_row} must be two numbers, from 1 on, that do not fall")
         for name, choices in (("receivers", Receivers), ("order", Order), ("trimmed", Trimmed)):
@@ -142,8 +146,14 @@ class ClipBatches:
     def _balance(self) -> np.ndarray:
         """The probability of each clip among those with texts."""
         contents = np.array([self.dataset.clips[index].content for index in self._described])
-        _, inverse, counts = np.unique(contents, return_inverse=True, return_counts=True)
-        weight = counts[inverse] ** (self.sampling.balance - 1.0)
+        names, inverse, counts = np.unique(contents, return_inverse=True, return_counts=True)
+        known = {clip.content for clip in self.dataset.clips}
+        if unknown := set(self.sampling.emphasis) - known:
+            raise ValueError(f"emphasis of {sorted(unknown)}: the data have {', '.join(sorted(known))}")
+        emphasis = np.array([self.sampling.emphasis.get(name, 1.0) for name in names.tolist()])
+        weight = emphasis[inverse] * counts[inverse] ** (self.sampling.balance - 1.0)
+        if not weight.any():
+            raise ValueError("emphasis: no content is left to be drawn")
         return weight / weight.sum()
 
     def __call__(self, step: int, process: int = 0) -> list[Batch]:
