@@ -50,8 +50,6 @@ class Settings(OnDevice, Threaded):
 @command("attention", Settings, ("model", "output"))
 def main(config: DictConfig) -> None:
     console, folder = Console(), Path(config.output).expanduser()
-    if config.threads:
-        torch.set_num_threads(config.threads)
     model = stmc.load(config.model, device=config.device)
     scores, frame = recorded(model, config, console)
     distance = (scores * np.abs(np.arange(scores.shape[1]) - frame)).sum(axis=1)

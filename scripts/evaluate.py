@@ -67,8 +67,6 @@ PATIENCE = math.inf
 def main(config: DictConfig) -> None:
     """Runs whatever is not in the output yet, then writes the tables and the figure of all that was asked for."""
     console, folder, shard = Console(), Path(config.output).expanduser(), Shard.asked(config.shard)
-    if config.threads:
-        torch.set_num_threads(config.threads)
     models = {
         name: stmc.load(place, device=config.device, precision=config.precision, trusted=config.trusted)
         for name, place in config.models.items()

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from threading import Timer
 from typing import get_args
 
-import torch
 import uvicorn
 from omegaconf import DictConfig
 from rich.console import Console
@@ -45,8 +44,6 @@ class Settings(OnDevice, Threaded):
 @command("studio", Settings)
 def main(config: DictConfig) -> None:
     console = Console(soft_wrap=True, highlight=False)
-    if config.threads:
-        torch.set_num_threads(config.threads)
     listening = listen(config.port)
     port, token = listening.getsockname()[1], secrets.token_urlsafe(18)
     with console.status("loading the model"):

@@ -56,7 +56,7 @@ class Settings(Trained):
 
 @command("train", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    with begin(config.run, config.device, config.threads) as accelerator:
+    with begin(config.run, config.device) as accelerator:
         train(config, accelerator)
 
 

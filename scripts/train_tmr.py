@@ -43,7 +43,7 @@ class Settings(Trained):
 
 @command("train_tmr", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    with begin(config.run, config.device, config.threads) as accelerator:
+    with begin(config.run, config.device) as accelerator:
         train(config, accelerator)
 
 

@@ -57,6 +57,10 @@ class Command:
         """Checks a configuration, and runs the command with it."""
         self.check(config)
         _log(self.function.__module__)
+        if config.get("threads"):
+            import torch  # not above: help and refused settings do without
+
+            torch.set_num_threads(config.threads)
         self.function(config)
 
     def composed(self, asked: Asked) -> Config:

@@ -27,11 +27,9 @@ def find_accelerator(device: str) -> Accelerator:
 
 
 @contextmanager
-def begin(run: str | Path, device: str, threads: int | None) -> Iterator[Accelerator]:
-    """The accelerator (see `find_accelerator`), with the folder `run` locked by the main process; `threads` of the CPU,
-    None: PyTorch's own choice. Raises `FolderInUse`."""
-    if threads:
-        torch.set_num_threads(threads)
+def begin(run: str | Path, device: str) -> Iterator[Accelerator]:
+    """The accelerator (see `find_accelerator`), with the folder `run` locked by the main process. Raises
+    `FolderInUse`."""
     accelerator = find_accelerator(device)
     with locked(Path(run).expanduser()) if accelerator.is_main_process else nullcontext():
         yield accelerator

@@ -16,6 +16,9 @@ from stmc.vocabulary.vocabulary import Recognition, Vocabulary
 
 logger = logging.getLogger(__name__)
 
+_REMEMBERED = 10_000
+"""Texts whose recognition is kept, the newest: a studio is asked at every key that is pressed."""
+
 
 class Recogniser:
     """Recognitions of a `vocabulary` (None: a model does not say what it was trained with), by MiniLM: the model's
@@ -39,4 +42,6 @@ class Recogniser:
             except WeightsNotFound as error:
                 logger.info("prompts are not compared with what the model knows: %s", error)
                 return []
-        return [self._known[text] for text in distinct]
+        recognitions = [self._known[text] for text in distinct]
+        self._known = dict(list(self._known.items())[-_REMEMBERED:])
+        return recognitions
