@@ -16,6 +16,7 @@ import stmc
 from stmc.commands import command
 from stmc.commands.shared import Trained
 from stmc.commands.training_data import read_training_data
+from stmc.composing.guided import NULL
 from stmc.data.batches import ClipBatches
 from stmc.data.cache import Cache
 from stmc.data.dataset import Dataset
@@ -25,9 +26,9 @@ from stmc.files import write_whole
 from stmc.model import Model
 from stmc.run import PARTS, build, check
 from stmc.sampling import Sampling
-from stmc.settings import record_of, setting
+from stmc.settings import SettingError, record_of, setting
 from stmc.text import Cached
-from stmc.training import Callback, Denoising, Trainer, begin
+from stmc.training import Callback, Denoising, GuidedTeacher, Trainer, begin
 from stmc.vocabulary import sentence_encoder
 
 DRAWN = (
@@ -41,13 +42,14 @@ class Settings(Trained):
     objective: Mapping = setting(
         {"prediction": "x0", "weights": {}},
         "prediction: what the denoiser says (x0, eps, v or score); weights: of fields that count more or less than 1; "
-        "timestep_alpha: more than 1 trains noisy steps more often; energy_floor: small motions count as much as large",
+        "timestep_alpha: more than 1 trains noisy steps more often; energy_floor: small motions count as much as "
+        "large; distilled_guidance: weight of the texts with which the model in init_from predicts what is learned",
     )
     noise_scale: str = setting(
         "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
     )
     guidance: float | int | None = setting(
-        None, "weight of the texts when the model is sampled, unless told otherwise; null: 2.5"
+        None, "weight of the texts when the model is sampled, unless told otherwise; null: 2.5, of a distilled model 1"
     )
     init_from: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
     draw_every: int = setting(2000, "steps between pictures", at_least=1)
@@ -65,17 +67,18 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     settings = instantiate(config.training)
     sampling = instantiate(config.data.sampling)
     started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
-    cache, dataset = read_training_data(config, started.text_statistics if started else None, accelerator.device)
+    distilled = to_distil(config, started)
+    cache, dataset = read_training_data(
+        config,
+        started.text_statistics if started else None,
+        accelerator.device,
+        distilled.motion_statistics if distilled else None,
+    )
     held_out = ClipBatches(dataset, "val", sampling, settings.seed)
     torch.manual_seed(settings.seed)
     with open_dict(config):
         config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
-    auxiliary = config.data.auxiliary_loss
-    auxiliary_loss = instantiate(auxiliary, _partial_=True)(dataset) if auxiliary else None
-    fields = dict(dataset.layout.slices)
-    if auxiliary_loss:
-        fields[auxiliary_loss.name] = slice(dataset.features_width, None)
-    model = record(config, dataset, cache)
+    model = record(config, dataset, cache, own_sampling(config, distilled))
     denoiser = model.denoiser
     if started:
         denoiser.load_state_dict(started.denoiser.state_dict())
@@ -89,7 +92,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         denoiser,
-        Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, **config.objective),
+        objective(config, dataset, model, distilled),
         ClipBatches(dataset, "train", sampling, settings.seed),
         Path(config.run).expanduser(),
         settings,
@@ -108,12 +111,61 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     trainer.run()
 
 
-def own_sampling(config: DictConfig) -> Sampling:
-    """How the model is sampled unless told otherwise."""
-    return record_of(Sampling, {"noise_scale": config.noise_scale, "guidance": config.guidance})
+def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
+    """The model that training begins with, where its guided predictions are what is learned; None where the data are.
+
+    Raises `ValueError` where there is none, and for one that does not predict what this training's networks do: of
+    other motions or texts, at other noise, or with a text for every frame.
+    """
+    guidance = config.objective.get("distilled_guidance")
+    if guidance is None:
+        return None
+    if teacher is None:
+        raise SettingError(f"objective.distilled_guidance={guidance} needs init_from=RUN: the model to be distilled")
+    described = OmegaConf.to_container(config, resolve=True)
+    asked = {part: described[part] for part in ("schedule", "text_encoder", "representation")}
+    asked |= {"objective.prediction": config.objective.prediction}
+    has = {**teacher.config, "objective.prediction": teacher.prediction}
+    differing = [f"{part} is {has[part]} there and {value} here" for part, value in asked.items() if has[part] != value]
+    if differing:
+        raise ValueError(f"{config.init_from} cannot be distilled by this training: {'; '.join(differing)}")
+    if teacher.network.per_frame_text:
+        raise ValueError(
+            f"{config.init_from} cannot be distilled: {type(teacher.denoiser).__name__} has a text for every frame; "
+            "choose a denoiser of one text a row, such as MdmSmpl"
+        )
+    return teacher
 
 
-def record(config: DictConfig, dataset: Dataset, cache: Cache) -> Model:
+def objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Model | None) -> Denoising:
+    """What `model` learns: the data or, where there is a model to be distilled, its guided predictions."""
+    auxiliary, settings = config.data.auxiliary_loss, dict(config.objective)
+    guidance = settings.pop("distilled_guidance", None)
+    auxiliary_loss = instantiate(auxiliary, _partial_=True)(dataset) if auxiliary else None
+    fields = dict(dataset.layout.slices)
+    if auxiliary_loss:
+        fields[auxiliary_loss.name] = slice(dataset.features_width, None)
+    teacher = None
+    if distilled:
+        if distilled.fps != dataset.fps:
+            raise ValueError(f"{config.init_from} has {distilled.fps:g} frames a second, the data {dataset.fps:g}")
+        device = dataset.motion.mean.device
+        denoiser = distilled.to(device).denoiser
+        if config.training.compile:
+            denoiser.compile(dynamic=True)
+        [null] = model.embed([NULL]).values()
+        teacher = GuidedTeacher(denoiser, guidance, null.to(device))
+    return Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, teacher=teacher, **settings)
+
+
+def own_sampling(config: DictConfig, distilled: Model | None = None) -> Sampling:
+    """How the model is sampled unless told otherwise: a distilled one as its teacher, but without guidance."""
+    guidance = 1 if distilled and config.guidance is None else config.guidance
+    own = record_of(Sampling, {"noise_scale": config.noise_scale, "guidance": guidance})
+    return own.over(distilled.sampling) if distilled else own
+
+
+def record(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sampling) -> Model:
     """The model as it would be loaded from the run's folder, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, trusted=config.trusted)
@@ -129,7 +181,7 @@ def record(config: DictConfig, dataset: Dataset, cache: Cache) -> Model:
         fps=dataset.fps,
         longest=int(instantiate(config.data.sampling).longest * dataset.fps),
         prediction=config.objective.prediction,
-        sampling=own_sampling(config),
+        sampling=sampling,
         vocabulary=vocabulary_of(cache, dataset.min_clips, sentence_encoder(encoder)),
         config={part: described[part] for part in PARTS},
     )
@@ -140,7 +192,13 @@ def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) 
     while it was trained."""
     folder = Path(config.run).expanduser()
     settings = OmegaConf.to_yaml(config, resolve=True)
-    card = f"# Trained with scripts/train.py, step {step}\n\n```yaml\n{settings}```\n"
+    card = f"# Trained with scripts/train.py, step {step}\n\n"
+    if guidance := config.objective.get("distilled_guidance"):
+        card += (
+            f"Distilled from {config.init_from}: one pass predicts what two of that model do with guidance {guidance}. "
+            f"Its own guidance is {model.own_sampling.guidance:g}.\n\n"
+        )
+    card += f"```yaml\n{settings}```\n"
     changed = "".join(f"\nSettings changed {change}\n" for change in changes)
     stmc.save(model, folder, card + changed, trusted=config.trusted)
 

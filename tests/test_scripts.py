@@ -5,6 +5,7 @@ import io
 import json
 import re
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ import stmc
 from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, fingerprint
+from stmc.settings import SettingError
 
 TIMELINES = """\
 walk forwards # 0 # 2 # legs
@@ -165,6 +167,59 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
     assert list((run / "pictures").glob("*.png"))
     assert list((run / "tensorboard").iterdir())
     assert str(work) not in (run / CONFIG).read_text(), "a run can be moved"
+
+
+@pytest.fixture(scope="module")
+def distilling(work, trained) -> tuple[str, ...]:
+    return (*training(work), f"run={work / 'distilled'}", f"init_from={trained}", "+objective.distilled_guidance=2.5")
+
+
+def test_a_distilled_model_loads_says_of_what_it_is_one_and_needs_no_guidance(work, trained, distilling):
+    in_this_process("train", "train", *distilling)
+    teacher, student = stmc.load(trained), stmc.load(work / "distilled")
+    assert (teacher.own_sampling.guidance, student.own_sampling.guidance) == (2.5, 1)
+    torch.testing.assert_close(student.motion_statistics.std, teacher.motion_statistics.std, atol=0, rtol=0)
+    card = (work / "distilled" / CARD).read_text()
+    assert f"Distilled from {trained}" in card and "with guidance 2.5" in card
+    plans = student.plans([stmc.Timeline.parse("walk # 0 # 1\nnod # 1 # 2")])
+    assert "guidance 1," in repr(student.guided(plans))
+    [motion] = student.generate("walk # 0 # 1", seed=0, steps=2)
+    assert len(motion) == 20
+
+
+def test_a_distilled_model_is_otherwise_sampled_as_its_teacher(work, trained, distilling):
+    train = loaded("train")
+    teacher = replace(stmc.load(trained), sampling=stmc.Sampling(guidance=4, stitch_from=0.2))
+    own = train.own_sampling(configured("train", *distilling), teacher)
+    assert dict(own.given) == {"noise_scale": "std", "guidance": 1, "stitch_from": 0.2}
+    asked = train.own_sampling(configured("train", *distilling, "guidance=1.5"), teacher)
+    assert asked.guidance == 1.5
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (["schedule.steps=50"], "schedule is .*'steps': 100.* there and .*'steps': 50.* here"),
+        (["objective.prediction=eps"], "objective.prediction is x0 there and eps here"),
+        (["text_encoder=clip"], "text_encoder is .*MiniLM.* there and .*Clip"),
+        (["representation=humanml3d"], "representation is .*SmplRepresentation.* there and .*HumanML3D"),
+    ],
+)
+def test_a_model_of_other_predictions_is_not_distilled(distilling, settings, message):
+    with pytest.raises(ValueError, match=message):
+        in_this_process("train", "train", *distilling, *settings)
+
+
+def test_a_model_with_a_text_for_every_frame_is_not_distilled(trained, distilling):
+    model = stmc.load(trained)
+    model.denoiser.per_frame_text = True
+    with pytest.raises(ValueError, match="choose a denoiser of one text a row"):
+        loaded("train").to_distil(configured("train", *distilling), model)
+
+
+def test_distilling_needs_a_model_to_distil(work):
+    with pytest.raises(SettingError, match=r"distilled_guidance=2\.5 needs init_from=RUN"):
+        in_this_process("train", "train", *training(work), "+objective.distilled_guidance=2.5")
 
 
 def test_sampling_writes_each_timeline_s_motion_as_npz_bvh_and_page(sampled):

@@ -6,6 +6,7 @@ Knows settings; knows no network and no loss.
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import torch
 from hydra.utils import instantiate
@@ -22,12 +23,16 @@ logger = logging.getLogger(__name__)
 
 
 def read_training_data(
-    config: Config, text_statistics: Statistics | None, device: torch.device
+    config: Config,
+    text_statistics: Statistics | None,
+    device: torch.device,
+    motion_statistics: Statistics | None = None,
 ) -> tuple[Cache, Dataset]:
     """The caches of `data.folder` as one, prolonged where `data.prolonging` says how, and the data set that it makes
     with the representation and the text encoder of `config`.
 
-    `text_statistics`: those of the network that training begins with; None: the data set's own.
+    `text_statistics`: those of the network that training begins with; None: the data set's own. `motion_statistics`:
+    likewise.
     """
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
@@ -36,6 +41,8 @@ def read_training_data(
     cache = read_caches(config.data.folder)
     if config.data.prolonging:
         cache = instantiate(config.data.prolonging)(cache, layout)
+    if motion_statistics:
+        cache = replace(cache, statistics=motion_statistics)
     dataset = instantiate(config.data.dataset, _partial_=True)(
         cache=cache,
         encoder=Cached(parts["text_encoder"], config.text_cache),

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from stmc.training.checkpoint import CheckpointError, Checkpoints
+from stmc.training.distilling import GuidedTeacher
 from stmc.training.ema import Ema
 from stmc.training.loss import Batch, Denoising, Objective, draw_noise, energy_weights, squared_errors
 from stmc.training.pairs import Pairs
@@ -21,6 +22,7 @@ __all__ = [
     "Checkpoints",
     "Denoising",
     "Ema",
+    "GuidedTeacher",
     "Objective",
     "Pairs",
     "SettingsChanged",

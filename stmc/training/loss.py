@@ -20,6 +20,9 @@ from stmc.diffusion.schedule import Prediction, Schedule
 AuxiliaryLoss = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor, "batch _ derived"]]
 """Clean normalised features → more numbers that should be right too, each of a frame and the next."""
 
+Teacher = Callable[["Batch", Float[Tensor, "batch frames features"], Int[Tensor, " batch"]], Tensor]
+"""A batch, its noisy motion and the steps → the prediction that is to be learned: see `GuidedTeacher`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Batch:
@@ -75,6 +78,7 @@ class Denoising:
     `weights`, which make fields count more or less than the 1 of the plain mean: in the gradient, not in the logs.
     `timestep_alpha`: the share of the noise's steps that a draw lies at follows Beta(alpha, 1); 1 is uniform, as in the
     papers, and of 2 half of the draws are from the noisiest 30 %, where it is decided which motion becomes of a noise.
+    `teacher`: whose prediction is to be learned instead of the one that is right; None: nobody's.
     Raises `ValueError` for weights of unknown fields, and where something is to be derived from anything but x0.
     """
 
@@ -85,6 +89,7 @@ class Denoising:
     auxiliary_loss: AuxiliaryLoss | None = None
     timestep_alpha: float | int = 1.0
     energy_floor: float | int | None = None
+    teacher: Teacher | None = None
 
     def __post_init__(self) -> None:
         if self.energy_floor is not None and self.energy_floor <= 0:
@@ -105,7 +110,9 @@ class Denoising:
         """Squared errors per column, at steps and with noise that `generator` draws."""
         t, noise = draw_noise(piece, self.schedule.steps, generator, self.timestep_alpha)
         weight = None if self.energy_floor is None else energy_weights(piece, self.energy_floor)
-        return squared_errors(network, self.schedule, piece, t, noise, self.prediction, self.auxiliary_loss, weight)
+        return squared_errors(
+            network, self.schedule, piece, t, noise, self.prediction, self.auxiliary_loss, weight, self.teacher
+        )
 
     def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
         """The weighted mean over columns."""
@@ -130,14 +137,16 @@ def squared_errors(
     prediction: Prediction = "x0",
     auxiliary_loss: AuxiliaryLoss | None = None,
     weight: Float[Tensor, " batch"] | None = None,
+    teacher: Teacher | None = None,
 ) -> Float[Tensor, " _"]:
     """Squared error of the prediction from x_t, per feature, summed over real frames: Eq. 5 before its mean.
 
     `weight`: how much each row counts; None: as one. The errors of what `auxiliary_loss` makes of the features follow
-    those of the features; it needs a prediction of x0.
+    `weight`: how much each row counts; None: as one. The errors of what `auxiliary_loss` makes of the features follow
+    those of the features; it needs a prediction of x0. With a `teacher` they are errors of its prediction.
     """
     noisy = schedule.q_sample(batch.motion, t, noise)
-    target = schedule.from_x0(batch.motion, noisy, t, prediction)
+    target = teacher(batch, noisy, t) if teacher else schedule.from_x0(batch.motion, noisy, t, prediction)
     output = batch.denoised(denoiser, noisy, t)
     sums = [_summed(output.float(), target, batch.mask, weight)]
     if auxiliary_loss is not None:
