@@ -217,6 +217,13 @@ def test_a_model_with_a_text_for_every_frame_is_not_distilled(trained, distillin
         loaded("train").to_distil(configured("train", *distilling), model)
 
 
+def test_a_model_of_another_frame_rate_is_not_distilled(trained, distilling, monkeypatch):
+    model = replace(stmc.load(trained), fps=30)
+    monkeypatch.setattr(stmc, "load", lambda *_, **__: model)
+    with pytest.raises(ValueError, match="has 30 frames a second, the data 20"):
+        in_this_process("train", "train", *distilling)
+
+
 def test_distilling_needs_a_model_to_distil(work):
     with pytest.raises(SettingError, match=r"distilled_guidance=2\.5 needs init_from=RUN"):
         in_this_process("train", "train", *training(work), "+objective.distilled_guidance=2.5")
