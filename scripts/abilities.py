@@ -29,7 +29,7 @@ from stmc.viewing import film_strip
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(OnDevice):
-    model: str | None = setting(None, "run directory; null: the bundled model")
+    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
     samples: int = setting(32, "motions of each ability", at_least=2)
     seed: int = setting(0, "of the first motion", at_least=0)
     guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)

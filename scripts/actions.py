@@ -44,7 +44,7 @@ AMONG = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(OnDevice):
-    model: str | None = setting(None, "run directory; null: the bundled model")
+    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
     cache: tuple[str, ...] = setting(("cache/bandai", "cache/cmu"), "prepared data, for the contents and real motion")
     evaluator: str | None = setting(None, "run directory of what is to find the contents; null: the bundled one")
     contents: tuple[str, ...] = setting((), "what to ask for; none: all of the data that geometry can tell")

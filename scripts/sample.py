@@ -58,7 +58,7 @@ class Settings(Sampling, OnDevice, Sharded):
         None, "a .json or .txt of one timeline or many, or a timeline itself; null: the bundled example"
     )
     output: str = setting("outputs", "folder of the motions")
-    model: str | None = setting(None, "run directory; null: the bundled model")
+    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
     method: str = setting(
         "stmc",
         f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",

@@ -32,6 +32,7 @@ ALL += sorted((ROOT / "stmc/assets").rglob("*.md"))
 SITE = runpy.run_path(str(DOCS / "notebooks.py"))
 BROUGHT = {
     "cards/mdm_smpl_wide.md": "stmc/assets/mdm_smpl_wide/README.md",
+    "cards/mdm_smpl_wide_fast.md": "stmc/assets/mdm_smpl_wide_fast/README.md",
     "cards/tmr_wide.md": "stmc/assets/tmr_wide/README.md",
     "cards/example.png": "stmc/assets/mdm_smpl_wide/example.png",
     "contributing.md": "CONTRIBUTING.md",
@@ -98,7 +99,7 @@ def test_the_navigation_has_every_page_once():
 def test_what_the_site_brings_from_elsewhere_is_known_here():
     tree = ast.parse(text(DOCS / "hooks.py"))
     strings = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    assert {"CONTRIBUTING.md", "CHANGELOG.md", "mdm_smpl_wide", "tmr_wide"} <= strings
+    assert {"CONTRIBUTING.md", "CHANGELOG.md", "mdm_smpl_wide", "mdm_smpl_wide_fast", "tmr_wide"} <= strings
 
 
 def test_every_public_name_is_in_the_reference():

@@ -16,7 +16,18 @@ from safetensors.torch import load_file, save_file
 import stmc
 from stmc.diffusion import ddim
 from stmc.model import Model
-from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, RunError, bundled
+from stmc.run import (
+    BUNDLED,
+    BUNDLED_EVALUATOR,
+    BUNDLED_FAST,
+    CARD,
+    CONFIG,
+    STATISTICS,
+    WEIGHTS,
+    RunError,
+    bundled,
+    fingerprint,
+)
 from stmc.sampling import DEFAULT, Sampling
 from stmc.text import MiniLM
 from stmc.timeline import Timeline
@@ -352,12 +363,23 @@ def test_pickled_weights_are_not_weights(run, tmp_path):
 
 
 @pytest.mark.skipif(not (bundled() / WEIGHTS).exists(), reason="this checkout has no bundled model")
-def test_the_bundled_model_loads_is_small_and_says_where_it_comes_from():
-    model = stmc.load()
-    assert (bundled() / WEIGHTS).stat().st_size < 16 * 2**20
+@pytest.mark.parametrize("name", [BUNDLED, BUNDLED_FAST])
+def test_the_bundled_models_load_are_small_and_say_where_they_come_from(name):
+    model = stmc.load(name)
+    assert (bundled(name) / WEIGHTS).stat().st_size < 16 * 2**20
     assert model.fps == 20
-    card = (bundled() / CARD).read_text("utf-8")
+    card = (bundled(name) / CARD).read_text("utf-8")
     for words in ("CC BY-NC 4.0", "Bandai Namco", "Kobayashi", "mocap.cs.cmu.edu"):
         assert words in card
-    config = json.dumps(OmegaConf.to_container(OmegaConf.load(bundled() / CONFIG)))
+    config = json.dumps(OmegaConf.to_container(OmegaConf.load(bundled(name) / CONFIG)))
     assert "/" not in config, "no paths of the machine that trained it"
+
+
+def test_what_comes_with_the_library_has_names_and_a_folder_of_that_name_comes_first(tmp_path, monkeypatch):
+    assert stmc.load(BUNDLED).config == stmc.load().config
+    assert stmc.load(BUNDLED_FAST).own_sampling.guidance == 1, "its guidance is in its weights"
+    assert fingerprint(BUNDLED_EVALUATOR) == fingerprint(bundled(BUNDLED_EVALUATOR))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / BUNDLED).mkdir()
+    with pytest.raises(RunError, match=BUNDLED):
+        stmc.load(BUNDLED)

@@ -4,6 +4,7 @@ from stmc.run.configs import RunError
 from stmc.run.directories import (
     BUNDLED,
     BUNDLED_EVALUATOR,
+    BUNDLED_FAST,
     CARD,
     CONFIG,
     STATISTICS,
@@ -23,6 +24,7 @@ from stmc.run.suggestions import suggest_parts, with_suggested_parts
 __all__ = [
     "BUNDLED",
     "BUNDLED_EVALUATOR",
+    "BUNDLED_FAST",
     "CARD",
     "CONFIG",
     "EVALUATOR_PARTS",

@@ -35,7 +35,7 @@ from stmc.statistics import Statistics
 from stmc.tensors import found_device
 from stmc.vocabulary import Vocabulary, VocabularyError, read_vocabulary, write_vocabulary
 
-BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_wide", "tmr_wide"
+BUNDLED, BUNDLED_FAST, BUNDLED_EVALUATOR = "mdm_smpl_wide", "mdm_smpl_wide_fast", "tmr_wide"
 CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
 VOCABULARY = "vocabulary.safetensors"
 """What a model was trained to hear; runs may have none."""
@@ -48,10 +48,18 @@ def bundled(name: str = BUNDLED) -> Path:
     return Path(str(files("stmc") / "assets" / name))
 
 
+def _place(folder: str | Path | None, default: str = BUNDLED) -> Path:
+    """The folder or, where there is none, what comes with the library under that name; for None, the `default`."""
+    if folder is None:
+        return bundled(default)
+    ours = str(folder) in (BUNDLED, BUNDLED_FAST, BUNDLED_EVALUATOR) and not Path(folder).exists()
+    return bundled(str(folder)) if ours else Path(folder).expanduser()
+
+
 def fingerprint(folder: str | Path | None = None) -> str:
     """Tells what run directories hold apart, wherever they lie: a digest of the files ("" where some are missing);
     without `folder`, of the bundled model."""
-    folder = bundled() if folder is None else Path(folder).expanduser()
+    folder = _place(folder)
     files = [folder / name for name in (CONFIG, WEIGHTS, STATISTICS)]
     if not all(path.is_file() for path in files):
         return ""
@@ -67,7 +75,8 @@ def load(
     precision: Precision = "fp32",
     trusted: Sequence[str] = (),
 ) -> Model:
-    """The model of a run directory, wherever it was moved to; without `folder`, the bundled one.
+    """The model of a run directory, wherever it was moved to, or of a name that comes with the library:
+    "mdm_smpl_wide", also without `folder`, and "mdm_smpl_wide_fast", the same distilled, in half the time.
 
     `device`: "auto" is the GPU if there is one. `precision` is the denoiser's at sampling (see `Model`). `trusted`
     names packages of your own, such as "mylab", whose classes the config may name beside this library's: their modules
@@ -85,7 +94,7 @@ def load(
     if precision not in get_args(Precision):
         raise ValueError(f"unknown precision {shown(precision)}; choose from {', '.join(get_args(Precision))}")
     place = found_device(device)
-    folder = bundled() if folder is None else Path(folder).expanduser()
+    folder = _place(folder)
     config = _config(folder, PARTS)
     settings = settings_of(ModelSettings, config, folder / CONFIG)
     sampling = settings_of(Sampling, config, folder / CONFIG)
@@ -114,7 +123,7 @@ def load_evaluator(
         torch.Size([2, 128])
     """
     place = found_device(device)
-    folder = bundled(BUNDLED_EVALUATOR) if folder is None else Path(folder).expanduser()
+    folder = _place(folder, BUNDLED_EVALUATOR)
     config = _config(folder, EVALUATOR_PARTS)
     settings = settings_of(EvaluatorSettings, config, folder / CONFIG)
     parts, statistics, _ = _restored(folder, config, EVALUATOR_PARTS, trusted)
