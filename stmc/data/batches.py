@@ -35,17 +35,17 @@ Trimmed = Literal["either_end", "in_all"]
 class Sampling:
     """What a batch is made of; seconds, of the clips' own time.
 
-    `rows` a batch on average, each content as often as its number of clips to the power of `balance` says (1: as in
-    the data; 0: all alike), and those of `emphasis` so many times as often. A clip whose content is cyclic is cut to
-    any crop of at least `shortest`, the others lose at most `trim` of their length at either end; nothing is longer
-    than `longest`. A share `uncond_crop_prob` of
-    the rows is cut anywhere out of any clip, `crop_shortest` to `crop_longest`, and has no text: transitions. A share
-    `text_dropout` of the others loses its text. Of the rows whose content claims no legs, a share `compose_prob` is put
-    on the body of another row, as in a collage: an arm is raised while walking. With `receivers` "walking" its content
-    is cyclic and claims legs alone; with "any" it claims other parts. Two of three last as long as the arm's clip and
-    keep its text; the third is the whole walk, under its own text, and somewhere in it the arm is raised. (Networks
-    that never saw an arm raised on walking legs lower it in a collage.) A share `compose_legs_prob` of the rows that do
-    claim legs are legs under others' bodies, likewise: a man walks while he drinks.
+    `rows` a batch on average, each content as often as its number of clips to the power of `balance` says (1: as in the
+    data; 0: all alike), and those of `emphasis` so many times as often. A clip whose content is cyclic is cut to any
+    crop of at least `shortest`, the others lose at most `trim` of their length at either end; nothing is longer than
+    `longest`. A share `uncond_crop_prob` of the rows is cut anywhere out of any clip, `crop_shortest` to
+    `crop_longest`, and has no text: transitions. A share `text_dropout` of the others loses its text. Of the rows whose
+    content claims no legs, a share `compose_prob` is put on the body of another row, as in a collage: an arm is raised
+    while walking. With `receivers` "walking" its content is cyclic and claims legs alone; with "any" it claims other
+    parts. Two of three last as long as the arm's clip and keep its text; the third is the whole walk, under its own
+    text, and somewhere in it the arm is raised. (Networks that never saw an arm raised on walking legs lower it in a
+    collage.) A share `compose_legs_prob` of the rows that do claim legs are legs under others' bodies, likewise: a man
+    walks while he drinks.
     With `trimmed` "in_all" the others lose at most `trim` at both ends together. With `order` "epochs" every content
     comes once an epoch, in shuffled batches (see `Epochs`), and a transition is cut out of the whole recording of the
     very clip that was drawn: for data sets whose every entry is a content of its own, as these are published.

@@ -48,7 +48,7 @@ def bundled(name: str = BUNDLED) -> Path:
     return Path(str(files("stmc") / "assets" / name))
 
 
-def _place(folder: str | Path | None, default: str = BUNDLED) -> Path:
+def _run_directory(folder: str | Path | None, default: str = BUNDLED) -> Path:
     """The folder or, where there is none, what comes with the library under that name; for None, the `default`."""
     if folder is None:
         return bundled(default)
@@ -59,7 +59,7 @@ def _place(folder: str | Path | None, default: str = BUNDLED) -> Path:
 def fingerprint(folder: str | Path | None = None) -> str:
     """Tells what run directories hold apart, wherever they lie: a digest of the files ("" where some are missing);
     without `folder`, of the bundled model."""
-    folder = _place(folder)
+    folder = _run_directory(folder)
     files = [folder / name for name in (CONFIG, WEIGHTS, STATISTICS)]
     if not all(path.is_file() for path in files):
         return ""
@@ -94,7 +94,7 @@ def load(
     if precision not in get_args(Precision):
         raise ValueError(f"unknown precision {shown(precision)}; choose from {', '.join(get_args(Precision))}")
     place = found_device(device)
-    folder = _place(folder)
+    folder = _run_directory(folder)
     config = _config(folder, PARTS)
     settings = settings_of(ModelSettings, config, folder / CONFIG)
     sampling = settings_of(Sampling, config, folder / CONFIG)
@@ -116,14 +116,14 @@ def load_evaluator(
     folder: str | Path | None = None, device: torch.device | str = "cpu", trusted: Sequence[str] = ()
 ) -> Evaluator:
     """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to; without `folder`, the
-    bundled one. `trusted` and errors are those of `load`.
+    bundled one, whose name is "tmr_wide". `trusted` and errors are those of `load`.
 
     Examples:
         >>> stmc.load_evaluator().texts(["walk", "jump"]).shape
         torch.Size([2, 128])
     """
     place = found_device(device)
-    folder = _place(folder, BUNDLED_EVALUATOR)
+    folder = _run_directory(folder, BUNDLED_EVALUATOR)
     config = _config(folder, EVALUATOR_PARTS)
     settings = settings_of(EvaluatorSettings, config, folder / CONFIG)
     parts, statistics, _ = _restored(folder, config, EVALUATOR_PARTS, trusted)

@@ -78,8 +78,11 @@ class Denoising:
     `weights`, which make fields count more or less than the 1 of the plain mean: in the gradient, not in the logs.
     `timestep_alpha`: the share of the noise's steps that a draw lies at follows Beta(alpha, 1); 1 is uniform, as in the
     papers, and of 2 half of the draws are from the noisiest 30 %, where it is decided which motion becomes of a noise.
+    `energy_floor`: rows count by 1 / (energy + floor), see `energy_weights`; so do they in the logs. Else a cartwheel,
+    of a hundred times an arm circle's energy, is learned a hundred times as eagerly. None: all alike, as in the papers.
     `teacher`: whose prediction is to be learned instead of the one that is right; None: nobody's.
-    Raises `ValueError` for weights of unknown fields, and where something is to be derived from anything but x0.
+    Raises `ValueError` for weights of unknown fields, numbers out of range, and where something is to be derived from
+    anything but x0.
     """
 
     schedule: Schedule
@@ -142,7 +145,6 @@ def squared_errors(
     """Squared error of the prediction from x_t, per feature, summed over real frames: Eq. 5 before its mean.
 
     `weight`: how much each row counts; None: as one. The errors of what `auxiliary_loss` makes of the features follow
-    `weight`: how much each row counts; None: as one. The errors of what `auxiliary_loss` makes of the features follow
     those of the features; it needs a prediction of x0. With a `teacher` they are errors of its prediction.
     """
     noisy = schedule.q_sample(batch.motion, t, noise)
@@ -158,7 +160,8 @@ def squared_errors(
 
 def energy_weights(batch: Batch, floor: float | int) -> Float[Tensor, " batch"]:
     """How much each row counts where all motions are to be learned alike: 1 / (energy + `floor`), scaled so that a real
-    frame counts as one on average. The energy is the variance over real frames, the mean over features."""
+    frame counts as one on average. The energy is the variance over real frames of the normalised features, the mean
+    over features; `floor`, in the same unit, bounds what stillness counts."""
     motion, mask = batch.motion.float(), batch.mask
     real = torch.ones_like(motion[..., 0]) if mask is None else mask.float()
     frames = real.sum(dim=1)

@@ -17,7 +17,7 @@ from stmc.vocabulary.vocabulary import Recognition, Vocabulary
 logger = logging.getLogger(__name__)
 
 _REMEMBERED = 10_000
-"""Texts whose recognition is kept, the newest: a studio is asked at every key that is pressed."""
+"""Texts after which what is known of earlier ones is forgotten: a studio is asked at every key that is pressed."""
 
 
 class Recogniser:
@@ -35,13 +35,13 @@ class Recogniser:
         """One for each text, in order, the same text once; none without a vocabulary, or where MiniLM cannot be had."""
         if self.vocabulary is None:
             return []
-        distinct = list(dict.fromkeys(texts))
-        if new := [text for text in distinct if text not in self._known]:
+        distinct, known = list(dict.fromkeys(texts)), self._known
+        if new := [text for text in distinct if text not in known]:
             try:
-                self._known |= zip(new, self.vocabulary.recognise(new, self._encoder), strict=True)
+                known |= zip(new, self.vocabulary.recognise(new, self._encoder), strict=True)
             except WeightsNotFound as error:
                 logger.info("prompts are not compared with what the model knows: %s", error)
                 return []
-        recognitions = [self._known[text] for text in distinct]
-        self._known = dict(list(self._known.items())[-_REMEMBERED:])
-        return recognitions
+        if len(known) > _REMEMBERED:
+            self._known = {}  # other threads go on with what they began with
+        return [known[text] for text in distinct]
