@@ -191,8 +191,9 @@ def test_steps_of_noising_follow_a_beta_distribution_where_asked():
         Denoising(Schedule.cosine(4), timestep_alpha=0)
 
 
-def test_the_loss_falls_and_the_average_learns_too(tmp_path):
-    model = trainer(tmp_path, steps=48, lr=1e-2, precision="fp32").run()
+@pytest.mark.parametrize("optimizer", ["adamw", "muon"])
+def test_the_loss_falls_and_the_average_learns_too(tmp_path, optimizer):
+    model = trainer(tmp_path, steps=48, lr=1e-2, precision="fp32", optimizer=optimizer).run()
     first, *_, last = rows(tmp_path / "train.csv")
     assert float(last["loss"]) < 0.6 * float(first["loss"])
     first, *_, last = rows(tmp_path / "validation.csv")
@@ -246,7 +247,9 @@ def test_the_rate_rises_to_its_peak_and_falls_to_its_end():
     assert settings.lr_at(1000) == settings.lr_at(2000) == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("wrong", [{"precision": "fp8"}, {"steps": 0}, {"checkpoint_every": 75}, {"validate_every": 0}])
+@pytest.mark.parametrize(
+    "wrong", [{"precision": "fp8"}, {"optimizer": "sgd"}, {"steps": 0}, {"checkpoint_every": 75}, {"validate_every": 0}]
+)
 def test_settings_that_cannot_be_meant_are_errors(wrong):
     with pytest.raises((ValueError, TypeCheckError), match=next(iter(wrong))):
         Settings(**({"steps": 10} | wrong))
@@ -271,6 +274,40 @@ def test_without_average_clipping_and_warm_up_a_run_is_plain_adamw(tmp_path):
     assert all(trained.settings.lr_at(step) == 0.05 for step in range(6))
 
 
+def test_muon_moves_the_matrices_of_layers_and_nothing_else(tmp_path):
+    trained = trainer(tmp_path, optimizer="muon", weight_decay=0.0)
+    adamw, muon = (
+        {name for name, each in trained.network.named_parameters() if any(each is one for one in group["params"])}
+        for optimizer in trained.optimizers
+        for group in optimizer.param_groups
+    )
+    layer = "seqTransEncoder.layers.0."
+    matrices = ("self_attn.in_proj_weight", "self_attn.out_proj.weight", "linear1.weight", "linear2.weight")
+    assert muon == {layer + name for name in matrices}
+    assert adamw == {name for name, _ in trained.network.named_parameters()} - muon
+    before = {name: each.detach().clone() for name, each in trained.network.named_parameters()}
+    trained._update()
+    step = trained.network.get_parameter(layer + "linear2.weight").detach() - before[layer + "linear2.weight"]
+    stretched = torch.linalg.svdvals(step) / trained.settings.lr_at(0)  # all directions alike, where AdamW knows a few
+    assert 0.2 * math.sqrt(32) * 0.6 < float(stretched.min()) <= float(stretched.max()) < 0.2 * math.sqrt(32) * 1.3
+
+
+def test_a_run_that_changes_its_optimizer_goes_on_from_the_weights(tmp_path):
+    trainer(tmp_path, steps=2).run()
+    other = trainer(tmp_path, steps=4, lr_decay_steps=2, optimizer="muon", allow_changed_settings=True)
+    assert other.step == 2 and not any(optimizer.state_dict()["state"] for optimizer in other.optimizers)
+    other.run()
+
+
+def test_a_checkpoint_of_one_optimizer_alone_is_still_read(tmp_path):
+    first = trainer(tmp_path, steps=2)
+    first.run()
+    state = first._state()
+    first.checkpoints.save(2, state | {"optimizer": state["optimizer"][0]})
+    again = trainer(tmp_path, steps=2)
+    torch.testing.assert_close(again.optimizers[0].state_dict(), first.optimizers[0].state_dict())
+
+
 def test_the_average_follows_at_the_warmed_up_decay():
     network = nn.Linear(1, 1)
     ema = Ema(network, decay=0.9)
@@ -286,9 +323,10 @@ def test_the_average_follows_at_the_warmed_up_decay():
     assert not ema.model.weight.requires_grad
 
 
-def test_a_run_stopped_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
-    whole = trainer(tmp_path / "whole").run().state_dict()
-    for moment in (1, 7, 12):
+@pytest.mark.parametrize(("optimizer", "moments"), [("adamw", (1, 7, 12)), ("muon", (7,))])
+def test_a_run_stopped_anywhere_goes_on_as_if_nothing_had_happened(tmp_path, optimizer, moments):
+    whole = trainer(tmp_path / "whole", optimizer=optimizer).run().state_dict()
+    for moment in moments:
 
         def kill(step, _, moment=moment):
             if step == moment:
@@ -296,8 +334,8 @@ def test_a_run_stopped_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
 
         folder = tmp_path / str(moment)
         with pytest.raises(Killed):
-            trainer(folder, callbacks=[Callback(1, kill)]).run()
-        resumed = trainer(folder)
+            trainer(folder, callbacks=[Callback(1, kill)], optimizer=optimizer).run()
+        resumed = trainer(folder, optimizer=optimizer)
         assert resumed.step == (moment - 1) // 4 * 4  # a checkpoint is the last thing that a step does
         model = resumed.run().state_dict()
         assert all(torch.equal(model[name], whole[name]) for name in whole)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -26,6 +26,7 @@ from stmc.training.checkpoint import CheckpointError, Checkpoints
 from stmc.training.ema import Ema
 from stmc.training.logs import Board, Table
 from stmc.training.loss import Batch, Objective
+from stmc.training.optimizers import Optimizer, build_optimizers
 from stmc.training.resuming import SettingsChanged, deciding, differences
 from stmc.training.speed import quick_attention, quicken_dropout
 
@@ -53,6 +54,7 @@ class Settings:
     """How to train. `lr` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
     `final_lr_ratio` of it at `lr_decay_steps` (None: at `steps`), where it stays. `grad_clip` bounds the gradient's
     norm (None: nothing does). `ema_decay` is the moving average's (0: it is the network itself). `*_every` count steps.
+    `optimizer`: "adamw", or "muon" for the matrices of the network's layers and AdamW for the rest.
 
     A run can be made longer: with the `steps` it had as `lr_decay_steps` it goes on at its final learning rate.
     """
@@ -62,6 +64,7 @@ class Settings:
     warmup: int = 500
     final_lr_ratio: float = 0.02
     lr_decay_steps: int | None = None
+    optimizer: Optimizer = "adamw"
     weight_decay: float = 0.01
     grad_clip: float | None = 1.0
     ema_decay: float = 0.999
@@ -76,6 +79,8 @@ class Settings:
     def __post_init__(self) -> None:
         if self.precision not in ("bf16", "fp32"):
             raise ValueError(f"unknown precision {self.precision!r}; choose bf16 or fp32")
+        if self.optimizer not in get_args(Optimizer):
+            raise ValueError(f"unknown optimizer {self.optimizer!r}; choose {' or '.join(get_args(Optimizer))}")
         if self.steps < 1 or self.log_every < 1:
             raise ValueError(f"steps ({self.steps}) and log_every ({self.log_every}) must be at least 1")
         if self.decay_end < 1:
@@ -130,10 +135,8 @@ class Trainer:
         self.ema = Ema(network, settings.ema_decay)
         if settings.compile:
             network.compile(dynamic=True)
-        optimizer = torch.optim.AdamW(
-            network.parameters(), lr=settings.lr, weight_decay=settings.weight_decay, fused=True
-        )
-        self._prepared, self.optimizer = self.accelerator.prepare(network, optimizer)
+        moving = build_optimizers(network, settings.optimizer, settings.lr, settings.weight_decay)
+        self._prepared, *self.optimizers = self.accelerator.prepare(network, *moving)
         own = {"training": asdict(settings) | {"lr_decay_steps": settings.decay_end}}
         own["processes"] = self.accelerator.num_processes  # each draws batches of its own
         self.described, self.allow_changed = deciding({**(described or {}), **own}), allow_changed_settings
@@ -173,8 +176,9 @@ class Trainer:
         generator = torch.Generator(self.device).manual_seed(seed)
         frames = sum(piece.frames for piece in pieces)
         share = self.accelerator.reduce(torch.tensor(float(frames), device=self.device), "mean")  # DDP averages
-        for group in self.optimizer.param_groups:
-            group["lr"] = settings.lr_at(self.step)
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = settings.lr_at(self.step)
         total: Tensor | float = 0.0
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
             torch.manual_seed(seed)  # dropout draws from the global generator
@@ -186,8 +190,9 @@ class Trainer:
                 total = total + terms.detach()
         most = math.inf if settings.grad_clip is None else settings.grad_clip
         norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), most)
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
+        for optimizer in self.optimizers:
+            optimizer.step()
+            optimizer.zero_grad(set_to_none=True)
         self.ema.update(self.network, self.step)
         total = self.accelerator.reduce(torch.cat([total, total.new_tensor([frames])]), "sum")
         return torch.cat([total, norm.detach().reshape(1)])
@@ -242,7 +247,7 @@ class Trainer:
         return {
             "model": self.network.state_dict(),
             "ema": self.ema.model.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            "optimizer": [optimizer.state_dict() for optimizer in self.optimizers],
             "described": self.described,
             "changes": self.changes,
         }
@@ -273,7 +278,11 @@ class Trainer:
                 raise CheckpointError("it is of another network")
         self.network.load_state_dict(state["model"])
         self.ema.model.load_state_dict(state["ema"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        was = state["optimizer"]
+        states = [was] if isinstance(was, dict) else was  # of one, before there could be two
+        if len(states) == len(self.optimizers):  # else it is another that goes on, from the weights alone
+            for optimizer, each in zip(self.optimizers, states, strict=True):
+                optimizer.load_state_dict(each)
         self.changes = [*state["changes"], *(f"after step {step}: {change}" for change in changed)]
         if changed:
             logger.warning("%s goes on with other settings: %s", self.folder, "; ".join(changed))
