@@ -31,9 +31,9 @@ def build_optimizers(
     moved = set(map(id, matrices))
     rest = [parameter for parameter in network.parameters() if id(parameter) not in moved]
     found: list[torch.optim.Optimizer] = [torch.optim.AdamW(rest, lr=lr, weight_decay=weight_decay, fused=True)]
-    if matrices and not hasattr(torch.optim, "Muon"):
-        raise ImportError(f"optimizer muon needs torch 2.9 or later, not {torch.__version__}; or choose adamw")
     if matrices:
+        if not hasattr(torch.optim, "Muon"):
+            raise ImportError(f"optimizer muon needs torch 2.9 or later, not {torch.__version__}; or choose adamw")
         found.append(torch.optim.Muon(matrices, lr=lr, weight_decay=weight_decay, adjust_lr_fn="match_rms_adamw"))
     return found
 
