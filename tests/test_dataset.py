@@ -169,6 +169,24 @@ def test_a_cyclic_clip_is_cut_to_any_stretch_that_is_long_enough():
     assert set(plan.body.frames[plan.body.end == 120]) == {20}  # shorter than the shortest: whole
 
 
+def test_a_share_of_the_cyclic_crops_begins_where_the_clip_does():
+    dataset = one_content([100, 90], cyclic=True)
+    shares = {}
+    for share in (0.0, 0.5, 1.0):
+        plan, clips = draw(dataset, 400, uncond_crop_prob=0.0, shortest=1.5, from_start_prob=share)
+        shortened = plan.body.frames < plan.body.end - np.array([clip.start for clip in clips])
+        at_start = plan.body.start == np.array([clip.start for clip in clips])
+        shares[share] = at_start[shortened].mean()
+    assert shares[0.0] < 0.15
+    assert 0.4 < shares[0.5] < 0.65
+    assert shares[1.0] == 1.0
+
+
+def test_transitions_are_cut_anywhere_also_where_crops_begin_with_their_clip():
+    plan, _ = draw(one_content([200], cyclic=True), 100, uncond_crop_prob=1.0, from_start_prob=1.0)
+    assert len({*plan.body.start}) > 10
+
+
 def test_rows_are_normalised_frames_of_their_clips_and_padding_is_zero(dataset):
     batches = ClipBatches(dataset, "train", Sampling(rows=16, pool=1, pieces=1))
     plan = batches._draw_pool(0, 0)[0]

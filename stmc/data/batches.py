@@ -38,7 +38,9 @@ class Sampling:
     `rows` a batch on average, each content as often as its number of clips to the power of `balance` says (1: as in the
     data; 0: all alike), and those of `emphasis` so many times as often. A clip whose content is cyclic is cut to any
     crop of at least `shortest`, the others lose at most `trim` of their length at either end; nothing is longer than
-    `longest`. A share `uncond_crop_prob` of the rows is cut anywhere out of any clip, `crop_shortest` to
+    `longest`. Of the cyclic crops a share `from_start_prob` begins where the clip does (where there are few clips, a
+    network else takes the mean of their phases for the motion: arms that should circle stand still). A share
+    `uncond_crop_prob` of the rows is cut anywhere out of any clip, `crop_shortest` to
     `crop_longest`, and has no text: transitions. A share `text_dropout` of the others loses its text. Of the rows whose
     content claims no legs, a share `compose_prob` is put on the body of another row, as in a collage: an arm is raised
     while walking. With `receivers` "walking" its content is cyclic and claims legs alone; with "any" it claims other
@@ -73,6 +75,7 @@ class Sampling:
     text_dropout: float = 0.1
     compose_prob: float = 0.0
     compose_legs_prob: float = 0.0
+    from_start_prob: float = 0.0
     receivers: Receivers = "walking"
     slowest: float = 1.0
     fastest: float = 1.0
@@ -87,7 +90,7 @@ class Sampling:
             )
         shares = {
             name: getattr(self, name)
-            for name in ("uncond_crop_prob", "text_dropout", "compose_prob", "compose_legs_prob")
+            for name in ("uncond_crop_prob", "text_dropout", "compose_prob", "compose_legs_prob", "from_start_prob")
         }
         if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in shares.values())):
             raise ValueError(f"trim {self.trim} must be in [0, 0.5), {shares} in [0, 1]")
@@ -237,6 +240,8 @@ class ClipBatches:
         speed = np.exp(rng.uniform(np.log(sampling.slowest), np.log(sampling.fastest), count))
         source = np.minimum(frames, np.floor(longest * speed).astype(int).clip(1))
         room = np.where(free, length, frames) - source  # where a crop may begin
+        if sampling.from_start_prob:
+            room = np.where(self._cyclic[clip] & ~is_crop & (rng.random(count) < sampling.from_start_prob), 0, room)
         offset = _between(np.zeros(count), room, rng.random(count)) + np.where(free, 0, cut[0])
         speed = np.minimum(speed, source)  # at least one frame is left
         sentence = np.where(is_crop | dropped, NULL, sentence)
