@@ -16,7 +16,7 @@ from rich.table import Table
 import stmc
 from stmc.benchmarks.ability import abilities
 from stmc.commands import command
-from stmc.commands.shared import OnDevice
+from stmc.commands.shared import OnModel
 from stmc.data.cache import Cache, read_caches
 from stmc.diffusion import NoiseScale
 from stmc.files import write_text, write_whole
@@ -28,8 +28,7 @@ from stmc.viewing import film_strip
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(OnDevice):
-    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
+class Settings(OnModel):
     samples: int = setting(32, "motions of each ability", at_least=2)
     seed: int = setting(0, "of the first motion", at_least=0)
     guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)

@@ -21,7 +21,7 @@ from rich.table import Table
 import stmc
 from stmc.benchmarks.questions import QUESTIONS, rates
 from stmc.commands import command
-from stmc.commands.shared import OnDevice
+from stmc.commands.shared import OnModel
 from stmc.data.cache import Cache, read_caches
 from stmc.data.sources.contents import CONTENTS
 from stmc.diffusion import NoiseScale
@@ -43,8 +43,7 @@ AMONG = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(OnDevice):
-    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
+class Settings(OnModel):
     cache: tuple[str, ...] = setting(("cache/bandai", "cache/cmu"), "prepared data, for the contents and real motion")
     evaluator: str | None = setting(None, "run directory of what is to find the contents; null: the bundled one")
     contents: tuple[str, ...] = setting((), "what to ask for; none: all of the data that geometry can tell")
@@ -55,8 +54,9 @@ class Settings(OnDevice):
     seed: int = setting(0, "of the first motion", at_least=0)
     guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
     steps: int | None = setting(50, "of denoising, fast actions need many; null: as many as in training", at_least=1)
-    noise_scale: str = setting("std", "of DDPM's noise", choices=get_args(NoiseScale))
+    noise_scale: str | None = setting(None, "of DDPM's noise; null: the model's own", choices=get_args(NoiseScale))
     output: str = setting("outputs/actions", "folder of pictures and numbers")
+    clean_feet: bool = setting(False, "hold the feet while they stand, and above the floor")
     precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
 
 
@@ -104,6 +104,7 @@ def asked(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: 
         guidance=config.guidance,
         steps=config.steps,
         noise_scale=config.noise_scale,
+        clean_feet=config.clean_feet,
     )
 
 

@@ -15,15 +15,14 @@ from rich.table import Table
 
 import stmc
 from stmc.commands import command
-from stmc.commands.shared import OnDevice
+from stmc.commands.shared import OnModel
 from stmc.results.naming import method_row
 from stmc.settings import setting
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(OnDevice):
+class Settings(OnModel):
     timelines: str = setting(MISSING, "file of many timelines, such as MTT.txt")
-    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
     method: str = setting("stmc", "whose time it is; stmc_paper: as published")
     baselines: tuple[Mapping, ...] = setting(
         ({"method": "sinc", "model": "${model}"},), "what its time is compared with: methods and their models"

@@ -26,7 +26,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import stmc
 from stmc.commands import command
-from stmc.commands.shared import OnDevice, Sharded
+from stmc.commands.shared import OnModel, Sharded
 from stmc.composing import METHODS, find_method
 from stmc.filenames import distinct
 from stmc.files import probe, remove_leftovers, write_text
@@ -53,12 +53,11 @@ SILENCE = 30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(Sampling, OnDevice, Sharded):
+class Settings(Sampling, OnModel, Sharded):
     timeline: str | None = setting(
         None, "a .json or .txt of one timeline or many, or a timeline itself; null: the bundled example"
     )
     output: str = setting("outputs", "folder of the motions")
-    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
     method: str = setting(
         "stmc",
         f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",

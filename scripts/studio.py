@@ -22,15 +22,14 @@ from rich.console import Console
 
 import stmc
 from stmc.commands import command
-from stmc.commands.shared import OnDevice, Threaded
+from stmc.commands.shared import OnModel, Threaded
 from stmc.model import Precision
 from stmc.settings import SettingError, setting
 from stmc.studio import application
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(OnDevice, Threaded):
-    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
+class Settings(OnModel, Threaded):
     folder: str = setting("~/.stmc/studio", "where motions and documents are kept")
     port: int = setting(8686, "of the address; 0: any that is free", at_least=0, at_most=65535)
     steps: int = setting(50, "steps of denoising of a motion; its preview takes fewer", at_least=1, at_most=1000)

@@ -74,6 +74,18 @@ def test_a_content_is_found_where_the_evaluator_has_it_among_its_best_three():
     assert loaded("actions").Finder(Evaluator()).found("squat", nearest) == pytest.approx(2 / 3)
 
 
+def test_the_settings_of_sampling_reach_the_model():
+    class Model:
+        """That tells what it is asked."""
+
+        def generate(self, timelines, **settings):
+            return [prompt.end for timeline in timelines for prompt in timeline.prompts], settings
+
+    sampling = {"seed": 3, "guidance": 1.5, "steps": 7, "noise_scale": "std", "clean_feet": True}
+    config = type("Config", (), {"samples": 2} | sampling)
+    assert loaded("actions").asked(config, Model(), "sit", "be seated", 2.04) == ([2.0, 2.0], sampling)
+
+
 def test_sentences_of_the_training_are_asked_where_wanted():
     config = type("Config", (), {"seen": True, "sentences": 2})
     assert loaded("actions").sentences(config, "sit") == CONTENTS["sit"].sentences[:2]

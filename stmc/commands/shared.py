@@ -15,6 +15,13 @@ class OnDevice:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OnModel(OnDevice):
+    """Of a command that asks a model."""
+
+    model: str | None = setting(None, "run directory, or mdm_smpl_wide_fast; null: the bundled model")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sharded:
     """Of a command that several processes or machines can share."""
 
