@@ -22,6 +22,13 @@ class OnModel(OnDevice):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Cleaned:
+    """Of a command whose motions may have their feet cleaned."""
+
+    clean_feet: bool = setting(False, "hold the feet while they stand, and above the floor")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sharded:
     """Of a command that several processes or machines can share."""
 
