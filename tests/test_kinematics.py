@@ -113,20 +113,29 @@ def test_raising_and_lowering_an_arm_is_not_waving():
     assert kinematics.swings(motion, "left") < 3
 
 
+def sliding(motion: Motion, above: float = 0.0) -> float:
+    """Foot sliding of a motion whose lowest toe is `above` the floor."""
+    lowest = min(float(kinematics.joint(motion, f"{side}_foot")[:, 2].min()) for side in ("left", "right"))
+    return kinematics.foot_sliding(motion, floor=lowest - above)
+
+
+def lifted_by(motion: Motion, height: torch.Tensor) -> Motion:
+    up = height.double()[:, None] * torch.tensor([0.0, 0.0, 1.0])
+    return Motion.posed(motion.rotations, motion.translation + up, FPS, skeleton())
+
+
 def test_feet_that_stand_do_not_slide():
-    motion = moving(yaw_rate=0.0, **lifted(4.0, "left", start=1.0))
-    assert kinematics.foot_sliding(motion) == pytest.approx(0, abs=1e-12)
+    assert sliding(moving(yaw_rate=0.0, **lifted(4.0, "left", start=1.0))) == pytest.approx(0, abs=1e-12)
 
 
-def test_feet_that_are_dragged_slide_by_the_way_of_each_frame():
-    assert kinematics.foot_sliding(moving(speed=0.6)) == pytest.approx(0.6 / FPS, abs=1e-9)
+@pytest.mark.parametrize("above", [-0.01, 0.0, 0.02])
+def test_feet_that_are_dragged_slide_by_the_way_of_each_frame(above):
+    assert sliding(moving(speed=0.6), above) == pytest.approx(0.6 / FPS, abs=1e-9)
 
 
 def test_feet_that_tread_on_the_spot_do_not_slide():
     motion = moving()
-    tread = 0.01 * torch.sin(9 * seconds(4.0))[:, None] * torch.tensor([0.0, 0.0, 1.0])
-    treading = Motion.posed(motion.rotations, motion.translation + tread, FPS, skeleton())
-    assert kinematics.foot_sliding(treading) == pytest.approx(0, abs=1e-9)
+    assert sliding(lifted_by(motion, 0.01 * torch.sin(9 * seconds(4.0)))) == pytest.approx(0, abs=1e-9)
 
 
 def test_a_foot_in_the_air_may_move():
@@ -135,16 +144,26 @@ def test_a_foot_in_the_air_may_move():
     motion = moving(**{"left_hip": raised})
     lowest = kinematics.joint(motion, "left_foot")[:, 2] - kinematics.joint(motion, "right_foot")[:, 2]
     assert lowest.min() > kinematics.CONTACT_HEIGHT
-    assert kinematics.foot_sliding(motion) == pytest.approx(0, abs=1e-12)
+    assert sliding(motion) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("height", [0.005, 0.0125, 0.02])
+def test_the_higher_a_foot_the_less_of_a_contact_it_is(height):
+    motion = moving(1.0)
+    still, frames = motion.frames // 2, torch.arange(motion.frames)
+    way = 0.1 * (frames - still).clamp(min=0).double()[:, None] * torch.tensor([1.0, 0.0, 0.0])
+    swings = Motion.posed(motion.rotations, way, FPS, skeleton())
+    swings = lifted_by(swings, torch.where(frames > still, height, 0.0))
+    share = 2 - 2 ** (height / 0.025)  # of a contact, as MANN has it: each of the frames that go 10 cm
+    steps = motion.frames - 1 - still
+    assert sliding(swings) == pytest.approx(0.1 * share * steps / (share * steps + still), rel=1e-6)
 
 
 def test_sliding_counts_only_frames_whose_next_is_a_contact_too():
     motion = moving(1.0, speed=0.3)
-    hop = torch.zeros(motion.frames, dtype=torch.float64)
+    hop = torch.zeros(motion.frames)
     hop[::2] = 0.5
-    lift = hop[:, None] * torch.tensor([0.0, 0.0, 1.0])
-    hopping = Motion.posed(motion.rotations, motion.translation + lift, FPS, skeleton())
-    assert math.isnan(kinematics.foot_sliding(hopping))
+    assert math.isnan(sliding(lifted_by(motion, hop)))
 
 
 def test_penetration_is_the_mean_depth_of_the_lowest_joint():

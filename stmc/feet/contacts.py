@@ -21,7 +21,7 @@ _SURE = 0.6
 """The share that some step of a contact stays below."""
 _SHORTEST = 0.1
 """Seconds of the shortest contact: the feet of runners stand for 0.15 s."""
-_RISE = 0.02
+_RISE = 0.01
 """Metres by which a point has come up from the lowest of its contact when it begins or ends."""
 _GAP, _SHUFFLE = 0.15, 0.08
 """Seconds, and metres, between two contacts that are one: nobody makes a step so short."""

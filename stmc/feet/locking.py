@@ -20,9 +20,6 @@ from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle, shortest_a
 
 _BLEND = 0.25
 """Seconds over which a correction comes before a contact and goes after it."""
-
-_TURN = 0.2
-"""Seconds for which a correction goes on as it went."""
 _CALM = 0.1
 """Metres a second of a step that counts half as much as one that stands still."""
 _FIXED = 1e6
@@ -197,18 +194,15 @@ def _above(foot: Foot, floors: Float[Tensor, " frames"]) -> Foot:
 def _blended(
     values: Float[Tensor, "frames 3"], spans: list[tuple[int, int]], fps: float | int
 ) -> Float[Tensor, "frames 3"]:
-    """`values`, given in the frames [start, end] of `spans`, going to zero in the frames before and after, and for a
-    moment on as they went, so that speeds do not jump either."""
+    """`values`, given in the frames [start, end] of `spans`, going smoothly to zero in the frames before and after."""
+    # they do not go on as they went first: a foot that is about to leave would be drawn down again, and drag
     blended, frames = values.clone(), torch.arange(len(values))
     bounds = [-len(values), *(edge for span in spans for edge in span), 2 * len(values)]
     for index in range(1, len(bounds) - 1):
         edge, outwards = bounds[index], 1 if index % 2 == 0 else -1
-        inner = edge - outwards if bounds[index - outwards] != edge else edge
         room = abs(bounds[index + outwards] - edge)
         away = (frames - edge) * outwards
         there = (away > 0) & (away < room)
-        steps = away[there, None].to(values)
-        share = (steps / min(_BLEND * fps, room)).clamp(max=1)
-        on = steps * (1 - steps / min(_TURN * fps, room)).clamp(min=0) ** 2
-        blended[there] += values[edge] * (1 - share**2 * (3 - 2 * share)) + (values[edge] - values[inner]) * on
+        share = (away[there, None].to(values) / min(_BLEND * fps, room)).clamp(max=1)
+        blended[there] += values[edge] * (1 - share**2 * (3 - 2 * share))
     return blended

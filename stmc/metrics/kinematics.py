@@ -16,8 +16,8 @@ from stmc.geometry import rotation_z, wrap
 from stmc.metrics.smoothness import jerk
 from stmc.motion import Motion
 
-CONTACT_HEIGHT = 0.03
-"""Metres above its own lowest point within which a foot is taken to stand on the floor."""
+CONTACT_HEIGHT = 0.025
+"""Metres above the floor from which on a toe is not in contact with it (MANN's H)."""
 
 JERKED = 22
 """Joints whose jerk counts: SMPL's without the hands, those that HumanML3D has."""
@@ -79,16 +79,19 @@ def hand_step(motion: Motion) -> float:
     return float(steps.max()) if len(steps) else 0.0
 
 
-def foot_sliding(motion: Motion) -> float:
-    """Mean horizontal way of a foot joint per frame of contact, in metres; NaN where no foot ever stands.
+def foot_sliding(motion: Motion, floor: float | int = 0.0) -> float:
+    """Mean horizontal way of a toe per frame of contact with the `floor` (its height, metres), in metres; NaN where
+    no toe ever touches it.
 
-    A toe stands in a frame when it is within `CONTACT_HEIGHT` of the lowest point that the toes reach in the motion, in
-    this frame and in the next.
+    How much of a contact a frame is falls from 1 on the floor to 0 at H = `CONTACT_HEIGHT` above it, as 2 - 2^(h / H)
+    (the foot skating of MANN, Zhang et al. 2018); h is the toe's height in this frame or in the next, whichever is
+    higher. So feet that swing just above the floor, two metres a second, hardly count.
     """
     feet = torch.stack([joint(motion, "left_foot"), joint(motion, "right_foot")], dim=1)
-    low = feet[..., 2] < feet[..., 2].min() + CONTACT_HEIGHT
+    height = (torch.maximum(feet[1:, :, 2], feet[:-1, :, 2]) - floor).clamp(min=0)
+    contact = (2 - 2 ** (height / CONTACT_HEIGHT)).clamp(min=0)
     way = feet[..., :2].diff(dim=0).norm(dim=-1)
-    return float(way[low[1:] & low[:-1]].mean())
+    return float((way * contact).sum() / contact.sum())
 
 
 def floor_penetration(motion: Motion, floor: float | int = 0.0) -> float:
