@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,6 +30,9 @@ settings.register_profile("slow", settings.get_profile("default"), max_examples=
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if worker := getattr(config, "workerinput", None):  # of several, each with its share of the processor
+        share = max(1, (os.cpu_count() or 1) // worker["workercount"])
+        torch.set_num_threads(min(share, torch.get_num_threads()))
     settings.load_profile("slow" if config.option.markexpr == "slow" else "default")
 
 
