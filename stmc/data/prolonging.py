@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from einops import rearrange
 from jaxtyping import Float
+from rich.progress import track
 from torch import Tensor
 
 from stmc.data.cache import Cache, Clip, assemble
@@ -57,7 +58,7 @@ class Prolonging:
         following = _Following(joining, [joining.looped(_features(cache, clip), frames) for clip in self._next(cache)])
 
         def rows() -> Iterator[tuple[Clip, Features]]:
-            for clip in cache.clips:
+            for clip in track(cache.clips, "prolonging clips", transient=True):
                 features = _features(cache, clip)
                 yield clip, joining.looped(features, frames) if clip.cyclic else features
                 if not clip.cyclic and any(cache.texts[clip.texts]):
