@@ -38,6 +38,9 @@ REST = (0.5, 4.0)
 CANDIDATES = 60
 """Clips of each content at most that are looked through for what may follow."""
 
+TOGETHER = 64
+"""Clips for which what may follow is looked for at once."""
+
 Features = Float[Tensor, "_ features"]
 
 
@@ -55,16 +58,23 @@ class Prolonging:
         """`cache` with its clips prolonged. Raises `KeyError` for a layout without positions or root velocities."""
         joining = _Joining(cache.fps, layout)
         frames, rng = round(self.seconds * cache.fps), np.random.default_rng(self.seed)
-        following = _Following(joining, [joining.looped(_features(cache, clip), frames) for clip in self._next(cache)])
+        once = [
+            clip
+            for clip in cache.clips
+            if not clip.cyclic and clip.end - clip.start >= joining.fade and any(cache.texts[clip.texts])
+        ]
+        rests = [round(rng.uniform(*REST) * cache.fps) for _ in once]
+        followed: dict[Clip, Features | None] = {}
+        if following := [joining.looped(_features(cache, clip), frames) for clip in self._next(cache)]:
+            ended = _Following(joining, following).after([_features(cache, clip) for clip in once], rests)
+            followed = dict(zip(once, ended, strict=True))
 
         def rows() -> Iterator[tuple[Clip, Features]]:
             for clip in track(cache.clips, "prolonging clips", transient=True):
                 features = _features(cache, clip)
                 yield clip, joining.looped(features, frames) if clip.cyclic else features
-                if not clip.cyclic and any(cache.texts[clip.texts]):
-                    seconds = rng.uniform(*REST)
-                    if (longer := following.after(features, round(seconds * cache.fps))) is not None:
-                        yield replace(clip, name=f"{clip.name}/followed"), longer
+                if (longer := followed.get(clip)) is not None:
+                    yield replace(clip, name=f"{clip.name}/followed"), longer
 
         clips, features = assemble(list(rows()))
         return replace(cache, clips=clips, features=features)
@@ -113,12 +123,17 @@ class _Joining:
     def distances(self, features: Features, others: Features) -> Float[Tensor, "windows others"]:
         """Metres between the joints, on average, at the beginnings and ends of windows of a fade's length, and the
         difference of the roots' velocities as metres."""
+        apart, last = self.apart(features, others), self.fade - 1
+        return (apart[: len(features) - last, : len(others) - last] + apart[last:, last:]) / 2
+
+    def apart(self, features: Features, others: Features) -> Float[Tensor, "frames others"]:
+        """The same of single frames."""
         positions, velocity = self.layout["positions"], self.layout["root_velocity"]
         joints = [rearrange(each[:, positions], "n (joint xyz) -> joint n xyz", xyz=3) for each in (features, others)]
-        apart = torch.stack([torch.cdist(one, other) for one, other in zip(*joints, strict=True)]).mean(dim=0)
-        apart = apart + SPEED * self.fps * torch.cdist(features[:, velocity], others[:, velocity])
-        last = self.fade - 1
-        return (apart[: len(features) - last, : len(others) - last] + apart[last:, last:]) / 2
+        apart = SPEED * self.fps * torch.cdist(features[:, velocity], others[:, velocity])
+        for one, other in zip(*joints, strict=True):
+            apart += torch.cdist(one, other) / len(joints[0])
+        return apart
 
     def joined(self, features: Features, others: Features) -> Features:
         """One after the other, the end of the first faded into the beginning of the second."""
@@ -133,17 +148,25 @@ class _Following:
     """Clips that go on, and which moment of them a motion can end in."""
 
     def __init__(self, joining: _Joining, clips: list[Features]) -> None:
-        self.joining, self.features = joining, torch.cat(clips) if clips else None
-        self.left = torch.cat([torch.arange(len(clip), 0, -1) for clip in clips]) if clips else None
+        self.joining, self.features = joining, torch.cat(clips)
+        self.left = torch.cat([torch.arange(len(clip), 0, -1) for clip in clips])
 
-    def after(self, features: Features, frames: int) -> Features | None:
-        """`features` and then so many frames of a clip; None where no clip has as many that are near its end."""
+    def after(self, clips: list[Features], frames: list[int]) -> Iterator[Features | None]:
+        """Each clip, of a fade's length at least, and then so many frames of one that goes on; None where none has as
+        many that are near its end. Many are looked for at once: distances from one frame to tens of thousands wait for
+        memory, not for arithmetic."""
+        last = self.joining.fade - 1
+        for first in track(range(0, len(clips), TOGETHER), "looking for what may follow", transient=True):
+            ends = clips[first : first + TOGETHER]
+            begun = self.joining.apart(torch.stack([clip[-last - 1] for clip in ends]), self.features[:-last])
+            ended = self.joining.apart(torch.stack([clip[-1] for clip in ends]), self.features[last:])
+            for clip, count, distance in zip(ends, frames[first:], (begun + ended) / 2, strict=False):
+                yield self._joined(clip, count, distance)
+
+    def _joined(self, clip: Features, frames: int, distance: Float[Tensor, " others"]) -> Features | None:
         fade = self.joining.fade
-        if self.features is None or len(features) < fade:
-            return None
-        distance = self.joining.distances(features[-fade:], self.features)[0]
         distance = distance.masked_fill(self.left[: len(distance)] < frames + fade, torch.inf)
         start = int(distance.argmin())
         if distance[start] > NEAR:
             return None
-        return self.joining.joined(features, self.features[start : start + fade + frames])
+        return self.joining.joined(clip, self.features[start : start + fade + frames])
