@@ -76,6 +76,12 @@ def test_standing_still_is_no_other_action(name):
     assert QUESTIONS[name](MOTIONS["stand"]()) == (name == "stand")
 
 
+@pytest.mark.parametrize("axis", ["x", "z"])  # forwards and to the side
+def test_who_stays_bent_does_not_stand(axis):
+    angles = {degrees: QUESTIONS["stand"](moved(spine1=about(axis, math.radians(degrees)))) for degrees in (10, 45)}
+    assert angles == {10: True, 45: False}
+
+
 def test_the_order_of_sitting_and_standing_matters():
     shown = {
         name: [other for other in MOTIONS if QUESTIONS[name](MOTIONS[other]())] for name in ("sit-down", "stand-up")

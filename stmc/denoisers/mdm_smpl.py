@@ -91,8 +91,8 @@ class MdmSmpl(Network):
         """Which tokens may be attended to, [batch, 1, 1, tokens]; None where it is all of them."""
         if heads_of(text_mask) is None and heads_of(mask) is None:
             return None
-        text_mask = torch.ones_like(text[..., 0], dtype=torch.bool) if text_mask is None else text_mask
-        mask = torch.ones_like(x[..., 0], dtype=torch.bool) if mask is None else mask
+        text_mask = x.new_ones(text.shape[:2], dtype=torch.bool) if text_mask is None else text_mask
+        mask = x.new_ones(x.shape[:2], dtype=torch.bool) if mask is None else mask
         step = mask.new_ones(len(x), 1)
         registers = mask.new_ones(len(x), len(self.registers))
         return heads_of(torch.cat([step, text_mask, registers, mask], dim=1))

@@ -18,6 +18,9 @@ from stmc.motion import Motion
 SEATED, UPRIGHT = 0.62, 0.75
 """Metres: a pelvis below the one sits or squats, above the other it stands."""
 
+_STOOPED = math.radians(20)
+"""A trunk that leans by more than this is bent, as in a bow."""
+
 OFF_THE_FLOOR, FLIGHT = 0.06, 0.12
 """A foot this far (metres) above the lowest point of both has left the floor; a body with both there for so many
 seconds has jumped."""
@@ -83,10 +86,12 @@ def cycles(values: Float[Tensor, " frames"], extent: float) -> int:
 
 
 def stays(motion: Motion) -> bool:
-    """Whether an upright body stays where it is: the pelvis within 10 cm, feet down, hands all but still."""
+    """Whether an upright body stays where it is: the pelvis within 10 cm, feet down, the trunk leaning by less than 20
+    degrees, hands all but still."""
     drift = (motion.translation[:, :2] - motion.translation[:1, :2]).norm(dim=-1).max()
     hands = max(float(joint_speed(motion, f"{side}_wrist").mean()) for side in ("left", "right"))
-    return bool(drift < 0.1) and hands < 0.3 and bool((pelvis_height(motion) > UPRIGHT).all())
+    upright = bool((pelvis_height(motion) > UPRIGHT).all()) and float(lean(motion).norm(dim=-1).median()) < _STOOPED
+    return bool(drift < 0.1) and hands < 0.3 and upright
 
 
 def goes_low(motion: Motion, first: bool, last: bool) -> bool:
