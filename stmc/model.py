@@ -197,9 +197,7 @@ class Model:
         `composing.guided_sequences`. Raises `SettingError` for a denoiser that knows one text only.
 
         Examples:
-            >>> from dataclasses import replace
-            >>> flow = stmc.denoisers.FlowMdm(205, 384, 60, width=16, layers=1)
-            >>> model = replace(stmc.load(), denoiser=flow, text_encoder=stmc.text.MiniLM())
+            >>> model = stmc.load("flow_mdm_wide")
             >>> model.guided_sequences(model.plans([stmc.Timeline.parse("walk # 0 # 1")], overlap=0), guidance=2.5)
             Guided(1 rows of up to 20 frames, guidance 2.5, 0.0% padding)
         """

@@ -20,6 +20,7 @@ from stmc.run import (
     BUNDLED,
     BUNDLED_EVALUATOR,
     BUNDLED_FAST,
+    BUNDLED_FLOW,
     CARD,
     CONFIG,
     STATISTICS,
@@ -167,6 +168,23 @@ def test_a_model_that_does_not_say_how_to_build_its_parts_is_not_saved(model, tm
     with pytest.raises(RunError, match="how to build text_encoder, representation"):
         stmc.save(dataclasses.replace(model, config=config), tmp_path / "run", "")
     assert not (tmp_path / "run").exists()
+
+
+def test_eight_bits_are_the_matrices_alone_and_hardly_change_the_prediction(model, tmp_path):
+    small = stmc.save(model, tmp_path / "small", "", dtype=torch.float8_e4m3fn)
+    kinds = {(value.ndim > 1, value.dtype) for value in load_file(small / WEIGHTS).values()}
+    assert kinds == {(True, torch.float8_e4m3fn), (False, torch.float16)}
+    back = loaded(small).denoiser.state_dict()
+    for name, weight in model.denoiser.state_dict().items():  # three bits behind the first; 2^-10 where they are small
+        torch.testing.assert_close(back[name], weight, rtol=1 / 16, atol=2**-10)
+
+
+def test_weights_that_eight_bits_cannot_hold_are_not_saved(tmp_path):
+    model = tiny()
+    with torch.no_grad():
+        model.denoiser.registers[0, 0] = 500
+    with pytest.raises(RunError, match=r"torch\.float8_e4m3fn cannot hold, or that are not finite: registers"):
+        stmc.save(model, tmp_path / "run", "", dtype=torch.float8_e4m3fn)
 
 
 def test_weights_that_half_precision_cannot_hold_are_not_saved(tmp_path):
@@ -363,7 +381,7 @@ def test_pickled_weights_are_not_weights(run, tmp_path):
 
 
 @pytest.mark.skipif(not (bundled() / WEIGHTS).exists(), reason="this checkout has no bundled model")
-@pytest.mark.parametrize("name", [BUNDLED, BUNDLED_FAST])
+@pytest.mark.parametrize("name", [BUNDLED, BUNDLED_FAST, BUNDLED_FLOW])
 def test_the_bundled_models_load_are_small_and_say_where_they_come_from(name):
     model = stmc.load(name)
     assert (bundled(name) / WEIGHTS).stat().st_size < 16 * 2**20
@@ -373,6 +391,10 @@ def test_the_bundled_models_load_are_small_and_say_where_they_come_from(name):
         assert words in card
     config = json.dumps(OmegaConf.to_container(OmegaConf.load(bundled(name) / CONFIG)))
     assert "/" not in config, "no paths of the machine that trained it"
+
+
+def test_all_that_comes_with_the_library_is_below_40_megabytes():
+    assert sum(path.stat().st_size for path in bundled().parent.rglob("*.safetensors")) < 40e6
 
 
 def test_what_comes_with_the_library_has_names_and_a_folder_of_that_name_comes_first(tmp_path, monkeypatch):

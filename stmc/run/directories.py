@@ -35,7 +35,8 @@ from stmc.statistics import Statistics
 from stmc.tensors import found_device
 from stmc.vocabulary import Vocabulary, VocabularyError, read_vocabulary, write_vocabulary
 
-BUNDLED, BUNDLED_FAST, BUNDLED_EVALUATOR = "mdm_smpl_wide", "mdm_smpl_wide_fast", "tmr_wide"
+BUNDLED, BUNDLED_FAST, BUNDLED_FLOW = "mdm_smpl_wide", "mdm_smpl_wide_fast", "flow_mdm_wide"
+BUNDLED_EVALUATOR = "tmr_wide"
 CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
 VOCABULARY = "vocabulary.safetensors"
 """What a model was trained to hear; runs may have none."""
@@ -52,7 +53,7 @@ def _run_directory(folder: str | Path | None, default: str = BUNDLED) -> Path:
     """The folder or, where there is none, what comes with the library under that name; for None, the `default`."""
     if folder is None:
         return bundled(default)
-    ours = str(folder) in (BUNDLED, BUNDLED_FAST, BUNDLED_EVALUATOR) and not Path(folder).exists()
+    ours = str(folder) in (BUNDLED, BUNDLED_FAST, BUNDLED_FLOW, BUNDLED_EVALUATOR) and not Path(folder).exists()
     return bundled(str(folder)) if ours else Path(folder).expanduser()
 
 
@@ -76,7 +77,8 @@ def load(
     trusted: Sequence[str] = (),
 ) -> Model:
     """The model of a run directory, wherever it was moved to, or of a name that comes with the library:
-    "mdm_smpl_wide", also without `folder`, and "mdm_smpl_wide_fast", the same distilled, in half the time.
+    "mdm_smpl_wide", also without `folder`, "mdm_smpl_wide_fast", the same distilled, in half the time, and
+    "flow_mdm_wide", a FlowMDM, for `method="flow_mdm"`.
 
     `device`: "auto" is the GPU if there is one. `precision` is the denoiser's at sampling (see `Model`). `trusted`
     names packages of your own, such as "mylab", whose classes the config may name beside this library's: their modules
@@ -137,7 +139,8 @@ def save(
     dtype: torch.dtype = torch.float32,
     trusted: Sequence[str] = (),
 ) -> Path:
-    """Writes the model as a run directory, weights in `dtype` (half precision halves the file); returns the folder.
+    """Writes the model as a run directory, weights in `dtype`; returns the folder. torch.float16 halves the file,
+    torch.float8_e4m3fn quarters it: of eight bits are the matrices alone, vectors stay in half precision.
 
     Every file is complete or absent: each is written under a temporary name first, the config last. Raises `RunError`,
     and writes nothing, for what `load` would refuse (see `check`), and for weights that `dtype` cannot hold. `trusted`
@@ -210,11 +213,9 @@ def _shapes(built: Mapping[str, Any], parts: Mapping[str, Part]) -> dict[str, tu
 
 
 def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype) -> Path:
-    weights = {
-        name: value.detach().cpu().to(dtype if value.is_floating_point() else value.dtype).contiguous()
-        for name, value in _network(record).state_dict().items()
-    }
-    overflown = [name for name, value in weights.items() if not value.isfinite().all()]
+    held = {name: value.detach().cpu() for name, value in _network(record).state_dict().items()}
+    weights = {name: value.to(_stored(value, dtype)).contiguous() for name, value in held.items()}
+    overflown = [name for name, value in held.items() if not _holds(weights[name].dtype, value)]
     if overflown:
         raise RunError(f"weights that {dtype} cannot hold, or that are not finite: {', '.join(overflown)}")
     numbers = {name: value.detach().cpu().contiguous() for name, value in _numbers(record).items()}
@@ -235,6 +236,18 @@ def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any],
     write_whole(folder / CARD, lambda path: path.write_text(card, encoding="utf-8"))
     write_text(folder / CONFIG, config_text({**config, "digest": _digest(folder)}))
     return folder
+
+
+def _stored(value: torch.Tensor, dtype: torch.dtype) -> torch.dtype:
+    """What a weight is in its file. A vector's numbers count for many: a norm's gain, rounded by 6 %, would tell."""
+    if not value.is_floating_point():
+        return value.dtype
+    return torch.float16 if dtype.itemsize == 1 and value.ndim < 2 else dtype
+
+
+def _holds(dtype: torch.dtype, value: torch.Tensor) -> bool:
+    """Whether nothing is lost but digits. Asked before rounding: some versions of PyTorch cut what is too large."""
+    return not dtype.is_floating_point or bool((value.abs() <= torch.finfo(dtype).max).all())
 
 
 _DIGESTED = {"weights": WEIGHTS, "statistics": STATISTICS, "vocabulary": VOCABULARY}
