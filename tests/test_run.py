@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import os
 import shutil
 from pathlib import Path
@@ -170,7 +171,7 @@ def test_a_model_that_does_not_say_how_to_build_its_parts_is_not_saved(model, tm
     assert not (tmp_path / "run").exists()
 
 
-def test_eight_bits_are_the_matrices_alone_and_hardly_change_the_prediction(model, tmp_path):
+def test_of_eight_bits_are_the_matrices_alone_and_they_are_rounded_by_a_sixteenth_at_most(model, tmp_path):
     small = stmc.save(model, tmp_path / "small", "", dtype=torch.float8_e4m3fn)
     kinds = {(value.ndim > 1, value.dtype) for value in load_file(small / WEIGHTS).values()}
     assert kinds == {(True, torch.float8_e4m3fn), (False, torch.float16)}
@@ -179,20 +180,19 @@ def test_eight_bits_are_the_matrices_alone_and_hardly_change_the_prediction(mode
         torch.testing.assert_close(back[name], weight, rtol=1 / 16, atol=2**-10)
 
 
-def test_weights_that_eight_bits_cannot_hold_are_not_saved(tmp_path):
+@pytest.mark.parametrize(("dtype", "weight"), [(torch.float16, 1e6), (torch.float8_e4m3fn, 500)])
+def test_weights_that_a_type_cannot_hold_are_not_saved(tmp_path, dtype, weight):
     model = tiny()
     with torch.no_grad():
-        model.denoiser.registers[0, 0] = 500
-    with pytest.raises(RunError, match=r"torch\.float8_e4m3fn cannot hold, or that are not finite: registers"):
-        stmc.save(model, tmp_path / "run", "", dtype=torch.float8_e4m3fn)
+        model.denoiser.registers[0, 0] = weight
+    with pytest.raises(RunError, match=f"{re.escape(str(dtype))} cannot hold, or that are not finite: registers"):
+        stmc.save(model, tmp_path / "run", "", dtype=dtype)
+    assert not (tmp_path / "run").exists()
 
 
-def test_weights_that_half_precision_cannot_hold_are_not_saved(tmp_path):
-    model = tiny()
-    with torch.no_grad():
-        model.denoiser.registers[0, 0] = 1e6
-    with pytest.raises(RunError, match=r"torch\.float16 cannot hold, or that are not finite: registers"):
-        stmc.save(model, tmp_path / "run", "", dtype=torch.float16)
+def test_weights_of_a_type_that_no_run_is_read_from_are_not_saved(model, tmp_path):
+    with pytest.raises(RunError, match=r"weights as torch\.float8_e5m2 .* of another type"):
+        stmc.save(model, tmp_path / "run", "", dtype=torch.float8_e5m2)
     assert not (tmp_path / "run").exists()
 
 

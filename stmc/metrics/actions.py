@@ -87,7 +87,7 @@ def cycles(values: Float[Tensor, " frames"], extent: float) -> int:
 
 def stays(motion: Motion) -> bool:
     """Whether an upright body stays where it is: the pelvis within 10 cm, feet down, the trunk leaning by less than 20
-    degrees, hands all but still."""
+    degrees in half of the frames, hands all but still."""
     drift = (motion.translation[:, :2] - motion.translation[:1, :2]).norm(dim=-1).max()
     hands = max(float(joint_speed(motion, f"{side}_wrist").mean()) for side in ("left", "right"))
     upright = bool((pelvis_height(motion) > UPRIGHT).all()) and float(lean(motion).norm(dim=-1).median()) < _STOOPED

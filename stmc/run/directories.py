@@ -28,7 +28,7 @@ from stmc.run.configs import RunError, brief, config_text, read_config
 from stmc.run.construction import Part
 from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting, check_widths, sketch_fitting
 from stmc.run.records import EvaluatorSettings, ModelSettings, settings_of
-from stmc.run.weights import read_specs, specs_of
+from stmc.run.weights import misfit, read_specs, specs_of
 from stmc.sampling import Sampling
 from stmc.settings import shown
 from stmc.statistics import Statistics
@@ -214,7 +214,9 @@ def _shapes(built: Mapping[str, Any], parts: Mapping[str, Part]) -> dict[str, tu
 
 def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype) -> Path:
     held = {name: value.detach().cpu() for name, value in _network(record).state_dict().items()}
-    weights = {name: value.to(_stored(value, dtype)).contiguous() for name, value in held.items()}
+    weights = {name: value.to(_dtype_in_file(value, dtype)).contiguous() for name, value in held.items()}
+    if wrong := misfit(specs_of(held), specs_of(weights)):
+        raise RunError(f"weights as {dtype} could not be read back: {wrong}")
     overflown = [name for name, value in held.items() if not _holds(weights[name].dtype, value)]
     if overflown:
         raise RunError(f"weights that {dtype} cannot hold, or that are not finite: {', '.join(overflown)}")
@@ -238,7 +240,7 @@ def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any],
     return folder
 
 
-def _stored(value: torch.Tensor, dtype: torch.dtype) -> torch.dtype:
+def _dtype_in_file(value: torch.Tensor, dtype: torch.dtype) -> torch.dtype:
     """What a weight is in its file. A vector's numbers count for many: a norm's gain, rounded by 6 %, would tell."""
     if not value.is_floating_point():
         return value.dtype
