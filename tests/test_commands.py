@@ -302,6 +302,12 @@ def test_what_follows_from_what_must_be_given_is_not_asked_for(found, capsys):
     assert "benchmark.references.folder=" in told and "tags" not in told
 
 
+@pytest.mark.parametrize("typed", ["models.mine=runs/mine", "models={mine: runs/mine}"])
+def test_a_key_of_one_s_own_is_told_to_need_a_plus(found, typed, capsys):
+    code, told = ended(found["evaluate"], [typed], capsys)
+    assert (code, told) == (2, "there is no setting models.mine; a plus adds a key of your own: +models.mine=…\n")
+
+
 def test_a_value_error_of_ours_is_a_sentence_and_one_of_torch_a_bug():
     assert explained(caught(lambda: stmc.Timeline.parse("walk # 3 # 1"))) is not None
     assert explained(caught(lambda: torch.distributions.Normal(0.0, -1.0))) is None

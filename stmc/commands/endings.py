@@ -18,7 +18,7 @@ from pathlib import Path
 import hydra
 import omegaconf
 from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError
 
 from stmc.commands.places import PACKAGE, place
@@ -64,6 +64,8 @@ def explained(error: BaseException) -> str | None:
         return f"this needs {package}: pip install 'stmc[{EXTRAS[package]}]'"
     if isinstance(error, HydraException) and "'hydra/launcher/submitit" in str(error):
         return "this needs hydra-submitit-launcher: pip install 'stmc[slurm]'"
+    if isinstance(error, (ConfigAttributeError, ConfigKeyError)) and "not in struct" in str(error):
+        return one_line(f"there is no setting {error.full_key}; a plus adds a key of your own: +{error.full_key}=…")
     if isinstance(error, (HydraException, OmegaConfBaseException, YAMLError)):
         return one_line(str(error).partition("full_key:")[0].partition("See https")[0])
     if isinstance(error, BrokenProcessPool):
