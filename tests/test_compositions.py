@@ -290,25 +290,33 @@ REAL = record("ground_truth", 0, 0.5)
 
 def test_jerk_curves_are_means_over_seeds_around_the_transition_and_real_motion_is_dashed():
     runs = [record("flow_mdm", seed, height, denoiser="flow") for seed, height in ((0, 1.0), (1, 3.0))]
-    [axes] = jerk_curves([REAL, *runs, record("stmc", 0, 4.0, denoiser="mdm")]).axes
-    lines = {line.get_label(): line for line in axes.lines}
-    flow = lines["flow, FlowMDM"]
-    assert (flow.get_xdata()[0], flow.get_xdata()[28], flow.get_xdata()[-1]) == (-28, 0, 28)
-    assert flow.get_ydata().tolist() == [2.0 * abs(frame - 28) for frame in range(57)]
-    assert lines["mdm, STMC (cross-faded)"].get_ydata()[0] == 4.0 * 28
-    assert lines["Ground truth"].get_linestyle() == "--"
-    assert lines["Ground truth"].get_ydata()[0] == 0.5 * 28
-    top = max(path[:, 1].max() for band in axes.collections[:1] for path in [band.get_paths()[0].vertices])
+    others = [record(name, 0, 4.0, denoiser="mdm") for name in ("stmc", "flow_mdm")]
+    first, second = jerk_curves([REAL, *runs, *others]).axes
+    assert (first.get_title(), second.get_title(), first.get_ylim()) == ("flow", "mdm", second.get_ylim())
+    flow, mdm = ({line.get_label(): line for line in axes.lines} for axes in (first, second))
+    line = flow["FlowMDM"]
+    assert (line.get_xdata()[0], line.get_xdata()[28], line.get_xdata()[-1]) == (-28, 0, 28)
+    assert line.get_ydata().tolist() == [2.0 * abs(frame - 28) for frame in range(57)]
+    assert "STMC (cross-faded)" not in flow and mdm["STMC (cross-faded)"].get_ydata()[0] == 4.0 * 28
+    assert mdm["FlowMDM"].get_color() == line.get_color() != mdm["STMC (cross-faded)"].get_color()
+    for panel in (flow, mdm):
+        assert panel["Ground truth"].get_linestyle() == "--"
+        assert panel["Ground truth"].get_ydata()[0] == 0.5 * 28
+    top = max(path[:, 1].max() for band in first.collections[:1] for path in [band.get_paths()[0].vertices])
     assert top == pytest.approx(28 * (2 + math.tan(0.475 * math.pi)))
 
 
 def test_a_legend_is_no_wider_than_its_figure_and_has_every_name():
     methods = ("one_text", "single_track", "sinc", "sinc_lerp", "stmc", "flow_mdm")
     plot = jerk_curves([REAL, *(record(name, 0, 1.0, denoiser="a rather long name") for name in methods)])
-    plot.canvas.draw()
+    few = jerk_curves([REAL, record("stmc", 0, 1.0, denoiser="a rather long name")])
+    for each in (plot, few):
+        each.draw_without_rendering()
     [names] = plot.legends
     assert names.get_window_extent().width <= plot.bbox.width
     assert len(names.get_texts()) == 7
+    heights = [each.axes[0].get_position().height * each.get_figheight() for each in (plot, few)]
+    assert heights[0] == pytest.approx(heights[1], rel=0.1)  # the figure grows with its legend, panels do not shrink
 
 
 def test_curves_that_cannot_be_compared_are_refused():

@@ -71,7 +71,7 @@ def grid(count: int, wide: float, tall: float) -> tuple[Figure, list[Axes]]:
     """A figure of so many panels, at most four in a row; `wide` and `tall` are one panel's inches."""
     columns = min(count, 4)
     rows = -(-count // columns)
-    plot = Figure(figsize=(wide * columns, tall * rows + 0.4), layout="constrained")
+    plot = Figure(figsize=(wide * columns, tall * rows), layout="constrained")
     found = list(plot.subplots(rows, columns, squeeze=False).flat)
     for spare in found[count:]:
         spare.remove()
@@ -88,7 +88,8 @@ def dress(axes: Axes, along: str) -> None:
 
 
 def legend(plot: Figure, panels: Iterable[Axes]) -> None:
-    """One for all panels, each name once, where there is something to tell apart; no wider than the figure."""
+    """One for all panels, each name once, where there is something to tell apart; no wider than the figure, which grows
+    by what the legend is high."""
     named = {}
     for axes in panels:
         named |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
@@ -98,7 +99,9 @@ def legend(plot: Figure, panels: Iterable[Axes]) -> None:
         shown = plot.legend(
             named.values(), named.keys(), loc="outside lower center", ncols=columns, frameon=False, fontsize=9
         )
-        if columns == 1 or shown.get_window_extent().width <= plot.bbox.width:
+        extent = shown.get_window_extent()
+        if columns == 1 or extent.width <= plot.bbox.width:
+            plot.set_figheight(plot.get_figheight() + extent.height / plot.dpi)
             return
         shown.remove()
 

@@ -6,7 +6,7 @@ Knows records and matplotlib's figures, as `charts` does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -27,8 +27,8 @@ JERK = "jerk"
 
 
 def jerk_curves(results: Sequence[Result]) -> Figure:
-    """The mean jerk in each frame around a transition (their Fig. 4): a line with its 95 % interval per method and
-    denoiser, real motion dashed.
+    """The mean jerk in each frame around a transition (their Fig. 4): a panel per denoiser, a line with its 95 %
+    interval per method, in the same colours everywhere; real motion is dashed.
 
     Raises `ResultError` where no record has the curve "jerk", where curves are of several lengths, and for two settings
     that the legend could not tell apart.
@@ -41,14 +41,22 @@ def jerk_curves(results: Sequence[Result]) -> Figure:
         raise ResultError(
             f"curves {JERK!r} of {', '.join(map(str, sorted(lengths)))} frames; choose those of one length"
         )
-    plot, [axes] = grid(1, wide=5.6, tall=3.4)
-    _draw_curves(axes, groups)
-    axes.axvline(0, color=INK, linewidth=0.6)
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel("frames from the transition's middle", color=INK, fontsize=9)
-    axes.set_ylabel("largest jerk of a joint, m/frame³", color=INK, fontsize=9)
-    dress(axes, "both")
-    legend(plot, [axes])
+    denoisers = sorted({setting.denoiser for setting in groups if setting.method != REAL}) or [""]
+    colours = _colours(groups)
+    plot, panels = grid(len(denoisers), wide=5.6 if len(denoisers) == 1 else 4.4, tall=3.4)
+    for axes, denoiser in zip(panels, denoisers, strict=True):
+        own = {setting: runs for setting, runs in groups.items() if setting.denoiser == denoiser}
+        real = {setting: runs for setting, runs in groups.items() if setting.method == REAL}
+        _draw_curves(axes, own | real, colours)
+        axes.axvline(0, color=INK, linewidth=0.6)
+        axes.set_title(denoiser, fontsize=9.5, color=INK)
+        axes.set_xlabel("frames from the transition's middle", color=INK, fontsize=9)
+        dress(axes, "both")
+    top = max(axes.get_ylim()[1] for axes in panels)
+    for axes in panels:
+        axes.set_ylim(0, top)
+    panels[0].set_ylabel("largest jerk of a joint, m/frame³", color=INK, fontsize=9)
+    legend(plot, panels)
     return plot
 
 
@@ -77,22 +85,27 @@ def attention_curves(scores: Float[np.ndarray, "steps frames"], frame: int) -> F
     return plot
 
 
-def _draw_curves(axes: Axes, groups: Groups) -> None:
-    made = sorted(
-        (setting for setting in groups if setting.method != REAL), key=lambda each: (each.denoiser, place(each))
-    )
-    labels = [", ".join(filter(None, (setting.denoiser, variant(setting)))) for setting in made]
+def _colours(groups: Groups) -> dict[str, str]:
+    """The colour of every method, the same for all denoisers. Raises `ResultError` where two settings of one denoiser
+    have one name."""
+    made = sorted((setting for setting in groups if setting.method != REAL), key=place)
+    labels = [(setting.denoiser, variant(setting)) for setting in made]
     if twice := [label for label in labels if labels.count(label) > 1]:
-        raise ResultError(f"{twice[0]} has several settings; choose one")
-    for setting, label, colour in zip(made, labels, palette(len(made)), strict=True):
+        raise ResultError(f"{', '.join(filter(None, twice[0]))} has several settings; choose one")
+    names = list(dict.fromkeys(name for _, name in labels))
+    return dict(zip(names, palette(len(names)), strict=True))
+
+
+def _draw_curves(axes: Axes, groups: Groups, colours: Mapping[str, str]) -> None:
+    for setting in sorted(groups, key=place):
         frames, found = _curve(groups[setting])
         mean, half = np.array([each.mean for each in found]), np.array([each.half or 0.0 for each in found])
-        axes.plot(frames, mean, color=colour, linewidth=1.6, label=label)
-        axes.fill_between(frames, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
-    for setting in groups:
         if setting.method == REAL:
-            frames, found = _curve(groups[setting])
-            axes.plot(frames, [each.mean for each in found], label=method_row(REAL).label, **DASHED)
+            axes.plot(frames, mean, label=method_row(REAL).label, **DASHED)
+            continue
+        name = variant(setting)
+        axes.plot(frames, mean, color=colours[name], linewidth=1.6, label=name)
+        axes.fill_between(frames, mean - half, mean + half, color=colours[name], alpha=0.15, linewidth=0)
 
 
 def _curve(runs: Sequence[Result]) -> tuple[np.ndarray, list[Estimate]]:
