@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from stmc.results.axes import Groups, dress, grid, legend, lines, real_line, shown, title, who
 from stmc.results.intervals import estimate, estimates
-from stmc.results.naming import HEADINGS, REAL, Measure, place, variant
+from stmc.results.naming import REAL, SETTINGS, Measure, place, variant
 from stmc.results.records import Result, ResultError, Setting, by_setting, refuse_other_differences
 from stmc.viewing.colours import palette
 from stmc.viewing.tracks import INK
@@ -83,7 +83,7 @@ def sweep(results: Sequence[Result], varied: str, keys: Sequence[str] | None = N
     columns = shown(groups, keys)
     plot, panels = grid(len(columns), wide=3.0, tall=2.6)
     for axes, measure in zip(panels, columns, strict=True):
-        lines(axes, measure, groups, who, lambda setting, runs: setting.value(varied), HEADINGS[varied].lower())
+        lines(axes, measure, groups, who, lambda setting, runs: setting.value(varied), SETTINGS[varied])
         real_line(axes, measure, real)
     legend(plot, panels)
     return plot

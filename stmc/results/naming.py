@@ -13,11 +13,12 @@ from stmc.settings import about
 
 REAL = "ground_truth"
 
-HEADINGS = {"method": "Method", "denoiser": "Denoiser"} | {
-    name: name.replace("_", " ").capitalize() + (f" ({each.unit})" if each.unit else "")
+_ACRONYMS = {"ape": "APE"}
+SETTINGS = {"method": "method", "denoiser": "denoiser"} | {
+    name: " ".join(_ACRONYMS.get(word, word) for word in name.split("_")) + (f" ({each.unit})" if each.unit else "")
     for name, each in about(Sampling).items()
 }
-"""What the settings are called."""
+"""What the settings are called, as within a sentence."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 from stmc.results.intervals import Estimate, estimates
-from stmc.results.naming import HEADINGS, REAL, Measure, measures, method_row, place, variant
+from stmc.results.naming import REAL, SETTINGS, Measure, measures, method_row, place, variant
 from stmc.results.records import Result, ResultError, Setting, by_setting, difference, refuse_other_differences
 from stmc.sampling import INDEPENDENT
 
@@ -105,13 +105,13 @@ def comparison_table(results: Iterable[Result]) -> Table:
 
 
 def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
-    """A row for each of the values that the settings `varied` take (names of `HEADINGS`), with everything else
+    """A row for each of the values that the settings `varied` take (names of `SETTINGS`), with everything else
     the same; varied by the overlap it is Table A.1.
 
     Raises `ResultError` for a name that is no setting's, for records that differ in others, and for none that has one.
     """
-    if unknown := [name for name in varied if name not in HEADINGS]:
-        raise ResultError(f"unknown setting {unknown[0]!r}; choose from {', '.join(HEADINGS)}")
+    if unknown := [name for name in varied if name not in SETTINGS]:
+        raise ResultError(f"unknown setting {unknown[0]!r}; choose from {', '.join(SETTINGS)}")
     groups = by_setting(result for result in results if any(result.setting.value(name) is not None for name in varied))
     if not groups:
         raise ResultError(f"no record has {' or '.join(varied)}")
@@ -120,8 +120,9 @@ def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
         Row(tuple(_value(setting.value(name)) for name in varied), estimates(runs))
         for setting, runs in sorted(groups.items(), key=lambda group: _order(group[0], varied))
     ]
-    blocks, headings = (tuple(rows),), tuple(HEADINGS[name] for name in varied)
-    return _table(f"Influence of {' and '.join(headings).lower()}", headings, blocks, groups)
+    names = [SETTINGS[name] for name in varied]
+    headings = tuple(name[0].upper() + name[1:] for name in names)
+    return _table(f"Influence of {' and '.join(names)}", headings, (tuple(rows),), groups)
 
 
 def _order(setting: Setting, varied: Sequence[str]) -> tuple:
