@@ -21,7 +21,7 @@ from rich.table import Table
 import stmc
 from stmc.benchmarks.questions import QUESTIONS, rates
 from stmc.commands import command
-from stmc.commands.shared import Cleaned, OnModel
+from stmc.commands.shared import OnModel
 from stmc.data.cache import Cache, read_caches
 from stmc.data.sources.contents import CONTENTS
 from stmc.diffusion import NoiseScale
@@ -43,7 +43,7 @@ AMONG = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(OnModel, Cleaned):
+class Settings(OnModel):
     cache: tuple[str, ...] = setting(("cache/bandai", "cache/cmu"), "prepared data, for the contents and real motion")
     evaluator: str | None = setting(None, "run directory of what is to find the contents; null: the bundled one")
     contents: tuple[str, ...] = setting((), "what to ask for; none: all of the data that geometry can tell")
@@ -54,6 +54,7 @@ class Settings(OnModel, Cleaned):
     seed: int = setting(0, "of the first motion", at_least=0)
     guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
     steps: int | None = setting(50, "of denoising, fast actions need many; null: as many as in training", at_least=1)
+    clean_feet: bool = setting(False, "feet stay where they stand, and above the floor; false: as the model made them")
     noise_scale: str | None = setting(None, "of DDPM's noise; null: the model's own", choices=get_args(NoiseScale))
     output: str = setting("outputs/actions", "folder of pictures and numbers")
     precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))

@@ -26,7 +26,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import stmc
 from stmc.commands import command
-from stmc.commands.shared import Cleaned, OnModel, Sharded
+from stmc.commands.shared import OnModel, Sharded
 from stmc.composing import METHODS, find_method
 from stmc.filenames import distinct
 from stmc.files import probe, remove_leftovers, write_text
@@ -53,7 +53,7 @@ SILENCE = 30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(Sampling, OnModel, Cleaned, Sharded):
+class Settings(Sampling, OnModel, Sharded):
     timeline: str | None = setting(
         None, "a .json or .txt of one timeline or many, or a timeline itself; null: the bundled example"
     )
@@ -70,6 +70,7 @@ class Settings(Sampling, OnModel, Cleaned, Sharded):
     samples: int = setting(1, "motions of each timeline, with seeds from `seed` on", at_least=1, at_most=100_000)
     seed: int = setting(0, "of the first motion of each timeline", at_least=0)
     formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=CHOICES)
+    clean_feet: bool = setting(True, "feet stay where they stand, and above the floor; false: as the model made them")
     fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
     precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
     batch: int | None = setting(None, "timelines at a time; null: 8 on a CPU, 64 on a GPU", at_least=1)

@@ -22,13 +22,6 @@ class OnModel(OnDevice):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cleaned:
-    """Of a command whose motions may have their feet cleaned."""
-
-    clean_feet: bool = setting(False, "hold the feet while they stand, and above the floor")
-
-
-@dataclass(frozen=True, kw_only=True)
 class Sharded:
     """Of a command that several processes or machines can share."""
 
