@@ -265,7 +265,7 @@ class Model:
 
         Examples:
             >>> model = stmc.load()
-            >>> model.generate("walk forwards # 0 # 2 # legs\\nwave # 0.5 # 1.5 # right arm", seed=1, steps=2)
+            >>> model.generate("run # 0 # 2 # legs\\nraise the right arm # 0.5 # 1.5 # right arm", seed=1, steps=2)
             [Motion(40 frames at 20 fps, 2.00 s)]
         """
         method = find_method(method)

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers.strategies import quietly
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_hex
@@ -185,6 +186,7 @@ anything = st.builds(
 )
 
 
+@quietly
 @given(st.lists(anything, max_size=4))
 def test_records_are_read_as_they_were_written(tmp_path_factory, results):
     path = tmp_path_factory.mktemp("results") / "results.jsonl"
