@@ -31,6 +31,7 @@ from stmc.vocabulary import (
     suggest,
     write_vocabulary,
 )
+from stmc.vocabulary import vocabulary as vocabulary_module
 
 PROMPTS = json.loads((ROOT / "tests/helpers/prompts.json").read_text("utf-8"))
 WALK, WAVE = Content("walk", frozenset({BodyPart.LEGS}), True), Content("wave", frozenset({BodyPart.RIGHT_ARM}))
@@ -55,7 +56,7 @@ def test_the_bundled_model_knows_what_it_was_trained_with_and_nothing_else():
     assert all(
         each.known
         for each in model.recognise(
-            ["walk slowly", "lift your left arm", "a woman jogs along", "bow", "sit down", "jump"]
+            ["walk slowly", "lift your left arm", "a woman jogs along", "bow", "sit down", "jump", "wave", "wave hello"]
         )
     )
     asked = ["swim", "play the guitar", "climb a ladder", "ride a bicycle", "lie down", "gehe vorwärts", "asdf"]
@@ -120,6 +121,15 @@ def test_a_prompt_is_as_known_as_it_is_nearer_to_the_known_than_to_the_others(sm
     walk, other = small.recognise(["walk", "juggle"], Hashes())
     assert walk.known and walk.score > 1 and walk.nearest[0].text == "walk"
     assert not other.known and other.score < -0.5  # an everyday action word for word
+
+
+def test_a_content_is_told_by_what_most_say_of_it_and_not_by_the_odd_word_out(monkeypatch):
+    walks = {Sentence(f"walk {where}", WALK): 2.0 for where in ("to the door", "in the park", "home")}
+    monkeypatch.setattr(vocabulary_module, "EXAMPLES", 3)
+    vocabulary = build_vocabulary(walks | {Sentence("adios", WALK): 1.0}, Hashes())
+    [examples] = vocabulary.examples.values()
+    assert [each.text for each in examples] == ["walk home", "walk in the park", "walk to the door"]
+    assert vocabulary.recognise(["adios"], Hashes())[0].nearest == examples[:1]
 
 
 def test_contents_without_names_are_known_by_their_sentences():

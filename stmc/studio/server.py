@@ -214,8 +214,7 @@ class Answers:
 
     def _described(self) -> dict[str, Any]:
         known = self.model.vocabulary
-        contents = () if known is None else known.contents
-        examples = {content: [each.text for each in known.known if each.content == content][:3] for content in contents}
+        examples = {} if known is None else known.examples
         return {
             "name": type(self.model.denoiser).__name__,
             "version": stmc.__version__,
@@ -225,8 +224,12 @@ class Answers:
             "parts": list(BodyPart),
             "joints": [{"name": joint, "part": part} for joint in JOINTS for part in BodyPart if joint in part.joints],
             "contents": [
-                {"name": each.name, "parts": in_order(each.parts), "examples": texts}
-                for each, texts in examples.items()
+                {
+                    "name": each.name,
+                    "parts": in_order(each.parts),
+                    "examples": [sentence.text for sentence in sentences],
+                }
+                for each, sentences in examples.items()
             ],
             "formats": [{"name": name, "about": about} for name, about in FORMATS.items()],
             "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,11 +22,15 @@ THRESHOLD = 0.6
 NEAREST = 3
 """Known sentences that a message names."""
 
+EXAMPLES = 5
+"""Sentences that tell what a content is."""
+
 
 @dataclass(frozen=True)
 class Recognition:
-    """How near a prompt is to what a model knows. `nearest` are known sentences: the shortest of each of the nearest
-    contents, or where contents have no names the nearest themselves; `score` is what `threshold` is compared with."""
+    """How near a prompt is to what a model knows. `nearest` are known sentences: the first example of each of the
+    nearest contents, or where contents have no names the nearest themselves; `score` is what is compared with
+    `threshold`."""
 
     text: str
     nearest: tuple[Sentence, ...]
@@ -84,6 +88,22 @@ class Vocabulary:
         """Each content that has a name, in the order of its first sentence."""
         return tuple(dict.fromkeys(sentence.content for sentence in self.known if sentence.content.name))
 
+    @cached_property
+    def examples(self) -> Mapping[Content, tuple[Sentence, ...]]:
+        """Of each content that has a name up to `EXAMPLES` sentences, those nearest to the mean of all that say it, the
+        shortest first: the shortest of all may be slang.
+
+        Examples:
+            >>> examples = stmc.load().vocabulary.examples
+            >>> next(sentences[0].text for content, sentences in examples.items() if content.name == "sit-down")
+            'sitting down'
+        """
+        places: dict[Content, list[int]] = {content: [] for content in self.contents}
+        for place, sentence in enumerate(self.known):
+            if sentence.content.name:
+                places[sentence.content].append(place)
+        return {content: self._examples(same) for content, same in places.items()}
+
     def recognise(self, texts: Sequence[str], encoder: TextEncoder, count: int = NEAREST) -> list[Recognition]:
         """How near each text is to what is known, with the nearest sentences of up to `count` contents.
 
@@ -111,16 +131,15 @@ class Vocabulary:
         nearest: dict[Sentence, None] = {}
         for place in known.argsort(descending=True).tolist():
             sentence = self.known[place]
-            nearest[self._shortest.get(sentence.content, sentence)] = None
+            nearest[self.examples.get(sentence.content, (sentence,))[0]] = None
             if len(nearest) == count:
                 break
         return Recognition(text, tuple(nearest), float(2 * known.max() - others.max()), self.threshold)
 
-    @cached_property
-    def _shortest(self) -> dict[Content, Sentence]:
-        """Of each content that has a name, the sentence to tell it by."""
-        longest_first = sorted(self.known, key=lambda each: -len(each.text))
-        return {each.content: each for each in longest_first if each.content.name}
+    def _examples(self, places: Sequence[int]) -> tuple[Sentence, ...]:
+        rows = self._rows[list(places)]
+        order = (rows @ rows.mean(dim=0)).argsort(descending=True, stable=True)[:EXAMPLES].tolist()
+        return tuple(sorted((self.known[places[row]] for row in order), key=lambda each: len(each.text)))
 
     @cached_property
     def _centre(self) -> Float[Tensor, " width"]:

@@ -171,16 +171,14 @@ export function createWordsPanel(studio, player) {
   const field = make("input", { type: "search", placeholder: "Search what the model knows", "aria-label": "Search what the model knows", oninput: () => paint(store.get()) });
   panel.append(heading("What the model knows"), field, list);
 
-  const shortest = (texts) => texts.reduce((best, text) => (text.length < best.length ? text : best));
-
   function paint({ model }) {
     const wanted = field.value.trim().toLowerCase();
     const contents = (model?.contents ?? []).filter(({ name, examples }) => !wanted || [name, ...examples].some((text) => text.toLowerCase().includes(wanted)));
-    find("known-texts").replaceChildren(...(model?.contents ?? []).map(({ examples }) => make("option", { value: shortest(examples) })));
+    find("known-texts").replaceChildren(...(model?.contents ?? []).map(({ examples }) => make("option", { value: examples[0] })));
     list.replaceChildren(
       make("ul", { class: "list" }, contents.map(({ name, parts, examples }) => make("li", {},
-        make("button", { type: "button", class: "entry", onclick: () => write(shortest(examples), parts), title: examples.join("\n") },
-          make("span", {}, shortest(examples)), make("span", { class: "faint" }, parts.length === PARTS.length ? "whole body" : parts.join(", ")))))),
+        make("button", { type: "button", class: "entry", onclick: () => write(examples[0], parts), title: examples.join("\n") },
+          make("span", {}, examples[0]), make("span", { class: "faint" }, parts.length === PARTS.length ? "whole body" : parts.join(", ")))))),
       contents.length ? "" : make("p", { class: "faint" }, model?.contents.length ? "Nothing of that name." : "The model does not say what it knows."));
   }
 
