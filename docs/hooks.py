@@ -13,16 +13,16 @@ PAGES = {f"cards/{name}.md": f"stmc/assets/{name}/README.md" for name in CARDS} 
     "changelog.md": "CHANGELOG.md",
 }
 """Where a page stands in the site, and where in the repository."""
-PICTURES = {"cards/example.png": "stmc/assets/mdm_smpl_wide/example.png"}
+FILES = {f"cards/{name}": f"stmc/assets/mdm_smpl_wide/{name}" for name in ("example.png", "trainings.yaml")}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pages, their links as they are from there, and their pictures."""
+    """Adds the pages, their links as they are from there, and what they show and link to."""
     for place, source in PAGES.items():
         text = (ROOT / source).read_text("utf-8")
         up = "../" * place.count("/")
         text = text.replace("](../../../docs/", f"]({up}").replace("](docs/", f"]({up}")
         files.append(File.generated(config, place, content=text))
-    for place, source in PICTURES.items():
+    for place, source in FILES.items():
         files.append(File.generated(config, place, abs_src_path=str(ROOT / source)))
     return files

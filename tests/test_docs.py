@@ -36,6 +36,7 @@ BROUGHT = {
     "cards/flow_mdm_wide.md": "stmc/assets/flow_mdm_wide/README.md",
     "cards/tmr_wide.md": "stmc/assets/tmr_wide/README.md",
     "cards/example.png": "stmc/assets/mdm_smpl_wide/example.png",
+    "cards/trainings.yaml": "stmc/assets/mdm_smpl_wide/trainings.yaml",
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
 }
