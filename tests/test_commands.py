@@ -355,7 +355,12 @@ def test_one_program_lists_and_runs_all_scripts(capsys):
 @pytest.mark.slow
 def test_ctrl_c_while_sampling_is_one_line_and_leaves_no_temporary(tmp_path):
     command = [sys.executable, str(ROOT / "scripts/sample.py"), "walk # 0 # 4", str(tmp_path), "samples=50", "batch=1"]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # A shell's background job ignores the signal, and so would a child of it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert any("(1 of 50)" in line for line in running.stdout)  # a slow machine tells of steps before
     running.send_signal(signal.SIGINT)
     _, told = running.communicate(timeout=120)
