@@ -7,7 +7,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-CARDS = ("mdm_smpl_wide", "mdm_smpl_wide_fast", "flow_mdm_wide", "tmr_wide")
+CARDS = ("mdm_smpl_wide", "mdm_smpl_wide_fast", "mdm_smpl_cmu", "flow_mdm_wide", "tmr_wide")
 PAGES = {f"cards/{name}.md": f"stmc/assets/{name}/README.md" for name in CARDS} | {
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",

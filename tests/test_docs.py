@@ -33,6 +33,7 @@ SITE = runpy.run_path(str(DOCS / "notebooks.py"))
 BROUGHT = {
     "cards/mdm_smpl_wide.md": "stmc/assets/mdm_smpl_wide/README.md",
     "cards/mdm_smpl_wide_fast.md": "stmc/assets/mdm_smpl_wide_fast/README.md",
+    "cards/mdm_smpl_cmu.md": "stmc/assets/mdm_smpl_cmu/README.md",
     "cards/flow_mdm_wide.md": "stmc/assets/flow_mdm_wide/README.md",
     "cards/tmr_wide.md": "stmc/assets/tmr_wide/README.md",
     "cards/example.png": "stmc/assets/mdm_smpl_wide/example.png",

@@ -18,7 +18,9 @@ class OnDevice:
 class OnModel(OnDevice):
     """Of a command that asks a model."""
 
-    model: str | None = setting(None, "run directory, mdm_smpl_wide_fast or flow_mdm_wide; null: the bundled model")
+    model: str | None = setting(
+        None, "run directory, mdm_smpl_wide_fast, mdm_smpl_cmu or flow_mdm_wide; null: the bundled model"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

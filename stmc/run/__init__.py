@@ -4,8 +4,7 @@ from stmc.run.configs import RunError
 from stmc.run.directories import (
     BUNDLED,
     BUNDLED_EVALUATOR,
-    BUNDLED_FAST,
-    BUNDLED_FLOW,
+    BUNDLED_MODELS,
     CARD,
     CONFIG,
     STATISTICS,
@@ -25,8 +24,7 @@ from stmc.run.suggestions import suggest_parts, with_suggested_parts
 __all__ = [
     "BUNDLED",
     "BUNDLED_EVALUATOR",
-    "BUNDLED_FAST",
-    "BUNDLED_FLOW",
+    "BUNDLED_MODELS",
     "CARD",
     "CONFIG",
     "EVALUATOR_PARTS",

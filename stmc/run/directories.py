@@ -35,8 +35,9 @@ from stmc.statistics import Statistics
 from stmc.tensors import found_device
 from stmc.vocabulary import Vocabulary, VocabularyError, read_vocabulary, write_vocabulary
 
-BUNDLED, BUNDLED_FAST, BUNDLED_FLOW = "mdm_smpl_wide", "mdm_smpl_wide_fast", "flow_mdm_wide"
-BUNDLED_EVALUATOR = "tmr_wide"
+BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_wide", "tmr_wide"
+"""What is loaded where no folder is named."""
+BUNDLED_MODELS = (BUNDLED, "mdm_smpl_wide_fast", "mdm_smpl_cmu", "flow_mdm_wide")
 CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
 VOCABULARY = "vocabulary.safetensors"
 """What a model was trained to hear; runs may have none."""
@@ -53,7 +54,7 @@ def _run_directory(folder: str | Path | None, default: str = BUNDLED) -> Path:
     """The folder or, where there is none, what comes with the library under that name; for None, the `default`."""
     if folder is None:
         return bundled(default)
-    ours = str(folder) in (BUNDLED, BUNDLED_FAST, BUNDLED_FLOW, BUNDLED_EVALUATOR) and not Path(folder).exists()
+    ours = str(folder) in (*BUNDLED_MODELS, BUNDLED_EVALUATOR) and not Path(folder).exists()
     return bundled(str(folder)) if ours else Path(folder).expanduser()
 
 
@@ -77,8 +78,8 @@ def load(
     trusted: Sequence[str] = (),
 ) -> Model:
     """The model of a run directory, wherever it was moved to, or of a name that comes with the library:
-    "mdm_smpl_wide", also without `folder`, "mdm_smpl_wide_fast", the same distilled, in half the time, and
-    "flow_mdm_wide", a FlowMDM, for `method="flow_mdm"`.
+    "mdm_smpl_wide", also without `folder`; "mdm_smpl_wide_fast", the same distilled, in half the time; "mdm_smpl_cmu",
+    smaller, of data that is free for all uses; and "flow_mdm_wide", a FlowMDM, for `method="flow_mdm"`.
 
     `device`: "auto" is the GPU if there is one. `precision` is the denoiser's at sampling (see `Model`). `trusted`
     names packages of your own, such as "mylab", whose classes the config may name beside this library's: their modules

@@ -25,7 +25,7 @@ SAME = 0.75
 """Cosine from which an everyday action is one that the model knows."""
 
 CONSIDERED, KEPT = 20_000, 2_000
-"""Sentences at most: of which some are kept, and that are kept (1.5 MB)."""
+"""Sentences at most: of which some are kept, and that are kept (0.8 MB)."""
 
 
 def build_vocabulary(weights: Mapping[Sentence, float], encoder: TextEncoder) -> Vocabulary:
