@@ -13,10 +13,10 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
+from stmc import tensors
 from stmc.commands import command
 from stmc.commands.shared import Trained
 from stmc.commands.training_data import read_training_data
-from stmc.composing.guided import NULL
 from stmc.data.batches import ClipBatches
 from stmc.data.cache import Cache
 from stmc.data.dataset import Dataset
@@ -43,7 +43,7 @@ class Settings(Trained):
         {"prediction": "x0", "weights": {}},
         "prediction: what the denoiser says (x0, eps, v or score); weights: of fields that count more or less than 1; "
         "timestep_alpha: more than 1 trains noisy steps more often; energy_floor: small motions count as much as "
-        "large; distilled_guidance: weight of the texts with which the model in init_from predicts what is learned",
+        "large; distilled_guidance: weight of the texts with which the teacher predicts what is learned",
     )
     noise_scale: str = setting(
         "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
@@ -52,6 +52,9 @@ class Settings(Trained):
         None, "weight of the texts when the model is sampled, unless told otherwise; null: 2.5, of a distilled model 1"
     )
     init_from: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
+    teacher: str | None = setting(
+        None, "run directory of another denoiser whose predictions are learned with distilled_guidance; null: init_from"
+    )
     draw_every: int = setting(2000, "steps between pictures", at_least=1)
     draw: tuple[str, ...] = setting(DRAWN, "timelines of which pictures are drawn")
 
@@ -67,7 +70,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     settings = instantiate(config.training)
     sampling = instantiate(config.data.sampling)
     started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
-    distilled = to_distil(config, started)
+    distilled = to_distil(config, stmc.load(config.teacher, trusted=config.trusted) if config.teacher else started)
     cache, dataset = read_training_data(
         config,
         started.text_statistics if started else None,
@@ -112,26 +115,31 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
 
 
 def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
-    """The model that training begins with, where its guided predictions are what is learned; None where the data are.
+    """The model whose guided predictions are what is learned; None where the data are.
 
-    Raises `ValueError` where there is none, and for one that does not predict what this training's networks do: of
-    other motions or texts, at other noise, or with a text for every frame.
+    Raises `ValueError` where there is none, and for one that does not predict what this training's networks do: other
+    motions, at other noise, or with a text for every frame.
     """
     guidance = config.objective.get("distilled_guidance")
     if guidance is None:
+        if config.teacher:
+            raise SettingError(f"teacher={config.teacher} needs objective.distilled_guidance, such as 2")
         return None
     if teacher is None:
-        raise SettingError(f"objective.distilled_guidance={guidance} needs init_from=RUN: the model to be distilled")
+        raise SettingError(
+            f"objective.distilled_guidance={guidance} needs init_from=RUN or teacher=RUN: the model to be distilled"
+        )
     described = OmegaConf.to_container(config, resolve=True)
-    asked = {part: described[part] for part in ("schedule", "text_encoder", "representation")}
+    asked = {part: described[part] for part in ("schedule", "representation")}
     asked |= {"objective.prediction": config.objective.prediction}
     has = {**teacher.config, "objective.prediction": teacher.prediction}
     differing = [f"{part} is {has[part]} there and {value} here" for part, value in asked.items() if has[part] != value]
+    named = config.teacher or config.init_from
     if differing:
-        raise ValueError(f"{config.init_from} cannot be distilled by this training: {'; '.join(differing)}")
+        raise ValueError(f"{named} cannot be distilled by this training: {'; '.join(differing)}")
     if teacher.network.per_frame_text:
         raise ValueError(
-            f"{config.init_from} cannot be distilled: {type(teacher.denoiser).__name__} has a text for every frame; "
+            f"{named} cannot be distilled: {type(teacher.denoiser).__name__} has a text for every frame; "
             "choose a denoiser of one text a row, such as MdmSmpl"
         )
     return teacher
@@ -145,17 +153,23 @@ def objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Mod
     fields = dict(dataset.layout.slices)
     if auxiliary_loss:
         fields[auxiliary_loss.name] = slice(dataset.features_width, None)
-    teacher = None
-    if distilled:
-        if distilled.fps != dataset.fps:
-            raise ValueError(f"{config.init_from} has {distilled.fps:g} frames a second, the data {dataset.fps:g}")
-        device = dataset.motion.mean.device
-        denoiser = distilled.to(device).denoiser
-        if config.training.compile:
-            denoiser.compile(dynamic=True)
-        [null] = model.embed([NULL]).values()
-        teacher = GuidedTeacher(denoiser, guidance, null.to(device))
+    teacher = taught(config, dataset, distilled, guidance) if distilled else None
     return Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, teacher=teacher, **settings)
+
+
+def taught(config: DictConfig, dataset: Dataset, distilled: Model, guidance: float | int) -> GuidedTeacher:
+    """The model that is distilled as a teacher of the data set's sentences, which it reads with its own encoder."""
+    if distilled.fps != dataset.fps:
+        raise ValueError(
+            f"{config.teacher or config.init_from} has {distilled.fps:g} frames a second, the data {dataset.fps:g}"
+        )
+    device = dataset.motion.mean.device
+    reading = replace(distilled, text_encoder=Cached(distilled.text_encoder, config.text_cache))
+    texts, words = tensors.pad(list(reading.embed(dataset.sentences).values()))
+    denoiser = distilled.to(device).denoiser
+    if config.training.compile:
+        denoiser.compile(dynamic=True)
+    return GuidedTeacher(denoiser, guidance, texts.to(device), words.to(device))
 
 
 def own_sampling(config: DictConfig, distilled: Model | None = None) -> Sampling:
@@ -195,7 +209,8 @@ def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) 
     card = f"# Trained with scripts/train.py, step {step}\n\n"
     if guidance := config.objective.get("distilled_guidance"):
         card += (
-            f"Distilled from {config.init_from}: one pass predicts what two of that model do with guidance {guidance}. "
+            f"Distilled from {config.teacher or config.init_from}: one pass predicts what two of that model do with "
+            f"guidance {guidance}. "
             f"Its own guidance is {model.own_sampling.guidance:g}.\n\n"
         )
     card += f"```yaml\n{settings}```\n"

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from stmc import tensors
@@ -150,20 +150,21 @@ class Dataset:
         motion = self.motion.normalise(raw).clamp(-self._limit, self._limit)
         if mask is not None:
             motion = torch.where(mask[..., None], motion, 0.0)
-        text = self._text[torch.from_numpy(plan.sentence).to(device)][:, : int(words.max())]
-        segment = text_mask = None
+        sentence = torch.from_numpy(plan.sentence).to(device)
+        text, sentence, segment, text_mask = self._text[sentence][:, : int(words.max())], sentence[:, None], None, None
         if len(frames) < len(words):
-            text, segment = self._in_rows(text, plan)
+            text, sentence = (self._in_rows(each, plan) for each in (text, sentence))
+            segment = torch.from_numpy(arrangement.segments()).to(device)
         elif (words != words.max()).any():
             text_mask = tensors.mask(torch.from_numpy(words).to(device), int(words.max()))
-        return Batch(motion, mask, text, text_mask, int(frames.sum()), segment=segment)
+        return Batch(motion, mask, text, text_mask, int(frames.sum()), segment=segment, sentence=sentence)
 
-    def _in_rows(self, text: Float[Tensor, "crops 1 width"], plan: BatchPlan) -> tuple[Tensor, Tensor]:
-        """The crops' one-word texts as words of their rows', and which of them each frame belongs to."""
-        rows, device = plan.arrangement, text.device
+    def _in_rows(self, of_crops: Shaped[Tensor, "crops 1 *width"], plan: BatchPlan) -> Shaped[Tensor, "rows _ *width"]:
+        """What each crop has one of, such as the one word of its text, row by row; zeros where a row has fewer."""
+        rows, device = plan.arrangement, of_crops.device
         row, place = (torch.from_numpy(each).to(device) for each in (plan.row, rows.place))
-        words = text.new_zeros(len(rows.lengths), int(rows.place.max()) + 1, text.shape[2])
-        return words.index_put((row, place), text[:, 0]), torch.from_numpy(rows.segments()).to(device)
+        in_rows = of_crops.new_zeros(len(rows.lengths), int(rows.place.max()) + 1, *of_crops.shape[2:])
+        return in_rows.index_put((row, place), of_crops[:, 0])
 
     def poses(self, plan: BatchPlan, frame: np.ndarray) -> np.ndarray:
         """Each crop's normalised features in its frame `frame`, (crops, features), rounded to one of the source's."""

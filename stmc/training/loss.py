@@ -30,7 +30,8 @@ class Batch:
 
     `frames`: how many frames exist, known without waiting for an accelerator. With `segment`, rows have several texts
     of one word each, and it says of every frame which of the row's words it belongs to, in the padding any: for
-    denoisers with `per_frame_text`.
+    denoisers with `per_frame_text`. `sentence`: which of a data set's sentences each text is, for a teacher that reads
+    them in its own way; 0 is none.
     """
 
     motion: Float[Tensor, "batch frames features"]
@@ -39,6 +40,7 @@ class Batch:
     text_mask: Bool[Tensor, "batch words"] | None
     frames: int
     segment: Int[Tensor, "batch frames"] | None = field(default=None, kw_only=True)
+    sentence: Int[Tensor, "batch texts"] | None = field(default=None, kw_only=True)
 
     def denoised(
         self, denoiser: Denoiser, noisy: Float[Tensor, "batch frames features"], t: Int[Tensor, " batch"]
