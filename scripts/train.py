@@ -118,7 +118,7 @@ def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
     """The model whose guided predictions are what is learned; None where the data are.
 
     Raises `ValueError` where there is none, and for one that does not predict what this training's networks do: other
-    motions, at other noise, or with a text for every frame.
+    motions, at other noise, with a text for every frame, or, where training begins with it, of other texts.
     """
     guidance = config.objective.get("distilled_guidance")
     if guidance is None:
@@ -130,11 +130,12 @@ def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
             f"objective.distilled_guidance={guidance} needs init_from=RUN or teacher=RUN: the model to be distilled"
         )
     described = OmegaConf.to_container(config, resolve=True)
-    asked = {part: described[part] for part in ("schedule", "representation")}
+    reading = () if config.teacher else ("text_encoder",)  # another model reads the texts in its own way
+    asked = {part: described[part] for part in ("schedule", "representation", *reading)}
     asked |= {"objective.prediction": config.objective.prediction}
     has = {**teacher.config, "objective.prediction": teacher.prediction}
     differing = [f"{part} is {has[part]} there and {value} here" for part, value in asked.items() if has[part] != value]
-    named = config.teacher or config.init_from
+    named = taught_by(config)
     if differing:
         raise ValueError(f"{named} cannot be distilled by this training: {'; '.join(differing)}")
     if teacher.network.per_frame_text:
@@ -143,6 +144,11 @@ def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
             "choose a denoiser of one text a row, such as MdmSmpl"
         )
     return teacher
+
+
+def taught_by(config: DictConfig) -> str | None:
+    """The name of the model that is to be distilled."""
+    return config.teacher or config.init_from
 
 
 def objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Model | None) -> Denoising:
@@ -160,9 +166,7 @@ def objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Mod
 def taught(config: DictConfig, dataset: Dataset, distilled: Model, guidance: float | int) -> GuidedTeacher:
     """The model that is distilled as a teacher of the data set's sentences, which it reads with its own encoder."""
     if distilled.fps != dataset.fps:
-        raise ValueError(
-            f"{config.teacher or config.init_from} has {distilled.fps:g} frames a second, the data {dataset.fps:g}"
-        )
+        raise ValueError(f"{taught_by(config)} has {distilled.fps:g} frames a second, the data {dataset.fps:g}")
     device = dataset.motion.mean.device
     reading = replace(distilled, text_encoder=Cached(distilled.text_encoder, config.text_cache))
     texts, words = tensors.pad(list(reading.embed(dataset.sentences).values()))
@@ -209,8 +213,7 @@ def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) 
     card = f"# Trained with scripts/train.py, step {step}\n\n"
     if guidance := config.objective.get("distilled_guidance"):
         card += (
-            f"Distilled from {config.teacher or config.init_from}: one pass predicts what two of that model do with "
-            f"guidance {guidance}. "
+            f"Distilled from {taught_by(config)}: one pass predicts what that model does with guidance {guidance}. "
             f"Its own guidance is {model.own_sampling.guidance:g}.\n\n"
         )
     card += f"```yaml\n{settings}```\n"

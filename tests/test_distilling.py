@@ -122,6 +122,16 @@ def test_gradients_reach_the_student_alone_and_lead_to_the_guided_prediction():
     assert all(weight.grad is None for weight in teacher.parameters())
 
 
+def test_texts_of_one_word_are_taught_the_same_way():
+    teacher, rows = network(0), batch()
+    noisy, t = noised(rows)
+    with torch.no_grad():
+        told = teacher(noisy, t, TEXTS[rows.sentence[:, 0], :1], None, rows.mask)
+        untold = teacher(noisy, t, NULL[:1].repeat(3, 1, 1), None, rows.mask)
+    lesson = GuidedTeacher(teacher, 3, TEXTS[:, :1], torch.ones_like(WORDS))
+    torch.testing.assert_close(lesson(rows, noisy, t), 3 * told - 2 * untold)
+
+
 def test_the_teacher_reads_sentences_in_its_own_way_whatever_the_student_reads():
     teacher, rows = network(0), batch()
     noisy, t = noised(rows)

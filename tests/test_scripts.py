@@ -201,6 +201,7 @@ def test_a_distilled_model_is_otherwise_sampled_as_its_teacher(work, trained, di
     [
         (["schedule.steps=50"], "schedule is .*'steps': 100.* there and .*'steps': 50.* here"),
         (["objective.prediction=eps"], "objective.prediction is x0 there and eps here"),
+        (["text_encoder=clip"], "text_encoder is .*MiniLM.* there and .*Clip"),
         (["representation=humanml3d"], "representation is .*SmplRepresentation.* there and .*HumanML3D"),
     ],
 )

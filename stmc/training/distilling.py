@@ -32,8 +32,8 @@ class GuidedTeacher:
     normalised, each of so many `words`: another text encoder than the student's, perhaps. Rows without a text teach the
     prediction without a text. The denoiser must be in evaluation mode.
 
-    Where rows have several texts, the teacher, who knows one text a row, sees each segment alone, and a quarter of a
-    second of its neighbours; the predictions are cross-faded, as STMC stitches its crops by default.
+    Where rows have several texts, the teacher, who knows one text a row, sees each segment alone, and `NEIGHBOURS`
+    frames of those beside it; the predictions are cross-faded, as STMC stitches its crops by default.
 
     Examples:
         >>> def sums(x, t, text, text_mask=None, mask=None):
@@ -114,7 +114,14 @@ class _Crops:
         start, end = (begin - NEIGHBOURS).clamp(min=0), torch.minimum(begin + own + NEIGHBOURS, length[row])
         return cls(row, word, start, end - start, begin > 0, begin + own < length[row])
 
-    def cut(self, some: Int[Tensor, " some"]) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    def cut(
+        self, some: Int[Tensor, " some"]
+    ) -> tuple[
+        Int[Tensor, "some frames"],
+        Int[Tensor, "some frames"],
+        Float[Tensor, "some frames"],
+        Bool[Tensor, "some frames"] | None,
+    ]:
         """Of some of the crops, padded to the longest: rows and frames of the batch; how much each counts, which at
         every frame of a row sums to 1; and the mask."""
         frames, fade = self.frames[some, None], 2 * NEIGHBOURS + 1
