@@ -93,6 +93,9 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
             f"denoiser=flow_mdm_small, not {type(denoiser).__name__}; others see one text a row: [1, 1]"
         )
     check(model, config.trusted)  # before the first step: what could not be loaded is not trained
+    described = OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint}
+    if config.teacher is None:
+        del described["teacher"]  # trainings that began before there were teachers go on
     trainer = Trainer(
         denoiser,
         objective(config, dataset, model, distilled),
@@ -108,7 +111,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
             Callback(config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)),
         ],
         accelerator=accelerator,
-        described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
+        described=described,
         allow_changed_settings=config.allow_changed_settings,
     )
     trainer.run()

@@ -169,6 +169,12 @@ def test_training_leaves_a_model_logs_checkpoints_and_pictures(trained, work):
     assert str(work) not in (run / CONFIG).read_text(), "a run can be moved"
 
 
+def test_a_training_without_a_teacher_resumes_what_was_begun_before_there_were_any(trained):
+    newest = max((trained / "checkpoints").glob("*.pt"))
+    described = torch.load(newest, weights_only=True)["described"]
+    assert "init_from" in described and "teacher" not in described
+
+
 @pytest.fixture(scope="module")
 def distilling(work, trained) -> tuple[str, ...]:
     return (*training(work), f"run={work / 'distilled'}", f"init_from={trained}", "+objective.distilled_guidance=2.5")
