@@ -26,7 +26,9 @@ _HOMES = {
     "clean_feet": "feet", "looped": "loops", "render_film": "viewing",
     "Change": "editing", "changed_prompt": "editing", "changed_prompts": "editing", "Path": "constraints",
     "Heading": "constraints", "Keyframe": "constraints", "Target": "constraints", "Hold": "constraints",
-    "read_constraints": "constraints",
+    "read_constraints": "constraints", "FootKey": "editing", "Oscillation": "editing", "PelvisKey": "editing",
+    "TurnKey": "editing", "WristKey": "editing", "bend_down": "editing", "copy_arm": "editing", "reach": "editing",
+    "shift_pelvis": "editing", "step": "editing", "turn_head": "editing", "turn_trunk": "editing",
 }  # fmt: skip
 
 __all__ = sorted(_HOMES)

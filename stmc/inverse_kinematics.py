@@ -107,6 +107,19 @@ def joints_to_rotations(joints: Float[Tensor, "frames joints 3"], skeleton: Skel
     return torch.cat([turned[:, :1], turned[:, list(PARENTS[1:NUM_ROTATIONS])].mT @ turned[:, 1:]], dim=1)
 
 
+def arm_rotations(
+    joints: Float[Tensor, "frames 24 3"],
+    side: str,
+    chest: Float[Tensor, "frames 3 3"],
+    skeleton: Skeleton,
+) -> Float[Tensor, "frames 2 3 3"]:
+    """World rotations of upper arm and forearm on one side that point as `joints` do, below a `chest` (the world
+    rotation of spine3); twists as those of `joints_to_rotations`."""
+    bones = _Bones(_directions(joints[:, :NUM_ROTATIONS]), _directions(skeleton.rest.to(joints)[None, :NUM_ROTATIONS]))
+    world = bones.arm(side, chest)
+    return torch.stack([world[f"{side}_shoulder"], world[f"{side}_elbow"]], dim=1)
+
+
 @dataclass(frozen=True)
 class _Bones:
     """Unit vectors along the bones that end in each joint, by its name, as seen in the world and at rest."""

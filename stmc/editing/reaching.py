@@ -1,0 +1,318 @@
+"""Arms that reach: an arm of a motion is led through a sequence of goals of its wrist, the rest stays as it is.
+
+Knows shoulders, elbows and wrists; knows no trunk movement (see `turning`), no feet and no text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from stmc.body import JOINTS, MIRROR, PARENTS
+from stmc.body_model import Skeleton
+from stmc.editing.keys import Timing, frame_times, minimum_jerk, replace_frames
+from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, mirror_rotations, shortest_arc
+from stmc.inverse_kinematics import arm_rotations
+from stmc.motion import Motion
+
+Side = Literal["left", "right"]
+BodyFrame = Literal["chest", "head", "shoulder", "ground"]
+Triple = tuple[float, float, float]
+
+_NEAREST, _FARTHEST = 0.3, 0.998
+"""How near to the shoulder and how far from it a wrist comes, as fractions of the arm's length."""
+_ELBOW = 0.1
+"""Metres that a key's elbow counts against the recorded elbow's distance from the line between shoulder and wrist."""
+_TREMOR_HERTZ = 4.0
+"""The frequency about which a hand trembles."""
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """A small periodic movement about a goal, `hertz` times a second: `along` is its amplitude in metres, in the axes
+    of the goal; with `across` it is an ellipse.
+
+    It begins at arrival, always with the same phase, and grows to its full size within half a period.
+    """
+
+    hertz: float | int
+    along: Triple
+    across: Triple = (0.0, 0.0, 0.0)
+
+    def offsets(self, since: Float[Tensor, " frames"]) -> Float[Tensor, "frames 3"]:
+        """Metres, at times since the arrival."""
+        angle = 2 * torch.pi * self.hertz * since.clamp(min=0)
+        grown = minimum_jerk((2 * self.hertz * since).clamp(0, 1))
+        sine, cosine = (grown * torch.sin(angle))[:, None], (grown * torch.cos(angle))[:, None]
+        return sine * since.new_tensor(self.along) + cosine * since.new_tensor(self.across)
+
+
+@dataclass(frozen=True)
+class WristKey:
+    """A goal of a wrist: it arrives at `time` (seconds) and takes `takes` seconds to get there; see `Timing`.
+
+    `goal`: metres in the axes of `frame`, each of them (outwards to the arm's side, up, forward), so that the same
+    numbers serve both arms; None: back to where the motion has the arm. Frames are the "chest" (origin half way between
+    the shoulders, the axes of the upper spine), the "head" (its joint and axes), the "shoulder" (its joint, level, the
+    pelvis' heading) and the "ground" (between the toes on the floor at z = 0, the pelvis' heading).
+
+    `pole`: the direction from the arm to its elbow, in the axes of the chest. `roundness`: 0 leads the wrist straight
+    to its goal, 1 round the shoulder. `arc`: metres by which the way bulges in its middle, in the axes of the chest.
+    `shrug`: radians by which the collar bone is raised. `oscillation`: about the goal, from the arrival on.
+    """
+
+    time: float | int
+    takes: float | int
+    goal: Triple | None = None
+    frame: BodyFrame = "chest"
+    pole: Triple = (0.5, -1.0, -0.2)
+    skew: float | int = 1.0
+    roundness: float | int = 0.5
+    arc: Triple = (0.0, 0.0, 0.0)
+    shrug: float | int = 0.0
+    oscillation: Oscillation | None = None
+
+    @property
+    def timing(self) -> Timing:
+        """When it moves."""
+        return Timing(self.time, self.takes, self.skew)
+
+
+def reach(
+    motion: Motion, side: Side, keys: Sequence[WristKey], tremor: float | int = 0.0, seed: int | None = None
+) -> Motion:
+    """The motion with one arm led through goals of its wrist, in order. All but the arm stays to the last digit, and so
+    does the arm before the first key begins and after it came back (a last key without a `goal`).
+
+    Goals move with the trunk, the head and the legs of each frame: turn those first. Goals that the arm does not reach
+    are reached as near as possible, and wrists stay 0.3 arm's lengths from their shoulder. The elbow bends towards each
+    key's pole, the hand goes on from the forearm as it did. `tremor`: metres (root mean square) by which the hand
+    trembles, drawn from `seed`.
+
+    Raises `ValueError` for keys that are not in the order of their times and for a tremor without a seed.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 2", steps=1)
+        >>> ear = stmc.WristKey(0.8, 0.6, (0.17, 0.02, 0.06), "head", pole=(0.6, -1, 0.3))
+        >>> stmc.reach(motion, "left", [ear, stmc.WristKey(1.9, 0.6)])
+        Motion(40 frames at 20 fps, 2.00 s)
+    """
+    _check(side, keys, tremor, seed)
+    arm = _Arm.of(motion, side)
+    seconds = frame_times(motion)
+    path = _Path.recorded(arm)
+    for key in keys:
+        path = path.towards(key, arm, seconds)
+    wrist = path.wrist + (1 - path.recorded) * tremor * _tremble(motion, seed if tremor else 0)
+    edited = arm.posed(path.shrug, wrist, path.elbow, path.recorded)
+    joints = [JOINTS.index(f"{side}_{name}") for name in ("collar", "shoulder", "elbow", "wrist", "hand")]
+    return replace_frames(motion, edited, joints[0 if path.shrug.any() else 1 :], path.recorded[:, 0] < 1)
+
+
+def copy_arm(motion: Motion, side: Side) -> Motion:
+    """The motion whose arm of one `side` does, mirrored, as the other arm does: a hand that waved rests as the other.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("wave with the left hand # 0 # 1", steps=1)
+        >>> stmc.copy_arm(motion, "left")
+        Motion(20 frames at 20 fps, 1.00 s)
+    """
+    _check_side(side)
+    joints = [JOINTS.index(f"{side}_{name}") for name in ("collar", "shoulder", "elbow", "wrist", "hand")]
+    rotations = motion.rotations.clone()
+    rotations[:, joints[:-1]] = mirror_rotations(motion.rotations, MIRROR[: rotations.shape[1]])[:, joints[:-1]]
+    skeleton = Skeleton.measured(motion.rotations, motion.joints)
+    edited = Motion.posed(rotations, motion.translation, motion.fps, skeleton)
+    return replace_frames(motion, edited, joints, torch.ones(motion.frames, dtype=torch.bool))
+
+
+def body_frame(
+    motion: Motion, frame: BodyFrame, side: Side
+) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3 3"]]:
+    """Origin and axes (columns: outwards to the `side`, up, forward) of a frame in which goals of wrists are given.
+
+    See `WristKey`. For the right side the axes are left-handed: the mirror images of the left side's.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> origin, axes = stmc.editing.body_frame(motion, "chest", "left")
+        >>> wrist = motion.joints[:, stmc.body.JOINTS.index("left_wrist")]
+        >>> ((wrist - origin)[:, None] @ axes).shape
+        torch.Size([20, 1, 3])
+    """
+    _check_side(side)
+    joint = {name: motion.joints[:, JOINTS.index(name)] for name in JOINTS}
+    outwards = motion.joints.new_tensor([1.0 if side == "left" else -1.0, 1.0, 1.0])
+    if frame in ("chest", "head"):
+        world = global_rotations(motion.rotations, PARENTS)
+        axes = world[:, JOINTS.index("spine3" if frame == "chest" else "head")] * outwards
+        return (joint["left_shoulder"] + joint["right_shoulder"]) / 2 if frame == "chest" else joint["head"], axes
+    if frame not in ("shoulder", "ground"):
+        raise ValueError(f"frame={frame!r}: choose from chest, head, shoulder, ground")
+    up = torch.zeros_like(motion.facing)
+    up[:, 2] = 1
+    axes = torch.stack([torch.linalg.cross(up, motion.facing), up, motion.facing], dim=-1) * outwards
+    toes = (joint["left_foot"] + joint["right_foot"]) / 2 * (1 - up)
+    return joint[f"{side}_shoulder"] if frame == "shoulder" else toes, axes
+
+
+@dataclass(frozen=True)
+class _Arm:
+    """One arm of a motion (float64, CPU): where it is, and what its goals are relative to."""
+
+    motion: Motion
+    side: Side
+    skeleton: Skeleton
+    world: Float[Tensor, "frames 24 3 3"]
+
+    @classmethod
+    def of(cls, motion: Motion, side: Side) -> _Arm:
+        exact = motion.to("cpu", torch.float64)
+        skeleton = Skeleton.measured(exact.rotations, exact.joints)
+        return cls(exact, side, skeleton, global_rotations(exact.rotations, PARENTS))
+
+    def at(self, name: str) -> Float[Tensor, "frames 3"]:
+        return self.motion.joints[:, JOINTS.index(f"{self.side}_{name}")]
+
+    @property
+    def chest(self) -> Float[Tensor, "frames 3 3"]:
+        return body_frame(self.motion, "chest", self.side)[1]
+
+    def shoulder(self, shrug: Float[Tensor, "frames 1"]) -> Float[Tensor, "frames 3"]:
+        """Where the shoulder is with a raised collar bone."""
+        world = self.world[:, JOINTS.index("spine3")]
+        bone = self.at("shoulder") - self.at("collar")
+        lifted = world @ self._raise(shrug) @ world.mT @ bone[..., None]
+        return self.at("collar") + torch.where(shrug == 0, bone, lifted[..., 0])
+
+    def _raise(self, shrug: Float[Tensor, "frames 1"]) -> Float[Tensor, "frames 3 3"]:
+        forward = shrug.new_tensor([0.0, 0.0, 1.0 if self.side == "left" else -1.0])
+        return axis_angle_to_matrix(shrug * forward)
+
+    def posed(self, shrug: Tensor, wrist: Tensor, elbow: Tensor, recorded: Tensor) -> Motion:
+        """The motion whose wrist is at `wrist` or as near as it can be; `elbow`: metres from the arm, in the world.
+
+        Where the arm is as `recorded` in part, so are the twists of its bones.
+        """
+        names = [f"{self.side}_{name}" for name in ("collar", "shoulder", "elbow", "wrist")]
+        places = [JOINTS.index(name) for name in names]
+        joints, before = self.motion.joints.clone(), self.motion.joints
+        shoulder = self.shoulder(shrug)
+        joints[:, places[1]] = shoulder
+        joints[:, places[2]], joints[:, places[3]] = self._bent(shoulder, wrist, elbow)
+        rotations = self.motion.rotations.clone()
+        rotations[:, places[0]] = self._raise(shrug) @ rotations[:, places[0]]
+        collar = self.world[:, JOINTS.index("spine3")] @ rotations[:, places[0]]
+        fresh, old = (arm_rotations(points, self.side, self.world[:, 9], self.skeleton) for points in (joints, before))
+        world = self.world[:, places[1:3]]
+        twist = matrix_to_axis_angle(old.mT @ world)
+        turned = fresh @ axis_angle_to_matrix(recorded[:, None] * twist)
+        rotations[:, places[1]] = collar.mT @ turned[:, 0]
+        rotations[:, places[2]] = turned[:, 0].mT @ turned[:, 1]
+        return Motion.posed(rotations, self.motion.translation, self.motion.fps, self.skeleton)
+
+    def _bent(self, shoulder: Tensor, wrist: Tensor, elbow: Tensor) -> tuple[Tensor, Tensor]:
+        """Elbow and wrist, by the law of cosines."""
+        upper = (self.at("elbow") - self.at("shoulder")).norm(dim=-1, keepdim=True)
+        fore = (self.at("wrist") - self.at("elbow")).norm(dim=-1, keepdim=True)
+        own = (self.at("wrist") - self.at("shoulder")).norm(dim=-1, keepdim=True)
+        length = upper + fore
+        nearest, farthest = torch.minimum(_NEAREST * length, own), torch.maximum(_FARTHEST * length, own)
+        along = normalize(wrist - shoulder, dim=-1)
+        distance = (wrist - shoulder).norm(dim=-1, keepdim=True).clamp(nearest, farthest)
+        aside = normalize(elbow - (elbow * along).sum(dim=-1, keepdim=True) * along, dim=-1)
+        onward = (upper**2 - fore**2 + distance**2) / (2 * distance)
+        height = (upper**2 - onward**2).clamp(min=0).sqrt()
+        return shoulder + onward * along + height * aside, shoulder + distance * along
+
+
+@dataclass(frozen=True)
+class _Path:
+    """Where a wrist and its elbow should be, as far as the keys have been followed."""
+
+    wrist: Float[Tensor, "frames 3"]
+    elbow: Float[Tensor, "frames 3"]
+    """Metres from the line between shoulder and wrist, in the world."""
+    shrug: Float[Tensor, "frames 1"]
+    recorded: Float[Tensor, "frames 1"]
+    """How much of the pose is the recorded one: exactly 1 where nothing changes."""
+
+    @classmethod
+    def recorded(cls, arm: _Arm) -> _Path:
+        one = torch.ones(arm.motion.frames, 1, dtype=torch.float64)
+        return cls(arm.at("wrist"), _elbow(arm), torch.zeros_like(one), one)
+
+    def towards(self, key: WristKey, arm: _Arm, seconds: Float[Tensor, " frames"]) -> _Path:
+        """What it is with one more key."""
+        fraction = key.timing.progress(seconds)[:, None]
+        shrug = torch.lerp(self.shrug, torch.full_like(self.shrug, 0.0 if key.goal is None else key.shrug), fraction)
+        back = torch.full_like(self.recorded, float(key.goal is None))
+        goal, elbow = self._goal(key, arm, seconds)
+        shoulder = arm.shoulder(shrug)
+        wrist = _between(shoulder, self.wrist, goal, fraction, key.roundness)
+        bulge = 16 * (fraction * (1 - fraction)) ** 2 * (arm.chest @ seconds.new_tensor(key.arc))
+        return _Path(
+            wrist + bulge,
+            torch.lerp(self.elbow, elbow, fraction),
+            shrug,
+            self.recorded * (1 - fraction) + back * fraction,
+        )
+
+    def _goal(self, key: WristKey, arm: _Arm, seconds: Tensor) -> tuple[Tensor, Tensor]:
+        """Where the key leads wrist and elbow, in the world."""
+        if key.goal is None:
+            return arm.at("wrist"), _elbow(arm)
+        origin, axes = body_frame(arm.motion, key.frame, arm.side)
+        goal = seconds.new_tensor(key.goal).expand(len(seconds), 3)
+        if key.oscillation:
+            goal = goal + key.oscillation.offsets(seconds - key.time)
+        pole = normalize(seconds.new_tensor(key.pole), dim=-1)
+        return origin + (axes @ goal[..., None])[..., 0], _ELBOW * (arm.chest @ pole)
+
+
+def _elbow(arm: _Arm) -> Float[Tensor, "frames 3"]:
+    """How far the recorded elbow is from the line between shoulder and wrist."""
+    along = normalize(arm.at("wrist") - arm.at("shoulder"), dim=-1)
+    upper = arm.at("elbow") - arm.at("shoulder")
+    return upper - (upper * along).sum(dim=-1, keepdim=True) * along
+
+
+def _between(shoulder: Tensor, start: Tensor, end: Tensor, fraction: Tensor, roundness: float | int) -> Tensor:
+    """Part of the way from `start` to `end`: partly straight, partly round the shoulder."""
+    first, last = start - shoulder, end - shoulder
+    arc = matrix_to_axis_angle(shortest_arc(normalize(first, dim=-1), normalize(last, dim=-1)))
+    direction = axis_angle_to_matrix(fraction * arc) @ normalize(first, dim=-1)[..., None]
+    distance = torch.lerp(first.norm(dim=-1, keepdim=True), last.norm(dim=-1, keepdim=True), fraction)
+    way = torch.lerp(torch.lerp(first, last, fraction), direction[..., 0] * distance, roundness)
+    way = torch.where(fraction == 0, first, torch.where(fraction == 1, last, way))
+    return shoulder + way
+
+
+def _tremble(motion: Motion, seed: int | None) -> Float[Tensor, "frames 3"]:
+    """Noise about one frequency, with root mean square 1."""
+    generator = torch.Generator().manual_seed(seed or 0)
+    noise = torch.randn(motion.frames, 3, generator=generator, dtype=torch.float64)
+    hertz = torch.fft.rfftfreq(motion.frames, 1 / motion.fps).double()
+    band = torch.exp(-(((hertz - _TREMOR_HERTZ) / 1.5) ** 2))[:, None]
+    noise = torch.fft.irfft(torch.fft.rfft(noise, dim=0) * band, n=motion.frames, dim=0)
+    return noise / noise.square().mean().sqrt().clamp(min=1e-12)
+
+
+def _check_side(side: str) -> None:
+    if side not in ("left", "right"):
+        raise ValueError(f"side={side!r}: choose left or right")
+
+
+def _check(side: str, keys: Sequence[WristKey], tremor: float | int, seed: int | None) -> None:
+    _check_side(side)
+    times = [key.time for key in keys]
+    if times != sorted(times):
+        raise ValueError(f"keys arrive at {times} seconds: put them in the order of their times")
+    if tremor and seed is None:
+        raise ValueError(f"tremor={tremor} is drawn at random: give a seed")
