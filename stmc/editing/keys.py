@@ -53,10 +53,10 @@ def frame_times(motion: Motion) -> Float[Tensor, " frames"]:
 
 
 def blended(
-    seconds: Float[Tensor, " frames"], timings: Sequence[Timing], values: Sequence[Sequence[float | int]]
-) -> Float[Tensor, "frames _"]:
+    seconds: Float[Tensor, " frames"], timings: Sequence[Timing], values: Sequence[Sequence[float | int]], width: int
+) -> Float[Tensor, "frames width"]:
     """Values over time that begin at zero and move to those of each key in turn."""
-    blend = torch.zeros(len(seconds), len(values[0]) if values else 0, dtype=seconds.dtype)
+    blend = torch.zeros(len(seconds), width, dtype=seconds.dtype)
     for timing, value in zip(timings, values, strict=True):
         fraction = timing.progress(seconds)[:, None]
         blend = blend * (1 - fraction) + blend.new_tensor(value) * fraction

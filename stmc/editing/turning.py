@@ -111,10 +111,8 @@ def shift_pelvis(motion: Motion, keys: Sequence[PelvisKey]) -> Motion:
         Motion(40 frames at 20 fps, 2.00 s)
     """
     values = blended(
-        frame_times(motion), _timings(keys), [(*key.offset, key.pitch, key.yaw, -key.roll) for key in keys]
+        frame_times(motion), _timings(keys), [(*key.offset, key.pitch, key.yaw, -key.roll) for key in keys], 6
     )
-    if not values.any():
-        return motion
     exact = motion.to("cpu", torch.float64)
     axes = body_frame(exact, "ground", "left")[1]
     root = axes @ axis_angle_to_matrix(values[:, 3:]) @ axes.mT @ exact.rotations[:, 0]
@@ -133,7 +131,7 @@ def step(motion: Motion, side: Side, keys: Sequence[FootKey]) -> Motion:
         Motion(40 frames at 20 fps, 2.00 s)
     """
     seconds = frame_times(motion)
-    offsets = blended(seconds, _timings(keys), [key.offset for key in keys])
+    offsets = blended(seconds, _timings(keys), [key.offset for key in keys], 3)
     for key, timing in zip(keys, _timings(keys), strict=True):
         fraction = timing.progress(seconds)
         offsets[:, 1] += key.lift * 16 * (fraction * (1 - fraction)) ** 2
@@ -174,8 +172,7 @@ def _timings(keys: Sequence[TurnKey | PelvisKey | FootKey]) -> list[Timing]:
 
 def _turns(motion: Motion, keys: Sequence[TurnKey]) -> Float[Tensor, "frames 3"]:
     """Rotation vectors in a body's axes (left, up, forward)."""
-    values = blended(frame_times(motion), _timings(keys), [(key.pitch, key.yaw, -key.roll) for key in keys])
-    return values if keys else values.new_zeros(motion.frames, 3)
+    return blended(frame_times(motion), _timings(keys), [(key.pitch, key.yaw, -key.roll) for key in keys], 3)
 
 
 def _turned(motion: Motion, turns: Tensor, shares: dict[str, float], joints: Sequence[int]) -> Motion:

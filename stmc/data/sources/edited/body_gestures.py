@@ -1,0 +1,191 @@
+"""Gestures of the whole body: punches, throws, a golf swing, picking up and dodging, as scripts of keys.
+
+Hips and weight go first, the trunk follows, the hand comes last. Feet stand where they stood, but for a thrower's step.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from stmc.data.sources.edited.script import Script, Spot, shifted, turned
+from stmc.editing import FootKey, Oscillation, WristKey
+
+GUARD = Spot((0.05, -0.06, 0.18), (0.11, 0.02, 0.24), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
+JAB = Spot((0.0, -0.02, 0.452), (0.05, 0.04, 0.462), pole=((0.6, -1, 0), (0.8, -0.8, 0)), shrug=(4, 9))
+COCKED = Spot((0.26, 0.10, -0.16), (0.32, 0.20, -0.10), pole=((1, 0, -0.4), (1, 0, -0.4)), shrug=(4, 8))
+RELEASE = Spot((0.06, 0.12, 0.38), (0.14, 0.20, 0.42), pole=((1, -0.3, 0), (1, -0.3, 0)), shrug=(6, 10))
+FOLLOW = Spot((-0.16, -0.36, 0.22), (-0.05, -0.28, 0.30), pole=((0.8, -0.6, -0.2), (0.8, -0.6, -0.2)))
+BALANCE = Spot((0.08, -0.16, 0.36), (0.14, -0.02, 0.42), pole=((1, -1, 0), (1, -1, 0)))
+FLOOR = Spot((0.05, 0.10, 0.05), (0.14, 0.18, 0.16), "ground", ((0.6, -0.2, -1), (0.6, -0.2, -1)))
+BELLY = Spot((0.02, -0.30, 0.22), (0.10, -0.22, 0.28), pole=((0.6, -1, -0.3), (0.6, -1, -0.3)))
+HANGING = Spot((0.0, -0.45, -0.06), (0.05, -0.44, 0.02), "shoulder", ((0.3, 0, -1), (0.3, 0, -1)))
+THIGH = Spot((0.09, 0.50, -0.10), (0.13, 0.56, -0.04), "ground", ((1, 0.3, -0.6), (1, 0.3, -0.3)))
+SHIELD = Spot((0.04, -0.04, 0.20), (0.10, 0.06, 0.25), pole=((0.5, -1, 0.1), (0.5, -1, 0.1)))
+
+
+def punch(rng: np.random.Generator) -> Script:
+    """One to three straight punches from a guard: the hip turns, the trunk follows, the fist shoots out and back."""
+    time, count = rng.uniform(0.3, 0.9) + rng.uniform(0.4, 0.55), int(rng.integers(1, 4))
+    guard, keys, hips, twists = GUARD.drawn(rng), [], [], []
+    raised, hip, yaw = float(time), rng.uniform(10, 18), rng.uniform(16, 26)
+    ahead, depth = rng.uniform(0.03, 0.06), -rng.uniform(0.02, 0.045)
+    keys.append(guard.key(time, 0.45, 1.3))
+    hips.append(shifted(time, 0.45, (0.0, depth, 0.0), hip * 0.4))
+    twists.append(turned(time, 0.45, 0.3 * yaw, 4))
+    for _ in range(count):
+        out, back = rng.uniform(0.18, 0.23), rng.uniform(0.26, 0.34)
+        time += rng.uniform(0.35, 0.9) + out
+        keys += [JAB.drawn(rng).key(time, out, 1.2), guard.near(rng, 0.015).key(time + back + 0.06, back, 1.35)]
+        hips += [
+            shifted(time, out + 0.08, (0.0, depth, ahead), -hip),
+            shifted(time + 0.45, 0.4, (0, depth, 0), hip * 0.4),
+        ]
+        twists += [turned(time, out + 0.05, -yaw, 5), turned(time + 0.42, 0.36, 0.3 * yaw, 4)]
+        time += back + 0.06
+    ends = time + rng.uniform(0.3, 0.7) + 0.7
+    seconds = max(3.5, ends + rng.uniform(0.3, 1.0))
+    hips.append(shifted(ends, 0.7))
+    twists.append(turned(ends, 0.7))
+    right = (GUARD.drawn(rng).key(raised, 0.45, 1.3), WristKey(ends + 0.05, 0.7)) if rng.uniform() < 0.5 else ()
+    return Script(seconds, (*keys, WristKey(ends, 0.7)), right, trunk=tuple(twists), pelvis=tuple(hips), gaze=0.9)
+
+
+def throw(rng: np.random.Generator) -> Script:
+    """An overhand throw: the hand is drawn back, the other foot steps, hips and chest come round, the arm follows."""
+    winds = rng.uniform(0.6, 0.85)
+    wound = rng.uniform(0.4, 1.0) + winds
+    forward, follow = rng.uniform(0.28, 0.34), rng.uniform(0.30, 0.38)
+    throws, down = wound + rng.uniform(0.02, 0.12) + forward, 0.0
+    down = throws + follow * 0.75
+    ends, strides = down + rng.uniform(0.3, 0.7) + 0.8, rng.uniform() < 0.75
+    stride = rng.uniform(0.20, 0.32) if strides else 0.0
+    back, front, hip = -rng.uniform(0.03, 0.06), rng.uniform(0.07, 0.11) + 0.25 * stride, rng.uniform(10, 18)
+    sink = -0.25 * stride**2 - 0.015
+    hips = (
+        shifted(wound, winds, (0.03, -0.01, back), hip),
+        shifted(throws, forward + 0.12, (-0.01, sink, front), -hip, 4, skew=1.0),
+        shifted(ends + 0.2, 0.9),
+    )
+    yaw, over = rng.uniform(22, 32), rng.uniform(18, 26)
+    trunk = (
+        turned(wound, winds, yaw, -6, 4),
+        turned(throws + 0.05, forward + 0.05, -over * 0.7, 10, -4, skew=1.0),
+        turned(down + 0.05, follow, -over, 18, -6),
+        turned(ends, 0.8),
+    )
+    cocked, release = COCKED.drawn(rng), RELEASE.drawn(rng)
+    left = (
+        cocked.key(wound, winds, 1.15),
+        release.key(throws, forward, 0.85, roundness=0.8),
+        FOLLOW.drawn(rng).key(down, follow, 1.25, roundness=0.7),
+        WristKey(ends, 0.8),
+    )
+    right = (BALANCE.drawn(rng).key(wound, winds), WristKey(down + 0.1, follow + 0.2)) if rng.uniform() < 0.6 else ()
+    feet = (
+        FootKey(wound + 0.16, 0.45, (0.02, 0.0, stride), rng.uniform(0.05, 0.09)),
+        FootKey(ends + 0.3, 0.6, lift=0.05),
+    )
+    seconds = ends + 0.3 + rng.uniform(0.3, 0.9)
+    return Script(seconds, left, right, (), trunk, hips, feet if strides else (), gaze=0.85)
+
+
+def pick_up(rng: np.random.Generator) -> Script:
+    """The body bends in hips and knees, one hand takes something from the floor; the other hangs or holds the thigh."""
+    takes, stays, up = rng.uniform(0.85, 1.2), rng.uniform(0.25, 0.5), rng.uniform(0.9, 1.2)
+    low = rng.uniform(0.3, 0.9) + takes
+    stands = low + stays + up
+    depth, pitch, spine = rng.uniform(0.26, 0.36), rng.uniform(38, 50), rng.uniform(22, 32)
+    yaw, ends = rng.uniform(8, 14), stands + rng.uniform(0.3, 0.9) + 0.7
+    hips = (shifted(low, takes, (0.0, -depth, -rng.uniform(0.08, 0.13)), -0.4 * yaw, pitch), shifted(stands, up))
+    trunk = (turned(low, takes, -yaw, spine, 5), turned(stands, up))
+    head = (turned(low - 0.15 * takes, takes * 0.8, 4, rng.uniform(-4, 8)), turned(stands, up))
+    carried = BELLY.drawn(rng).key(stands, up, 1.1)
+    left = (FLOOR.drawn(rng).key(low, takes * 0.9, 1.1), carried, WristKey(ends, 0.7))
+    other = (THIGH if rng.uniform() < 0.5 else HANGING).drawn(rng)
+    right = (other.key(low, takes, 1.1), WristKey(stands, up, skew=1.1))
+    if rng.uniform() < 0.4:
+        left, ends = left[:2], stands + 0.5
+    return Script(ends + rng.uniform(0.3, 0.8), left, right, head, trunk, hips, gaze=0.2)
+
+
+def golf(rng: np.random.Generator) -> Script:
+    """Address, backswing with a straight left arm, hit and a low finish of a right-handed player."""
+    address = rng.uniform(0.3, 0.8) + 0.9
+    back, hit, pause = rng.uniform(0.75, 0.95), rng.uniform(0.30, 0.38), rng.uniform(0.3, 0.7)
+    top = address + pause + back
+    impact, twist = top + 0.04 + hit, rng.uniform(30, 40)
+    finish, holds = impact + rng.uniform(0.42, 0.55), rng.uniform(0.6, 1.3)
+    ends, pitch, hip = finish + holds + 0.9, rng.uniform(20, 26), rng.uniform(14, 22)
+    stance = -rng.uniform(0.03, 0.06)
+    hips = (
+        shifted(address, 0.9, (0, stance, -0.04), 0, 14),
+        shifted(top, back, (-0.02, stance, -0.04), -hip, 13),
+        shifted(impact - 0.04, hit + 0.06, (0.04, stance, -0.03), 0.9 * hip, 12, skew=1.0),
+        shifted(finish, 0.5, (0.06, 0.5 * stance, 0.0), 1.9 * hip, 3),
+        shifted(ends, 0.9),
+    )
+    trunk = (
+        turned(address, 0.9, 0, pitch, -3),
+        turned(top, back, -twist, pitch, 3),
+        turned(impact, hit + 0.02, 6, pitch, -6, skew=1.0),
+        turned(finish, 0.5, twist, 0.3 * pitch, -5),
+        turned(ends, 0.9),
+    )
+    head = (
+        turned(address, 0.7, 0, 10),
+        turned(top, back, twist + hip, 8),
+        turned(impact, hit, -4, 10, skew=1.0),
+        turned(finish, 0.5, -8, -2),
+        turned(ends, 0.9),
+    )
+    swing = (address, pause, back, top, hit, impact, finish, ends)
+    left, right = (_club(side, swing, rng) for side in ("left", "right"))
+    return Script(ends + rng.uniform(0.3, 0.8), left, right, head, trunk, hips)
+
+
+_GRIP = {
+    "left": ((-0.02, -0.345, 0.240), (-0.175, 0.10, 0.335), (0.13, -0.27, 0.30), (0.20, 0.02, 0.22)),
+    "right": ((0.005, -0.385, 0.225), (0.165, 0.035, 0.30), (-0.10, -0.30, 0.28), (-0.14, -0.03, 0.25)),
+}
+"""Where the hands are at address and at impact, at the top, past the ball, and at the finish."""
+_GRIP_POLES = {"left": (0.6, -0.9, -0.1), "right": (0.8, -1.0, -0.2)}
+
+
+def _club(side: str, swing: tuple[float, ...], rng: np.random.Generator) -> tuple[WristKey, ...]:
+    """The keys of one hand on the club: at address it waits, and it passes by the ball without a stop."""
+    address, pause, back, top, hit, impact, finish, ends = swing
+    pole = _GRIP_POLES[side]
+    ball, high, past, last = (Spot(goal, goal, pole=(pole, pole)) for goal in _GRIP[side])
+    waggle = Oscillation(1 / max(pause, 0.3), (0.012 if side == "right" else -0.012, 0.004, 0.0))
+    return (
+        ball.key(address, 0.85, 1.2),
+        Spot(ball.low, ball.low, pole=ball.pole).key(address + pause, pause, 1.0, waggle),
+        high.key(top, back, 1.1, roundness=0.9),
+        ball.key(impact, hit, 0.9, roundness=0.9),
+        past.key(impact + 0.14, 0.2, 1.0, roundness=0.9),
+        last.key(finish, finish - impact - 0.04, 1.2, roundness=0.7),
+        WristKey(ends, 0.85),
+    )
+
+
+def dodge(rng: np.random.Generator) -> Script:
+    """Head and trunk get quickly out of the way of a hit, aside, down or back, and come up again."""
+    out, stays, back = rng.uniform(0.26, 0.36), rng.uniform(0.2, 0.5), rng.uniform(0.5, 0.75)
+    away = rng.uniform(0.5, 1.1) + out
+    ends, side = away + stays + back, float(rng.choice([-1, 1]))
+    lean, duck = rng.uniform(20, 30), rng.uniform(0.06, 0.15)
+    aside = (side * rng.uniform(0.06, 0.11), -duck, 0.0)
+    pitch, yaw = rng.uniform(6, 22), -side * rng.uniform(0, 12)
+    if rng.uniform() < 0.25:
+        lean, pitch, aside = 0.4 * lean, -rng.uniform(16, 24), (0.3 * aside[0], -0.6 * duck, -0.07)
+    hips = (shifted(away, out + 0.04, aside, 0, 0.3 * pitch, side * 0.15 * lean, 1.3), shifted(ends, back))
+    trunk = (turned(away, out, yaw, pitch, side * lean, 1.3), turned(ends, back))
+    head = (turned(away - 0.03, out, 0.5 * yaw, 0.2 * pitch, side * rng.uniform(2, 12), 1.3), turned(ends, back))
+    arms: list[tuple[WristKey, ...]] = [(), ()]
+    if rng.uniform() < 0.6:
+        hands = [SHIELD.drawn(rng).near(rng, 0.03) for _ in arms]
+        arms = [(hand.key(away + 0.05, out, 1.4), WristKey(ends + 0.1, back)) for hand in hands]
+    seconds = max(3.0, ends + rng.uniform(0.6, 1.2))
+    return Script(seconds, *arms, head, trunk, hips, gaze=0.3 + 0.2 * math.sin(lean))
