@@ -12,7 +12,7 @@ import numpy as np
 from stmc.data.sources.edited.script import Script, Spot, shifted, turned
 from stmc.editing import FootKey, Oscillation, WristKey
 
-GUARD = Spot((0.05, -0.06, 0.18), (0.11, 0.02, 0.24), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
+GUARD = Spot((0.05, -0.08, 0.15), (0.11, 0.02, 0.21), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
 JAB = Spot((0.0, -0.02, 0.452), (0.05, 0.04, 0.462), pole=((0.6, -1, 0), (0.8, -0.8, 0)), shrug=(4, 9))
 COCKED = Spot((0.26, 0.10, -0.16), (0.32, 0.20, -0.10), pole=((1, 0, -0.4), (1, 0, -0.4)), shrug=(4, 8))
 RELEASE = Spot((0.06, 0.12, 0.38), (0.14, 0.20, 0.42), pole=((1, -0.3, 0), (1, -0.3, 0)), shrug=(6, 10))
@@ -35,7 +35,7 @@ def punch(rng: np.random.Generator) -> Script:
     hips.append(shifted(time, 0.45, (0.0, depth, 0.0), hip * 0.4))
     twists.append(turned(time, 0.45, 0.3 * yaw, 4))
     for _ in range(count):
-        out, back = rng.uniform(0.18, 0.23), rng.uniform(0.26, 0.34)
+        out, back = rng.uniform(0.15, 0.20), rng.uniform(0.24, 0.32)
         time += rng.uniform(0.35, 0.9) + out
         keys += [JAB.drawn(rng).key(time, out, 1.2), guard.near(rng, 0.015).key(time + back + 0.06, back, 1.35)]
         hips += [
@@ -96,7 +96,7 @@ def pick_up(rng: np.random.Generator) -> Script:
     takes, stays, up = rng.uniform(0.85, 1.2), rng.uniform(0.25, 0.5), rng.uniform(0.9, 1.2)
     low = rng.uniform(0.3, 0.9) + takes
     stands = low + stays + up
-    depth, pitch, spine = rng.uniform(0.26, 0.36), rng.uniform(38, 50), rng.uniform(22, 32)
+    depth, pitch, spine = rng.uniform(0.34, 0.46), rng.uniform(38, 50), rng.uniform(24, 34)
     yaw, ends = rng.uniform(8, 14), stands + rng.uniform(0.3, 0.9) + 0.7
     hips = (shifted(low, takes, (0.0, -depth, -rng.uniform(0.08, 0.13)), -0.4 * yaw, pitch), shifted(stands, up))
     trunk = (turned(low, takes, -yaw, spine, 5), turned(stands, up))
@@ -113,7 +113,7 @@ def pick_up(rng: np.random.Generator) -> Script:
 def golf(rng: np.random.Generator) -> Script:
     """Address, backswing with a straight left arm, hit and a low finish of a right-handed player."""
     address = rng.uniform(0.3, 0.8) + 0.9
-    back, hit, pause = rng.uniform(0.75, 0.95), rng.uniform(0.30, 0.38), rng.uniform(0.3, 0.7)
+    back, hit, pause = rng.uniform(0.75, 0.95), rng.uniform(0.25, 0.32), rng.uniform(0.3, 0.7)
     top = address + pause + back
     impact, twist = top + 0.04 + hit, rng.uniform(30, 40)
     finish, holds = impact + rng.uniform(0.42, 0.55), rng.uniform(0.6, 1.3)

@@ -40,6 +40,8 @@ _TRUNK: dict[Kind, float] = {"stand": 10.0, "walk": 12.0, "sit": 30.0}
 _HEAD: dict[Kind, float] = {"stand": 32.0, "walk": 36.0, "sit": 60.0}
 _SWAY = 0.12
 """Metres that the pelvis of a stand or a seat moves at most."""
+_STANDING = 0.84
+"""Metres above the floor below which a pelvis crouches, of the default body."""
 _TRIES = 80
 
 
@@ -88,9 +90,11 @@ def _bounced(motion: Motion, frames: int, phase: float) -> Motion:
 
 
 def _is_calm(motion: Motion, kind: Kind, moved: str) -> bool:
-    """Whether trunk, head and pelvis are nearly still, and the arms that are not replaced hang or lie."""
+    """Whether trunk and head are upright, the pelvis still, and the arms that are not replaced hang or lie."""
     world = global_rotations(motion.rotations, PARENTS)
     if _tilt(world, "spine3") > _TRUNK[kind] or _tilt(world, "head") > _HEAD[kind]:
+        return False
+    if kind == "stand" and motion.translation[:, 2].min() < _STANDING:
         return False
     ground = motion.translation[:, :2]
     if kind != "walk" and (ground.amax(dim=0) - ground.amin(dim=0)).norm() > _SWAY:

@@ -154,7 +154,7 @@ def swings_club(motion: Motion) -> bool:
     return (
         max(_seconds(motion, together), default=0.0) > 1.6
         and bool(turn.max() - turn.min() > 65)
-        and bool(speed(motion, "left", "ground").max() > 3.5)
+        and bool(speed(motion, "left", "ground").max() > 3.2)
         and _feet_stay(motion)
     )
 
@@ -174,7 +174,7 @@ def punches(motion: Motion) -> bool:
     """The arm shoots forward from a guard once to three times."""
     hand = wrist(motion, "left", "shoulder")
     runs = visits((_extension(motion, "left") > 0.88) & (hand[:, 1] > -0.15) & (hand[:, 2] > 0.3))
-    return 1 <= len(runs) <= 3 and max(runs) < 0.5 * motion.fps and bool(speed(motion, "left").max() > 2.5)
+    return 1 <= len(runs) <= 3 and max(runs) < 0.5 * motion.fps and bool(speed(motion, "left", "ground").max() > 2.6)
 
 
 def picks_up(motion: Motion) -> bool:

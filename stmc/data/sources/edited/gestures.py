@@ -39,6 +39,9 @@ BOW = Spot((0.08, -0.06, 0.28), (0.11, -0.03, 0.31), pole=((1, -0.4, -0.1), (1, 
 WIPING, CLAPPING, STRUMMING, BOWING, RUBBING = (0.7, 0.95), (2.0, 2.5), (1.5, 2.0), (0.5, 0.75), (1.6,)
 """Times a second of what is periodic: few, and always begun at arrival, so that a network can learn the phase."""
 
+SHORTEST = 3.5
+"""Seconds of the shortest clip."""
+
 STANDING: dict[Kind, float] = {"stand": 1.0}
 ANYWHERE: dict[Kind, float] = {"stand": 0.7, "walk": 0.18, "sit": 0.12}
 STANDING_OR_SEATED: dict[Kind, float] = {"stand": 0.85, "sit": 0.15}
@@ -54,7 +57,7 @@ class _Gesture:
     def __call__(self, bases: Bases, rng: np.random.Generator) -> Draft:
         script = self.script(rng)
         kind: Kind = str(rng.choice(list(self.kinds), p=list(self.kinds.values())))
-        base = draw_base(bases, rng, script.seconds, kind)
+        base = draw_base(bases, rng, max(SHORTEST, script.seconds), kind)
         return Draft(script.perform(base.motion, rng), base.recording)
 
 
@@ -93,7 +96,7 @@ def phone(rng: np.random.Generator) -> Script:
 def eat(rng: np.random.Generator) -> Script:
     """From the plate to the mouth and back, two to four times; the head comes to meet the hand."""
     time, count = _before(rng) + rng.uniform(0.6, 0.8), int(rng.integers(2, 5))
-    pace, plate, mouth = (1.15 if count < 4 else 0.85) * rng.uniform(0.85, 1.1), PLATE.drawn(rng), MOUTH.drawn(rng)
+    pace, plate, mouth = (1.0 if count < 4 else 0.75) * rng.uniform(0.85, 1.1), PLATE.drawn(rng), MOUTH.drawn(rng)
     keys, nods, pitch = [plate.key(time, 0.6)], [], rng.uniform(6, 14)
     for _ in range(count):
         up, stay, down = pace * rng.uniform(0.45, 0.6), pace * rng.uniform(0.2, 0.4), pace * rng.uniform(0.45, 0.6)
@@ -118,13 +121,13 @@ def drink(rng: np.random.Generator) -> Script:
         time += rng.uniform(0.1, 0.5)
     sip = SIP.drawn(rng)
     for _ in range(count):
-        up, stay, down = rng.uniform(0.6, 0.85), rng.uniform(0.9, 1.5), rng.uniform(0.55, 0.8)
+        up, stay, down = rng.uniform(0.55, 0.8), rng.uniform(0.85, 1.6 - 0.3 * count), rng.uniform(0.5, 0.75)
         time += up
         keys.append(sip.near(rng, 0.004).key(time, up, rng.uniform(1.1, 1.4)))
         nods += [turned(time + 0.25, 0.5, pitch=-rng.uniform(11, 19)), turned(time + stay + 0.3, 0.5)]
         time += stay + down
         keys.append(cup.near(rng, 0.02).key(time, down, rng.uniform(1.0, 1.3)))
-        time += rng.uniform(0.2, 0.6)
+        time += rng.uniform(0.1, 0.4)
     back, seconds = _ended(rng, time, 0.65)
     return Script(seconds, left=(*keys, *back), head=tuple(nods))
 
