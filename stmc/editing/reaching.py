@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -21,9 +20,7 @@ from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis
 from stmc.inverse_kinematics import arm_rotations
 from stmc.motion import Motion
 
-Side = Literal["left", "right"]
-BodyFrame = Literal["chest", "head", "shoulder", "ground"]
-Triple = tuple[float, float, float]
+Triple = tuple[float | int, float | int, float | int]
 
 _NEAREST, _FARTHEST = 0.3, 0.998
 """How near to the shoulder and how far from it a wrist comes, as fractions of the arm's length."""
@@ -70,7 +67,7 @@ class WristKey:
     time: float | int
     takes: float | int
     goal: Triple | None = None
-    frame: BodyFrame = "chest"
+    frame: str = "chest"
     pole: Triple = (0.5, -1.0, -0.2)
     skew: float | int = 1.0
     roundness: float | int = 0.5
@@ -85,7 +82,7 @@ class WristKey:
 
 
 def reach(
-    motion: Motion, side: Side, keys: Sequence[WristKey], tremor: float | int = 0.0, seed: int | None = None
+    motion: Motion, side: str, keys: Sequence[WristKey], tremor: float | int = 0.0, seed: int | None = None
 ) -> Motion:
     """The motion with one arm led through goals of its wrist, in order. All but the arm stays to the last digit, and so
     does the arm before the first key begins and after it came back (a last key without a `goal`).
@@ -115,7 +112,7 @@ def reach(
     return replace_frames(motion, edited, joints[0 if path.shrug.any() else 1 :], path.recorded[:, 0] < 1)
 
 
-def copy_arm(motion: Motion, side: Side) -> Motion:
+def copy_arm(motion: Motion, side: str) -> Motion:
     """The motion whose arm of one `side` does, mirrored, as the other arm does: a hand that waved rests as the other.
 
     Examples:
@@ -132,9 +129,7 @@ def copy_arm(motion: Motion, side: Side) -> Motion:
     return replace_frames(motion, edited, joints, torch.ones(motion.frames, dtype=torch.bool))
 
 
-def body_frame(
-    motion: Motion, frame: BodyFrame, side: Side
-) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3 3"]]:
+def body_frame(motion: Motion, frame: str, side: str) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3 3"]]:
     """Origin and axes (columns: outwards to the `side`, up, forward) of a frame in which goals of wrists are given.
 
     See `WristKey`. For the right side the axes are left-handed: the mirror images of the left side's.
@@ -167,12 +162,12 @@ class _Arm:
     """One arm of a motion (float64, CPU): where it is, and what its goals are relative to."""
 
     motion: Motion
-    side: Side
+    side: str
     skeleton: Skeleton
     world: Float[Tensor, "frames 24 3 3"]
 
     @classmethod
-    def of(cls, motion: Motion, side: Side) -> _Arm:
+    def of(cls, motion: Motion, side: str) -> _Arm:
         exact = motion.to("cpu", torch.float64)
         skeleton = Skeleton.measured(exact.rotations, exact.joints)
         return cls(exact, side, skeleton, global_rotations(exact.rotations, PARENTS))

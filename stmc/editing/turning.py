@@ -15,7 +15,7 @@ from torch import Tensor
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.editing.keys import Timing, blended, frame_times, replace_frames
-from stmc.editing.reaching import Side, Triple, body_frame
+from stmc.editing.reaching import Triple, body_frame
 from stmc.geometry import axis_angle_to_matrix, global_rotations
 from stmc.inverse_kinematics import bend_limb
 from stmc.motion import Motion
@@ -122,7 +122,7 @@ def shift_pelvis(motion: Motion, keys: Sequence[PelvisKey]) -> Motion:
     return replace_frames(motion, edited, range(len(JOINTS)), values.any(dim=1), path=True)
 
 
-def step(motion: Motion, side: Side, keys: Sequence[FootKey]) -> Motion:
+def step(motion: Motion, side: str, keys: Sequence[FootKey]) -> Motion:
     """The motion with one foot set elsewhere, lifted on the way; the leg follows in closed form, the rest stays.
 
     Examples:

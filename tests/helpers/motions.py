@@ -51,6 +51,22 @@ def walking(seconds: float = 6.0, fps: float = 20.0, speed: float = 1.1, turn: f
     return Motion.posed(rotations, grounded, fps, skeleton)
 
 
+def standing_still(frames: int, fps: float = 20.0) -> Motion:
+    """Stands on the floor with a little bent knees and hanging arms, and faces -y."""
+    poses = torch.zeros(NUM_ROTATIONS, 3, dtype=torch.float64)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        for name, angle in (("hip", -0.1), ("knee", 0.2), ("ankle", -0.1)):
+            poses[JOINTS.index(f"{side}_{name}"), 0] = angle
+        poses[JOINTS.index(f"{side}_shoulder"), 2] = -sign * 1.35
+        poses[JOINTS.index(f"{side}_elbow"), 1] = -sign * 0.2
+    rotations = axis_angle_to_matrix(poses).repeat(frames, 1, 1, 1)
+    rotations[:, 0] = STANDING
+    skeleton = Skeleton(Skeleton.default().offsets.double())
+    motion = Motion.posed(rotations, torch.zeros(frames, 3, dtype=torch.float64), fps, skeleton)
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) * -motion.joints[..., 2].min()
+    return Motion.posed(rotations, motion.translation + up, fps, skeleton)
+
+
 def walk(frames=12, fps=20.0, seed=0, dtype=torch.float64) -> Motion:
     """Anybody's pose and place at random, changing little from frame to frame."""
     generator = torch.Generator().manual_seed(seed)

@@ -141,19 +141,23 @@ def golf(rng: np.random.Generator) -> Script:
         turned(ends, 0.9),
     )
     swing = (address, pause, back, top, hit, impact, finish, ends)
-    left, right = (_club(side, swing, rng) for side in ("left", "right"))
-    return Script(ends + rng.uniform(0.3, 0.8), left, right, head, trunk, hips)
+    left, right = (_club(side, swing) for side in ("left", "right"))
+    wide, stands = rng.uniform(0.05, 0.09), ends + 0.1
+    left_foot = (FootKey(address - 0.35, 0.4, (wide, 0, 0), 0.03), FootKey(stands, 0.45, lift=0.03))
+    right_foot = (FootKey(address, 0.4, (-wide, 0, 0), 0.03), FootKey(stands + 0.4, 0.45, lift=0.03))
+    seconds = stands + 0.4 + rng.uniform(0.3, 0.8)
+    return Script(seconds, left, right, head, trunk, hips, right_foot, left_foot)
 
 
 _GRIP = {
-    "left": ((-0.02, -0.345, 0.240), (-0.175, 0.10, 0.335), (0.13, -0.27, 0.30), (0.20, 0.02, 0.22)),
-    "right": ((0.005, -0.385, 0.225), (0.165, 0.035, 0.30), (-0.10, -0.30, 0.28), (-0.14, -0.03, 0.25)),
+    "left": ((-0.02, -0.345, 0.240), (-0.175, 0.10, 0.335), (0.13, -0.27, 0.30), (0.20, -0.06, 0.22)),
+    "right": ((0.005, -0.385, 0.225), (0.165, 0.035, 0.30), (-0.10, -0.30, 0.28), (-0.14, -0.11, 0.25)),
 }
 """Where the hands are at address and at impact, at the top, past the ball, and at the finish."""
 _GRIP_POLES = {"left": (0.6, -0.9, -0.1), "right": (0.8, -1.0, -0.2)}
 
 
-def _club(side: str, swing: tuple[float, ...], rng: np.random.Generator) -> tuple[WristKey, ...]:
+def _club(side: str, swing: tuple[float, ...]) -> tuple[WristKey, ...]:
     """The keys of one hand on the club: at address it waits, and it passes by the ball without a stop."""
     address, pause, back, top, hit, impact, finish, ends = swing
     pole = _GRIP_POLES[side]

@@ -101,7 +101,7 @@ def _is_calm(motion: Motion, kind: Kind, moved: str) -> bool:
         return False
     resting = [JOINTS.index(f"{side}_wrist") for side in ("left", "right") if side != moved]
     above = motion.joints[:, resting, 2] - motion.translation[:, 2:]
-    return bool(above.max() < (0.12 if kind == "walk" else 0.06 if kind == "stand" else 0.2))
+    return bool(above.max() < (0.12 if kind == "walk" else 0.0 if kind == "stand" else 0.2))
 
 
 def _tilt(world: Float[Tensor, "frames 24 3 3"], joint: str) -> float:

@@ -25,12 +25,12 @@ def wrist(motion: Motion, side: str, frame: str) -> Float[Tensor, "frames 3"]:
     return ((motion.joints[:, JOINTS.index(f"{side}_wrist")] - origin)[:, None] @ axes)[:, 0]
 
 
-def speed(motion: Motion, side: str, frame: str = "chest") -> Float[Tensor, " _"]:
+def wrist_speed(motion: Motion, side: str, frame: str = "chest") -> Float[Tensor, " _"]:
     """Metres a second of a wrist as seen from the body."""
     return wrist(motion, side, frame).diff(dim=0).norm(dim=-1) * motion.fps
 
 
-def swings(values: Float[Tensor, " frames"], size: float) -> int:
+def count_swings(values: Float[Tensor, " frames"], size: float) -> int:
     """How often values go up or down by at least `size` before they turn."""
     turns, extreme, direction = 0, float(values[0]), 0
     for value in values.tolist():
@@ -94,7 +94,7 @@ def phones(motion: Motion) -> bool:
 def eats(motion: Motion) -> bool:
     """The hand visits the mouth two to five times, and goes well away between."""
     away = wrist(motion, "left", "head")[:, 1]
-    return 2 <= len(_seconds(motion, _near(motion, _MOUTH, 0.07))) <= 5 and swings(away, 0.15) >= 4
+    return 2 <= len(_seconds(motion, _near(motion, _MOUTH, 0.07))) <= 5 and count_swings(away, 0.15) >= 4
 
 
 def drinks(motion: Motion) -> bool:
@@ -108,7 +108,7 @@ def drinks(motion: Motion) -> bool:
 def touches_head(motion: Motion) -> bool:
     """The hand stays behind the head."""
     hand = wrist(motion, "left", "head")
-    runs = _seconds(motion, (hand[:, 2] < 0.0) & (hand.norm(dim=-1) < 0.22) & (hand[:, 1] > 0))
+    runs = _seconds(motion, (hand[:, 2] < 0.0) & (hand.norm(dim=-1) < 0.24) & (hand[:, 1] > 0))
     return bool(runs) and max(runs) > 1.2
 
 
@@ -123,27 +123,27 @@ def points(motion: Motion) -> bool:
 def wipes(motion: Motion) -> bool:
     """The hand goes to and fro in front of the body."""
     hand = wrist(motion, "left", "chest")
-    return swings(hand[:, 0], 0.1) >= 6 and bool(hand[len(hand) // 2, 2] > 0.2)
+    return count_swings(hand[:, 0], 0.1) >= 6 and bool(hand[len(hand) // 2, 2] > 0.2)
 
 
 def claps(motion: Motion) -> bool:
     """The hands come together and part, again and again."""
     left, right = (motion.joints[:, JOINTS.index(f"{side}_wrist")] for side in ("left", "right"))
     gap = (left - right).norm(dim=-1)
-    return swings(gap, 0.12) >= 8 and bool(0.07 < gap.min() < 0.15)
+    return count_swings(gap, 0.12) >= 8 and bool(0.07 < gap.min() < 0.15)
 
 
 def plays_guitar(motion: Motion) -> bool:
     """The right hand strums in front of the body; the left one is on the neck, out to the side."""
     strum, neck = wrist(motion, "right", "chest"), wrist(motion, "left", "chest")
-    return swings(strum[:, 1], 0.06) >= 8 and bool(neck[len(neck) // 2, 0] > 0.18) and not plays_violin(motion)
+    return count_swings(strum[:, 1], 0.06) >= 8 and bool(neck[len(neck) // 2, 0] > 0.18) and not plays_violin(motion)
 
 
 def plays_violin(motion: Motion) -> bool:
     """The right hand draws a bow; the left one stays out in front at the height of the shoulder."""
     bow, neck = wrist(motion, "right", "chest"), wrist(motion, "left", "chest")
     held = (neck[:, 1] > -0.12) & (neck[:, 2] > 0.2)
-    return swings(bow[:, 0], 0.15) >= 4 and bool(held[len(held) // 2]) and bool(held.double().mean() > 0.4)
+    return count_swings(bow[:, 0], 0.15) >= 4 and bool(held[len(held) // 2]) and bool(held.double().mean() > 0.4)
 
 
 def swings_club(motion: Motion) -> bool:
@@ -154,14 +154,14 @@ def swings_club(motion: Motion) -> bool:
     return (
         max(_seconds(motion, together), default=0.0) > 1.6
         and bool(turn.max() - turn.min() > 65)
-        and bool(speed(motion, "left", "ground").max() > 3.2)
-        and _feet_stay(motion)
+        and bool(wrist_speed(motion, "left", "ground").max() > 3.2)
+        and _feet_stay(motion, 0.15)
     )
 
 
 def throws(motion: Motion) -> bool:
     """The hand is drawn back behind the shoulders and comes forward fast."""
-    hand, pace = wrist(motion, "left", "ground"), speed(motion, "left", "ground")
+    hand, pace = wrist(motion, "left", "ground"), wrist_speed(motion, "left", "ground")
     shoulder = motion.joints[:, JOINTS.index("left_shoulder")]
     _, axes = body_frame(motion, "ground", "left")
     behind = ((motion.joints[:, JOINTS.index("left_wrist")] - shoulder) * axes[..., 2]).sum(dim=-1) < -0.03
@@ -174,7 +174,9 @@ def punches(motion: Motion) -> bool:
     """The arm shoots forward from a guard once to three times."""
     hand = wrist(motion, "left", "shoulder")
     runs = visits((_extension(motion, "left") > 0.88) & (hand[:, 1] > -0.15) & (hand[:, 2] > 0.3))
-    return 1 <= len(runs) <= 3 and max(runs) < 0.5 * motion.fps and bool(speed(motion, "left", "ground").max() > 2.6)
+    return (
+        1 <= len(runs) <= 3 and max(runs) < 0.5 * motion.fps and bool(wrist_speed(motion, "left", "ground").max() > 2.6)
+    )
 
 
 def picks_up(motion: Motion) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from stmc.data.sources.edited import gesture_gates as gates
 from stmc.data.sources.edited.body_gestures import dodge, golf, pick_up, punch, throw
 from stmc.data.sources.edited.gesture_bases import Kind, draw_base
-from stmc.data.sources.edited.recipe import Bases, Draft, Recipe
+from stmc.data.sources.edited.recipe import Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.script import Script, Spot, turned
 from stmc.editing import Oscillation, WristKey
 from stmc.motion import Motion
@@ -23,11 +23,11 @@ EAR = Spot((0.15, 0.0, 0.04), (0.18, 0.04, 0.09), "head", ((0.4, -1, 0.1), (0.9,
 PLATE = Spot((0.05, -0.34, 0.24), (0.14, -0.26, 0.31), pole=((0.4, -1, -0.2), (0.8, -1, -0.2)))
 MOUTH = Spot((0.03, -0.05, 0.16), (0.06, -0.02, 0.19), "head", ((0.6, -0.8, 0), (1, -0.8, 0)))
 CUP = Spot((0.03, -0.26, 0.24), (0.11, -0.18, 0.30), pole=((0.4, -1, -0.2), (0.8, -1, -0.2)))
-SIP = Spot((0.03, -0.04, 0.16), (0.06, -0.01, 0.18), "head", ((1, -0.5, 0.1), (1, -0.2, 0.2)), (3, 8))
+SIP = Spot((0.03, -0.04, 0.16), (0.06, -0.01, 0.18), "head", ((0.8, -1.0, 0), (1, -0.6, 0.1)), (2, 6))
 BESIDE_HEAD = Spot(
     (0.22, 0.02, 0.06), (0.26, 0.06, 0.10), "head", ((1, -0.2, 0.5), (1, -0.2, 0.5)), (4, 8), (0, 0, 0.08)
 )
-NAPE = Spot((0.09, 0.03, -0.11), (0.13, 0.08, -0.08), "head", ((1, 0.2, 0.1), (1, 0.6, 0.5)), (8, 16))
+NAPE = Spot((0.13, 0.02, -0.12), (0.165, 0.07, -0.08), "head", ((1, 0.2, 0.1), (1, 0.6, 0.5)), (8, 16))
 TABLE = Spot((0.04, -0.26, 0.32), (0.12, -0.20, 0.36), pole=((0.5, -1, 0), (1, -1, 0)))
 PANE = Spot((0.05, -0.10, 0.31), (0.13, 0.04, 0.36), pole=((0.5, -1, 0), (1, -1, 0)), shrug=(0, 5))
 CLAP = Spot((0.098, -0.16, 0.24), (0.106, -0.06, 0.29), pole=((1, -1, -0.1), (1, -1, -0.1)))
@@ -39,8 +39,8 @@ BOW = Spot((0.08, -0.06, 0.28), (0.11, -0.03, 0.31), pole=((1, -0.4, -0.1), (1, 
 WIPING, CLAPPING, STRUMMING, BOWING, RUBBING = (0.7, 0.95), (2.0, 2.5), (1.5, 2.0), (0.5, 0.75), (1.6,)
 """Times a second of what is periodic: few, and always begun at arrival, so that a network can learn the phase."""
 
-SHORTEST = 3.5
-"""Seconds of the shortest clip."""
+SHORTEST, LONGEST = 3.5, 7.5
+"""Seconds of the shortest and the longest clip."""
 
 STANDING: dict[Kind, float] = {"stand": 1.0}
 ANYWHERE: dict[Kind, float] = {"stand": 0.7, "walk": 0.18, "sit": 0.12}
@@ -56,6 +56,8 @@ class _Gesture:
 
     def __call__(self, bases: Bases, rng: np.random.Generator) -> Draft:
         script = self.script(rng)
+        if script.seconds > LONGEST:
+            raise Unusable(f"a script of {script.seconds:.1f} s")
         kind: Kind = str(rng.choice(list(self.kinds), p=list(self.kinds.values())))
         base = draw_base(bases, rng, max(SHORTEST, script.seconds), kind)
         return Draft(script.perform(base.motion, rng), base.recording)
@@ -179,6 +181,7 @@ def wipe(rng: np.random.Generator) -> Script:
         left=(spot.key(there, takes, 1.3, around), *back),
         head=(turned(there, takes, float(rng.uniform(-4, 6)), nod), *ends),
         trunk=(turned(there, takes, -4, pitch), *ends),
+        tremor=(0.0012, 0.0020),
     )
 
 

@@ -22,10 +22,10 @@ from stmc.editing import (
     turn_head,
     turn_trunk,
 )
-from stmc.editing.reaching import BodyFrame, Triple
+from stmc.editing.reaching import Triple
 from stmc.motion import Motion
 
-Spread = tuple[float, float]
+Spread = tuple[float | int, float | int]
 """The least and the greatest value of something that is drawn evenly."""
 
 
@@ -41,7 +41,9 @@ class Script:
     pelvis: tuple[PelvisKey, ...] = ()
     right_foot: tuple[FootKey, ...] = ()
     left_foot: tuple[FootKey, ...] = ()
-    gaze: float = 0.0
+    gaze: float | int = 0.0
+    tremor: Spread = (0.0005, 0.0011)
+    """Metres; recorded hands that reach have 30 to 100 m/s³ of jerk, minimum jerk alone a half of that."""
 
     def perform(self, motion: Motion, rng: np.random.Generator) -> Motion:
         """The motion with the gesture on it: pelvis, feet, trunk and head first, so that hands reach goals on them."""
@@ -51,7 +53,7 @@ class Script:
         for side, keys in (("left", self.left), ("right", self.right)):
             if keys:
                 seed = int(rng.integers(2**31))
-                motion = reach(motion, side, keys, tremor=rng.uniform(0.0004, 0.0010), seed=seed)
+                motion = reach(motion, side, keys, tremor=rng.uniform(*self.tremor), seed=seed)
         return motion
 
 
@@ -61,7 +63,7 @@ class Spot:
 
     low: Triple
     high: Triple
-    frame: BodyFrame = "chest"
+    frame: str = "chest"
     pole: tuple[Triple, Triple] = ((0.4, -1.0, -0.2), (0.8, -1.0, -0.1))
     shrug: Spread = (0.0, 0.0)
     arc: Triple = (0.0, 0.0, 0.0)
@@ -72,18 +74,18 @@ class Spot:
         pole, shrug = _between(rng, *self.pole), rng.uniform(*self.shrug)
         return Spot(goal, goal, self.frame, (pole, pole), (shrug, shrug), self.arc)
 
-    def near(self, rng: np.random.Generator, metres: float) -> Spot:
+    def near(self, rng: np.random.Generator, metres: float | int) -> Spot:
         """A goal as near to this drawn one as a hand comes back to it."""
         goal = tuple(float(value + rng.uniform(-metres, metres)) for value in self.low)
         return Spot(goal, goal, self.frame, self.pole, self.shrug, self.arc)
 
     def key(
         self,
-        time: float,
-        takes: float,
-        skew: float = 1.25,
+        time: float | int,
+        takes: float | int,
+        skew: float | int = 1.25,
         oscillation: Oscillation | None = None,
-        roundness: float = 0.5,
+        roundness: float | int = 0.5,
     ) -> WristKey:
         """The key of a drawn spot."""
         shrug = math.radians(self.shrug[0])
@@ -92,20 +94,25 @@ class Spot:
 
 
 def turned(
-    time: float, takes: float, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0, skew: float = 1.15
+    time: float | int,
+    takes: float | int,
+    yaw: float | int = 0.0,
+    pitch: float | int = 0.0,
+    roll: float | int = 0.0,
+    skew: float | int = 1.15,
 ) -> TurnKey:
     """A `TurnKey` in degrees."""
     return TurnKey(time, takes, math.radians(yaw), math.radians(pitch), math.radians(roll), skew)
 
 
 def shifted(
-    time: float,
-    takes: float,
+    time: float | int,
+    takes: float | int,
     offset: Triple = (0.0, 0.0, 0.0),
-    yaw: float = 0.0,
-    pitch: float = 0.0,
-    roll: float = 0.0,
-    skew: float = 1.1,
+    yaw: float | int = 0.0,
+    pitch: float | int = 0.0,
+    roll: float | int = 0.0,
+    skew: float | int = 1.1,
 ) -> PelvisKey:
     """A `PelvisKey` in degrees."""
     return PelvisKey(time, takes, offset, math.radians(yaw), math.radians(pitch), math.radians(roll), skew)
