@@ -1,4 +1,4 @@
-"""The numbers and pictures of editing.md: python docs/editing.py [edits|constraints] [steps]. Minutes on one core."""
+"""Numbers and pictures of editing.md: python docs/editing.py [edits|constraints|reaches] [steps]. Minutes on one core."""
 
 import math
 import sys
@@ -159,6 +159,15 @@ def _cost(motions: list[Motion]) -> str:
     return f"jerk {mean:.4f}, at most {most:.3f} m/frame³, sliding {100 * fmean(map(foot_sliding, motions)):.2f} cm"
 
 
+def reaches(model: stmc.Model, steps: int) -> None:
+    """The picture of a gesture on a walk."""
+    [motion] = model.generate("walk forwards # 0 # 5 # legs", seed=0, steps=steps)
+    ear = stmc.WristKey(1.5, 0.7, (0.17, 0.02, 0.06), frame="head", pole=(0.6, -1, 0.3), shrug=0.1)
+    phoned = stmc.turn_head(motion, [stmc.TurnKey(1.5, 0.6, roll=0.15), stmc.TurnKey(4.5, 0.6)])
+    phoned = stmc.reach(phoned, "left", [ear, stmc.WristKey(4.6, 0.7)], tremor=0.001, seed=0)
+    stmc.film_strip(phoned, frames=8).savefig(PICTURES / "edit_reach.png", dpi=70)
+
+
 if __name__ == "__main__":
     wanted, steps = (sys.argv[1:] + ["all", "25"][len(sys.argv) - 1 :])[:2]
     bundled = stmc.load()
@@ -166,3 +175,5 @@ if __name__ == "__main__":
         edits(bundled, int(steps))
     if wanted in ("all", "constraints"):
         constraints(bundled, int(steps))
+    if wanted in ("all", "reaches"):
+        reaches(bundled, int(steps))

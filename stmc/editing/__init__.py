@@ -4,8 +4,8 @@ Knows timelines, motions and the body; knows no features and no sampling.
 """
 
 from stmc.editing.changes import BORDER, Change, Kept, changed_prompt, changed_prompts, on_body
+from stmc.editing.posture import FootKey, PelvisKey, TurnKey, bend_down, shift_pelvis, step, turn_head, turn_trunk
 from stmc.editing.reaching import Oscillation, WristKey, body_frame, copy_arm, reach
-from stmc.editing.turning import FootKey, PelvisKey, TurnKey, bend_down, shift_pelvis, step, turn_head, turn_trunk
 
 __all__ = [
     "BORDER",

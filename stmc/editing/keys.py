@@ -27,7 +27,6 @@ class Timing:
 
     time: float | int
     takes: float | int
-
     skew: float | int = 1.0
 
     def __post_init__(self) -> None:

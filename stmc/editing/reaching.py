@@ -1,6 +1,6 @@
 """Arms that reach: an arm of a motion is led through a sequence of goals of its wrist, the rest stays as it is.
 
-Knows shoulders, elbows and wrists; knows no trunk movement (see `turning`), no feet and no text.
+Knows shoulders, elbows and wrists; knows no trunk movement (see `posture`), no feet and no text.
 """
 
 from __future__ import annotations
@@ -36,6 +36,9 @@ class Oscillation:
     of the goal; with `across` it is an ellipse.
 
     It begins at arrival, always with the same phase, and grows to its full size within half a period.
+
+    Examples:
+        >>> clap = stmc.Oscillation(2.0, along=(0.05, 0, 0))
     """
 
     hertz: float | int
@@ -43,7 +46,12 @@ class Oscillation:
     across: Triple = (0.0, 0.0, 0.0)
 
     def offsets(self, since: Float[Tensor, " frames"]) -> Float[Tensor, "frames 3"]:
-        """Metres, at times since the arrival."""
+        """Metres, at times since the arrival.
+
+        Examples:
+            >>> stmc.Oscillation(2.0, along=(0.05, 0, 0)).offsets(torch.tensor([0.0, 1.125]))[:, 0]
+            tensor([0.0000, 0.0500])
+        """
         angle = 2 * torch.pi * self.hertz * since.clamp(min=0)
         grown = minimum_jerk((2 * self.hertz * since).clamp(0, 1))
         sine, cosine = (grown * torch.sin(angle))[:, None], (grown * torch.cos(angle))[:, None]
@@ -62,6 +70,10 @@ class WristKey:
     `pole`: the direction from the arm to its elbow, in the axes of the chest. `roundness`: 0 leads the wrist straight
     to its goal, 1 round the shoulder. `arc`: metres by which the way bulges in its middle, in the axes of the chest.
     `shrug`: radians by which the collar bone is raised. `oscillation`: about the goal, from the arrival on.
+
+    Examples:
+        >>> stmc.WristKey(1.2, 0.6, goal=(0.1, -0.2, 0.3)).timing
+        Timing(time=1.2, takes=0.6, skew=1.0)
     """
 
     time: float | int

@@ -20,7 +20,7 @@ FOLLOW = Spot((-0.16, -0.36, 0.22), (-0.05, -0.28, 0.30), pole=((0.8, -0.6, -0.2
 BALANCE = Spot((0.08, -0.16, 0.36), (0.14, -0.02, 0.42), pole=((1, -1, 0), (1, -1, 0)))
 FLOOR = Spot((0.05, 0.10, 0.05), (0.14, 0.18, 0.16), "ground", ((0.6, -0.2, -1), (0.6, -0.2, -1)))
 BELLY = Spot((0.02, -0.30, 0.22), (0.10, -0.22, 0.28), pole=((0.6, -1, -0.3), (0.6, -1, -0.3)))
-HANGING = Spot((0.0, -0.45, -0.06), (0.05, -0.44, 0.02), "shoulder", ((0.3, 0, -1), (0.3, 0, -1)))
+ASIDE = Spot((0.12, -0.32, -0.22), (0.20, -0.24, -0.10), "shoulder", ((0.6, 0.6, -1), (0.6, 0.6, -1)))
 THIGH = Spot((0.09, 0.50, -0.10), (0.13, 0.56, -0.04), "ground", ((1, 0.3, -0.6), (1, 0.3, -0.3)))
 SHIELD = Spot((0.04, -0.04, 0.20), (0.10, 0.06, 0.25), pole=((0.5, -1, 0.1), (0.5, -1, 0.1)))
 
@@ -92,7 +92,7 @@ def throw(rng: np.random.Generator) -> Script:
 
 
 def pick_up(rng: np.random.Generator) -> Script:
-    """The body bends in hips and knees, one hand takes something from the floor; the other hangs or holds the thigh."""
+    """The body bends in hips and knees, one hand takes something from the floor; the other is on the thigh or aside."""
     takes, stays, up = rng.uniform(0.85, 1.2), rng.uniform(0.25, 0.5), rng.uniform(0.9, 1.2)
     low = rng.uniform(0.3, 0.9) + takes
     stands = low + stays + up
@@ -103,7 +103,7 @@ def pick_up(rng: np.random.Generator) -> Script:
     head = (turned(low - 0.15 * takes, takes * 0.8, 4, rng.uniform(-4, 8)), turned(stands, up))
     carried = BELLY.drawn(rng).key(stands, up, 1.1)
     left = (FLOOR.drawn(rng).key(low, takes * 0.9, 1.1), carried, WristKey(ends, 0.7))
-    other = (THIGH if rng.uniform() < 0.5 else HANGING).drawn(rng)
+    other = (THIGH if rng.uniform() < 0.6 else ASIDE).drawn(rng)
     right = (other.key(low, takes, 1.1), WristKey(stands, up, skew=1.1))
     if rng.uniform() < 0.4:
         left, ends = left[:2], stands + 0.5

@@ -246,7 +246,8 @@ def violin(rng: np.random.Generator) -> Script:
     head = turned(there, takes, float(rng.uniform(18, 30)), float(rng.uniform(6, 12)), float(rng.uniform(10, 18)))
     ends = (turned(back[0].time, 0.7),) if back else ()
     left = (SCROLL.drawn(rng).key(there, takes, 1.2, vibrato), *back)
-    return Script(seconds, left=left, right=(BOW.drawn(rng).key(there, takes, 1.2, bow), *back), head=(head, *ends))
+    right = (BOW.drawn(rng).key(there, takes, 1.2, bow), *back)
+    return Script(seconds, left=left, right=right, head=(head, *ends), tremor=(0.0008, 0.0014))
 
 
 def _recipe(

@@ -32,6 +32,9 @@ class TurnKey:
 
     Radians about the axes of the part below: `yaw` to the left, `pitch` forward and down, `roll` leaning to the left.
     Zeros lead back to the motion. `skew` as in `Timing`.
+
+    Examples:
+        >>> look = [stmc.TurnKey(1.0, 0.5, yaw=0.9), stmc.TurnKey(2.5, 0.6)]
     """
 
     time: float | int
@@ -47,6 +50,9 @@ class PelvisKey:
     """How far the pelvis is moved at `time` (seconds), beyond what the motion does; it takes `takes` seconds.
 
     `offset`: metres (left, up, forward) in the pelvis' own heading; turns in radians, as those of `TurnKey`.
+
+    Examples:
+        >>> duck = [stmc.PelvisKey(1.0, 0.3, offset=(0, -0.2, 0)), stmc.PelvisKey(1.8, 0.6)]
     """
 
     time: float | int
@@ -61,7 +67,11 @@ class PelvisKey:
 @dataclass(frozen=True)
 class FootKey:
     """Where a foot is set at `time` (seconds): `offset` (left, up, forward; metres, in the pelvis' heading) from where
-    the motion has it; the way there takes `takes` seconds and is lifted by `lift` metres in its middle."""
+    the motion has it; the way there takes `takes` seconds and is lifted by `lift` metres in its middle.
+
+    Examples:
+        >>> ahead = stmc.FootKey(1.0, 0.5, offset=(0, 0, 0.25))
+    """
 
     time: float | int
     takes: float | int
