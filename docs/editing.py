@@ -1,4 +1,4 @@
-"""Numbers and pictures of editing.md: python docs/editing.py [edits|constraints|reaches] [steps]. Minutes on one core."""
+"""Numbers and pictures of editing.md: python docs/editing.py [edits|constraints|reaches] [steps]. It takes minutes."""
 
 import math
 import sys
