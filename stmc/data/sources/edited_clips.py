@@ -67,7 +67,7 @@ class EditedClips:
         folders = tuple(self.check())
         fps = _kind(read_caches(folders)).fps
         jobs: Iterator[tuple[str, Job]] = (
-            (f"{recipe.action}/{recipe.origin}", (_made_from, folders, recipe)) for recipe in RECIPES
+            (f"{recipe.action}/{recipe.origin}", (_made_from, folders, number)) for number, recipe in enumerate(RECIPES)
         )
         rows, skipped = Rows(), list[tuple[str, str]]()
         for name, made in watch(in_parallel(jobs, workers), len(RECIPES)):
@@ -91,9 +91,10 @@ def _read(folders: tuple[Path, ...]) -> RecordedBases:
     return RecordedBases(_kind(read_caches(folders)))
 
 
-def _made_from(folders: tuple[Path, ...], recipe: Recipe) -> tuple[Rows, list[tuple[str, str]]]:
+def _made_from(folders: tuple[Path, ...], number: int) -> tuple[Rows, list[tuple[str, str]]]:
+    """What `make` returns for a recipe, by its number: recipes hold functions that cannot be pickled."""
     bases = _read(folders)
-    return make(recipe, bases, bases.splits, bases.fps)
+    return make(RECIPES[number], bases, bases.splits, bases.fps)
 
 
 class RecordedBases(Mapping[str, Sequence[Base]]):
