@@ -39,7 +39,8 @@ class Sampling:
     data; 0: all alike), and those of `emphasis` so many times as often. A clip whose content is cyclic is cut to any
     crop of at least `shortest`, the others lose at most `trim` of their length at either end; nothing is longer than
     `longest`. Of the cyclic crops a share `from_start_prob` begins where the clip does (where there are few clips, a
-    network else takes the mean of their phases for the motion: arms that should circle stand still). A share
+    network else takes the mean of their phases for the motion: arms that should circle stand still). Clips that are
+    `from_start` always begin where they do, and the others of them lose nothing. A share
     `uncond_crop_prob` of the rows is cut anywhere out of any clip, `crop_shortest` to
     `crop_longest`, and has no text: transitions. A share `text_dropout` of the others loses its text. Of the rows whose
     content claims no legs, a share `compose_prob` is put on the body of another row, as in a collage: an arm is raised
@@ -129,6 +130,7 @@ class ClipBatches:
         self._start = np.array([clip.start for clip in dataset.clips])
         self._length = np.array([clip.end - clip.start for clip in dataset.clips])
         self._cyclic = np.array([clip.cyclic for clip in dataset.clips])
+        self._from_start = np.array([clip.from_start for clip in dataset.clips])
         around = np.array([clip.whole or (clip.start, clip.end) for clip in dataset.clips])
         self._recording = around[:, 0], around[:, 1] - around[:, 0]
         self._epochs = Epochs(dataset.clips, self._described, sampling.rows, [seed, sum(split.encode())])
@@ -232,6 +234,7 @@ class ClipBatches:
         clip, begin, length = self._sources(clip, is_crop, rng)
         longest = max(1, int(sampling.longest * fps))
         cut = _trimmed(np.floor(sampling.trim * length), rng.random((2, count)), sampling.trimmed)
+        cut[:, self._from_start[clip]] = 0
         low = np.where(is_crop, sampling.crop_shortest, sampling.shortest) * fps
         high = np.where(is_crop, sampling.crop_longest * fps, length)
         any_length = _between(np.clip(low, 1, length), np.clip(high, 1, length), rng.random(count))
@@ -240,8 +243,10 @@ class ClipBatches:
         speed = np.exp(rng.uniform(np.log(sampling.slowest), np.log(sampling.fastest), count))
         source = np.minimum(frames, np.floor(longest * speed).astype(int).clip(1))
         room = np.where(free, length, frames) - source  # where a crop may begin
+        begins = self._from_start[clip]
         if sampling.from_start_prob:
-            room = np.where(self._cyclic[clip] & ~is_crop & (rng.random(count) < sampling.from_start_prob), 0, room)
+            begins = begins | (self._cyclic[clip] & (rng.random(count) < sampling.from_start_prob))
+        room = np.where(begins & ~is_crop, 0, room)
         offset = _between(np.zeros(count), room, rng.random(count)) + np.where(free, 0, cut[0])
         speed = np.minimum(speed, source)  # at least one frame is left
         sentence = np.where(is_crop | dropped, NULL, sentence)

@@ -51,7 +51,8 @@ class Clip:
     still shows what its texts say. Clips of one `recording` (or one part of it) lie among the features as they do in
     time, with what is between them; of a clip without, nobody knows what comes before and after it. `whole`: the frames
     of all that was recorded before and after it, too; empty where nothing more is known. `annotations`: how many people
-    described it.
+    described it. `from_start`: training cuts nothing off the clip's beginning, and, unless it is `cyclic`, nothing off
+    its end: reaching out and coming back belong to what happens once.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Clip:
     recording: str = ""
     annotations: int = 1
     whole: tuple[int, ...] = ()
+    from_start: bool = False
 
 
 @dataclass(frozen=True)
@@ -232,7 +234,7 @@ def _moved(clip: Clip, by: int) -> Clip:
 
 
 def _clip(row: dict) -> Clip:
-    """A clip of the table; earlier ones know neither annotations nor recordings."""
+    """A clip of the table; earlier ones know no annotations, no recordings and no `from_start`."""
     return Clip(**row | {"parts": tuple(row["parts"]), "whole": tuple(row.get("whole", ()))})
 
 

@@ -1,1 +1,6 @@
 """Motions that no open recording shows, made by editing recordings: one recipe per action."""
+
+from stmc.data.sources.edited import idling, jumps, kicks, locomotion
+
+RECIPES = (*locomotion.RECIPES, *jumps.RECIPES, *kicks.RECIPES, *idling.RECIPES)
+"""All recipes, in the order of the data set."""

@@ -1,0 +1,182 @@
+"""Recipes of kicks with the left foot: recorded single kicks, sided by their geometry, and low kicks of a standing body.
+
+Knows bases and editing; knows no caches and no texts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.body import JOINTS, PARENTS
+from stmc.data.sources.edited.jumps import rested
+from stmc.data.sources.edited.measuring import foot_speed, joint, rests, turned
+from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
+from stmc.data.sources.edited.standing import draw_standing
+from stmc.editing.legs import exact, of_legs, reach_with_legs, smooth
+from stmc.editing.paths import change_pace
+from stmc.geometry import axis_angle_to_matrix, global_rotations
+from stmc.motion import Motion
+
+_APART = 0.15
+"""Metres by which the kicking foot goes higher than the other one."""
+
+
+def _top(motion: Motion, side: str) -> float:
+    return float(joint(motion, f"{side}_foot")[:, 2].max())
+
+
+def _draw(bases: Bases, rng: np.random.Generator, actions: tuple[str, ...], longest: float) -> Base:
+    """A recorded kick, mirrored if it is one of the right foot. Raises `Unusable` for several kicks, and for a kick
+    whose side is not certain."""
+    found = [base for action in actions for base in bases[action]]
+    base = found[rng.integers(len(found))]
+    motion = base.motion if _top(base.motion, "left") > _top(base.motion, "right") else base.motion.mirrored()
+    if motion.duration > longest or _top(motion, "left") < _top(motion, "right") + _APART:
+        raise Unusable(f"{base.name} is not one kick of one foot")
+    return Base(base.name, base.recording, base.style, motion)
+
+
+def high_kick(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A recorded high kick and rest."""
+    base = _draw(bases, rng, ("kick",), 2.5)
+    motion = change_pace(base.motion, tempo=rng.uniform(0.88, 1.1), stride=rng.uniform(0.7, 1.1))
+    return Draft(rested(motion, bases, rng), base.recording)
+
+
+def _is_high(motion: Motion) -> bool:
+    fast = float(foot_speed(motion, "left").max()) > 4
+    one = _top(motion, "left") > 0.9 and _top(motion, "right") < 0.3
+    return fast and one and abs(turned(motion)[-1]) < 150 and rests(motion, 0.5)
+
+
+def kicked_ball(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A recorded kick of a ball."""
+    base = _draw(bases, rng, ("kick-ball",), 2.5)
+    return Draft(change_pace(base.motion, tempo=rng.uniform(0.85, 1.05)), base.recording)
+
+
+def low_kick(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A standing body that swings its left leg back and forward."""
+    start = rng.uniform(0.4, 1.1)
+    base = draw_standing(bases, rng, start + rng.uniform(2.8, 4.2))
+    kick = LowKick(
+        start=start,
+        back=math.radians(rng.uniform(18, 34)),
+        forward=math.radians(rng.uniform(32, 58)),
+        windup=rng.uniform(0.34, 0.5),
+        swing=rng.uniform(0.18, 0.25),
+        recovery=rng.uniform(0.5, 0.75),
+        hold=rng.uniform(0.0, 0.1),
+    )
+    return Draft(kick(base.motion), base.recording)
+
+
+def _is_low(motion: Motion) -> bool:
+    fast = float(foot_speed(motion, "left").max()) > 4
+    return fast and 0.2 < _top(motion, "left") < 0.75 and _top(motion, "right") < 0.2
+
+
+@dataclass(frozen=True)
+class LowKick:
+    """A kick of the left leg, as angles of the leg about the hip (radians, `back` and `forward`) and seconds."""
+
+    start: float
+    back: float
+    forward: float
+    windup: float
+    swing: float
+    recovery: float
+    hold: float
+
+    _OVER = 0.75
+    """How much of its way over the standing foot the pelvis comes."""
+    _BENT, _STRETCHED, _CLEAR = 0.8, 0.975, 0.1
+    """The leg at the end of the windup, at the end of the swing, and how much it shortens on its way back: shares of
+    its length."""
+    _LEAN, _TWIST, _ARMS = 0.14, 0.2, 0.45
+    """What the trunk leans back, the pelvis turns and the arms swing per radian of the leg."""
+
+    def __call__(self, motion: Motion) -> Motion:
+        """The motion of a standing body with the kick."""
+        body, skeleton = exact(motion)
+        swing, reach, weight = self._course(body)
+        lateral, ahead = body.rotations[0, 0, :, 0], body.facing[0]
+        ankles = of_legs(body.joints, "ankle")
+        over = (ankles[:, 1] - body.translation) * body.translation.new_tensor([1.0, 1.0, 0.0])
+        across = over - (over @ ahead)[:, None] * ahead
+        places = body.translation + self._OVER * weight[:, None] * across
+        rotations = self._counter(body.rotations, lateral, smooth(swing, 1.5))
+        posed = Motion.posed(rotations, places, body.fps, skeleton)
+        hip = joint(posed, "left_hip")
+        rest = ankles[:, 0] - hip
+        leg = float(skeleton.offsets[[JOINTS.index("left_knee"), JOINTS.index("left_ankle")]].norm(dim=-1).sum())
+        length = rest.norm(dim=-1) * (1 - weight) + leg * weight * reach
+        free = (
+            _about(lateral, -swing)
+            @ torch.lerp(rest, rest.norm(dim=-1, keepdim=True) * _DOWN, weight[:, None])[..., None]
+        )
+        targets = ankles.clone()
+        targets[:, 0] = hip + free[..., 0] * (length / rest.norm(dim=-1))[:, None]
+        feet = of_legs(global_rotations(body.rotations, PARENTS), "ankle")
+        kicked = reach_with_legs(posed, targets, feet, skeleton)
+        shin = global_rotations(kicked.rotations, PARENTS)[:, JOINTS.index("left_knee")]
+        feet[:, 0] = shin @ body.rotations[:, JOINTS.index("left_ankle")]
+        return reach_with_legs(posed, targets, feet, skeleton)
+
+    def _course(self, motion: Motion) -> tuple[Tensor, Tensor, Tensor]:
+        """Over time: the leg's angle (forward positive), its length as a share, and the share of weight on the right."""
+        times = torch.arange(motion.frames, dtype=torch.float64) / motion.fps
+        ends = np.cumsum([self.start, self.windup, self.swing, self.hold, self.recovery])
+        swing, reach = torch.zeros_like(times), torch.ones_like(times)
+        for (begin, end), angle, length in (
+            (ends[:2], -self.back, self._BENT),
+            (ends[1:3], self.forward, self._STRETCHED),
+            (ends[3:5], 0.0, 1.0),
+        ):
+            share = _eased((times - begin) / (end - begin))
+            swing, reach = torch.lerp(swing, torch.full_like(swing, angle), share), reach + share * (length - reach)
+        back = ((times - ends[3]) / self.recovery).clamp(0, 1)
+        reach = reach - self._CLEAR * (math.pi * back).sin().square()
+        weight = _eased((times - ends[0] + 0.15) / 0.35) * _eased((ends[4] + 0.1 - times) / 0.35)
+        return swing, reach, weight
+
+    def _counter(self, rotations: Tensor, lateral: Tensor, swing: Tensor) -> Float[Tensor, "frames 22 3 3"]:
+        """Trunk, pelvis and arms against the swing of the leg."""
+        up = lateral.new_tensor([0.0, 0.0, 1.0])
+        rotations = rotations.clone()
+        rotations[:, 0] = _about(up, -self._TWIST * swing) @ _about(lateral, -self._LEAN * swing) @ rotations[:, 0]
+        for name, axis, angle in (
+            ("spine3", up, 1.5 * self._TWIST * swing),
+            ("left_shoulder", lateral, self._ARMS * swing),
+            ("right_shoulder", lateral, -self._ARMS * swing),
+        ):
+            index = JOINTS.index(name)
+            above = global_rotations(rotations, PARENTS)[:, PARENTS[index]]
+            rotations[:, index] = above.mT @ _about(axis, angle) @ above @ rotations[:, index]
+        return rotations
+
+
+_DOWN = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+
+
+def _about(axis: Float[Tensor, " 3"], angle: Float[Tensor, " frames"]) -> Float[Tensor, "frames 3 3"]:
+    return axis_angle_to_matrix(angle[:, None] * axis)
+
+
+def _eased(share: Tensor) -> Tensor:
+    share = share.clamp(0, 1)
+    return share**3 * (10 - 15 * share + 6 * share**2)
+
+
+RECIPES = (
+    Recipe("high-kick-left", "recorded", high_kick, _is_high, clips=80),
+    Recipe("low-kick-left", "recorded", kicked_ball, _is_low, clips=20),
+    Recipe("low-kick-left", "authored", low_kick, _is_low, clips=70),
+)
+"""In the order of the data set."""

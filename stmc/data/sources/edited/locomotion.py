@@ -1,0 +1,185 @@
+"""Recipes of walking, jogging and turning: recorded walks and runs on other paths, at other paces and backwards.
+
+Knows bases and editing; knows no caches and no texts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+import numpy as np
+
+from stmc.data.sources.edited.measuring import distance, foot_speed, forward, joint, speed, steady, turned
+from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
+from stmc.data.sources.edited.standing import draw_standing
+from stmc.editing.paths import bend_path, change_pace, reverse
+from stmc.editing.turning import turn_on_spot
+from stmc.motion import Motion
+
+_EVEN = ("normal", "active", "feminine", "masculine", "youthful", "happy")
+"""Styles whose walks are nothing but walks."""
+_SLOW = (*_EVEN, "old", "elderly", "tired", "not-confident", "proud", "sad")
+"""Styles of slow walks, too."""
+_LONGEST = 9.5
+"""Seconds of the longest clip of what goes on."""
+
+
+def _draw(
+    bases: Bases, rng: np.random.Generator, actions: Collection[str], styles: Collection[str], seconds: float
+) -> Base:
+    """A part that goes at an even speed, of a recording of one of these actions, mirrored as often as not. Raises
+    `Unusable` for one that is shorter than `seconds`."""
+    found = [base for action in actions for base in bases.get(action, ()) if base.style in styles]
+    if not found:
+        raise Unusable(f"no recording of {', '.join(actions)}")
+    base = found[rng.integers(len(found))]
+    motion = base.motion.trimmed(*steady(base.motion))
+    if motion.duration < seconds:
+        raise Unusable(f"{base.name} is shorter than {seconds:g} s")
+    return Base(base.name, base.recording, base.style, motion.mirrored() if rng.random() < 0.5 else motion)
+
+
+def _part(motion: Motion, rng: np.random.Generator, seconds: float) -> Motion:
+    """A random part of so many seconds at most."""
+    frames = min(motion.frames, round(seconds * motion.fps))
+    start = int(rng.integers(motion.frames - frames + 1))
+    return motion.trimmed(start, start + frames)
+
+
+def _is_straight(motion: Motion) -> bool:
+    return abs(turned(motion)).max() < 30
+
+
+def circle(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A walk bent by 48 to 72 degrees a second."""
+    base = _draw(bases, rng, ("walk",), _EVEN, 5.5)
+    pace, wanted = speed(base.motion), rng.uniform(0.85, 1.3)
+    tempo = float(np.clip(wanted / pace, 0.8, 1.05))
+    motion = change_pace(base.motion, tempo, float(np.clip(wanted / pace / tempo, 0.8, 1.0)))
+    rate = math.radians(rng.uniform(48, 72))
+    motion = _part(motion, rng, _LONGEST)
+    return Draft(bend_path(motion, radius=speed(motion) / rate), base.recording)
+
+
+def _circles(motion: Motion) -> bool:
+    way = turned(motion)
+    return way[-1] > 340 and 0.75 < speed(motion) < 1.5
+
+
+def quarter(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A walk of 3.5 to 6 seconds bent by a right angle."""
+    base = _draw(bases, rng, ("walk",), _EVEN, 3.6)
+    motion = change_pace(base.motion, tempo=rng.uniform(0.85, 1.05), stride=rng.uniform(0.85, 1.0))
+    motion = _part(motion, rng, rng.uniform(3.6, 6.2))
+    return Draft(
+        bend_path(motion, angle=math.radians(rng.uniform(84, 97)), ramp=rng.uniform(0.1, 0.25)), base.recording
+    )
+
+
+def _is_quarter(motion: Motion) -> bool:
+    way = turned(motion)
+    return 72 < way[-1] < 108 and way.max() < 115 and distance(motion) > 1.5
+
+
+def slow(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A walk with fewer and shorter steps."""
+    base = _draw(bases, rng, ("walk", "walk-slow"), _SLOW, 2.5)
+    return Draft(_at_speed(base.motion, rng, rng.uniform(0.3, 0.65), (0.58, 0.95)), base.recording)
+
+
+def fast(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A walk with more and longer steps."""
+    base = _draw(bases, rng, ("walk",), ("normal", "active", "feminine", "masculine", "youthful"), 3.0)
+    return Draft(_at_speed(base.motion, rng, rng.uniform(1.65, 2.05), (1.12, 1.38)), base.recording)
+
+
+def back_slow(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A walk backwards, or a walk played backwards, with fewer and shorter steps."""
+    motion, recording = _backwards(bases, rng)
+    return Draft(_at_speed(motion, rng, rng.uniform(0.25, 0.45), (0.58, 0.95)), recording)
+
+
+def back_fast(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A walk backwards, or a walk played backwards, with more steps."""
+    motion, recording = _backwards(bases, rng)
+    return Draft(_at_speed(motion, rng, rng.uniform(1.1, 1.5), (1.1, 1.4)), recording)
+
+
+def _backwards(bases: Bases, rng: np.random.Generator) -> tuple[Motion, str]:
+    if rng.random() < 0.35:
+        base = _draw(bases, rng, ("walk-back",), (*_SLOW, "masculinity", "musical", "chimpira"), 2.5)
+        return base.motion, base.recording
+    base = _draw(bases, rng, ("walk",), _EVEN, 3.0)
+    return reverse(base.motion), base.recording
+
+
+def _at_speed(motion: Motion, rng: np.random.Generator, wanted: float, tempos: tuple[float, float]) -> Motion:
+    """The motion at a speed in metres a second; about half of the change is in its tempo, the rest in its stride."""
+    change = wanted / speed(motion)
+    tempo = float(np.clip(change ** rng.uniform(0.4, 0.6), *tempos))
+    stride = change / tempo
+    if not 0.35 < stride < 1.2:
+        raise Unusable(f"steps {stride:.2f} times as long would be needed")
+    return _part(change_pace(motion, tempo, stride), rng, rng.uniform(5.0, _LONGEST))
+
+
+def jog_back(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A run played backwards with short steps."""
+    styles = ("normal", "active", "feminine", "masculine", "youthful", "happy", "exhausted")
+    base = _draw(bases, rng, ("run",), styles, 1.9)
+    motion = change_pace(reverse(base.motion), tempo=rng.uniform(0.92, 1.08), stride=rng.uniform(0.42, 0.62))
+    return Draft(motion, base.recording)
+
+
+def half_turn(pivot: str):
+    """The recipe's `make` of a half turn to the left on this foot."""
+
+    def make(bases: Bases, rng: np.random.Generator) -> Draft:
+        seconds = rng.uniform(0.5, 0.65) if rng.random() < 0.5 else rng.uniform(0.65, 0.9)
+        steps = 3 if rng.random() < 0.25 else 2
+        start = rng.uniform(0.35, 1.1)
+        total = start + steps * seconds + rng.uniform(1.0, 2.2)
+        base = draw_standing(bases, rng, float(np.clip(total, 3.6, 6.0)))
+        angle = math.radians(rng.uniform(172, 188))
+        turn = turn_on_spot(base.motion, angle, pivot, steps, start, seconds, lift=rng.uniform(0.05, 0.1))
+        return Draft(turn, base.recording)
+
+    return make
+
+
+def _turns_half_on(pivot: str):
+    other = "right" if pivot == "left" else "left"
+
+    def accept(motion: Motion) -> bool:
+        way, ball = turned(motion), joint(motion, f"{pivot}_foot")[:, :2]
+        free = float(foot_speed(motion, other).sum() / motion.fps)
+        still = float((ball - ball[0]).norm(dim=-1).max()) < 0.05
+        return 160 < way[-1] < 200 and way.max() < 205 and way.min() > -10 and still and free > 0.5
+
+    return accept
+
+
+def _walks(slowest: float, fastest: float, backwards: bool = False):
+    """A gate: straight ahead, or straight back, between these speeds."""
+
+    def accept(motion: Motion) -> bool:
+        ahead = forward(motion) * (-1 if backwards else 1)
+        pace = ahead / motion.duration
+        return _is_straight(motion) and slowest < pace < fastest and ahead > 0.9 * distance(motion)
+
+    return accept
+
+
+RECIPES = (
+    Recipe("walk-circle-left", "edited", circle, _circles, clips=80, once=False),
+    Recipe("quarter-circle-left", "edited", quarter, _is_quarter, clips=80),
+    Recipe("half-turn-left-on-left-foot", "authored", half_turn("left"), _turns_half_on("left"), clips=80),
+    Recipe("half-turn-left-on-right-foot", "authored", half_turn("right"), _turns_half_on("right"), clips=80),
+    Recipe("walk-slow", "edited", slow, _walks(0.25, 0.7), clips=80, once=False),
+    Recipe("walk-fast", "edited", fast, _walks(1.55, 2.2), clips=80, once=False),
+    Recipe("walk-back-slow", "edited", back_slow, _walks(0.2, 0.5, backwards=True), clips=80, once=False),
+    Recipe("walk-back-fast", "edited", back_fast, _walks(1.0, 1.7, backwards=True), clips=80, once=False),
+    Recipe("jog-back", "edited", jog_back, _walks(0.9, 2.0, backwards=True), clips=80, once=False),
+)
+"""In the order of the data set."""
