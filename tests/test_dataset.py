@@ -314,7 +314,7 @@ def test_what_comes_with_the_data_is_used(dataset):
     assert not torch.equal(dataset.motion.std, given.std)
 
 
-def composing(composed: float) -> ClipBatches:
+def composed_cache() -> Cache:
     """Twelve walks (all features 1) and twelve raises of the right arm (all features 2)."""
     clips, start = [], 0
     for i in range(24):
@@ -324,9 +324,12 @@ def composing(composed: float) -> ClipBatches:
         start += frames
     features = torch.cat([torch.full((clip.end - clip.start, 205), 1.0 + (clip.content == "raise")) for clip in clips])
     texts = {name: ((name, 1.0),) for name in ("walk", "raise")}
-    dataset = Dataset(Cache(20.0, "smpl", features, tuple(clips), texts), LetterCounts(), SmplRepresentation().layout)
+    return Cache(20.0, "smpl", features, tuple(clips), texts)
+
+
+def composing(composed: float) -> ClipBatches:
     return ClipBatches(
-        dataset,
+        Dataset(composed_cache(), LetterCounts(), SmplRepresentation().layout),
         "train",
         Sampling(rows=96, uncond_crop_prob=0.0, text_dropout=0.0, pool=1, pieces=1, compose_prob=composed),
     )
@@ -399,6 +402,42 @@ def test_any_body_with_other_parts_can_be_a_receiver_and_shows_its_own_text_only
         said = [dataset.sentences[each[row]] for each in (plan.sentence, plan.other)]
         assert said == [receiver.content if whole else donor.content, donor.content]
     assert set(pairs) == {("turn", "left"), ("turn", "right"), ("left", "right")}
+
+
+def test_some_compositions_that_show_both_have_a_sentence_about_both_and_the_others_never() -> None:
+    joined = {
+        frozenset(("walk", "raise")): ("raise while walking", "walk, raising"),
+        frozenset(("walk", "fly")): ("?",),
+    }
+    dataset = Dataset(composed_cache(), LetterCounts(), SmplRepresentation().layout, joined=joined)
+    assert dataset.sentences == ["", "raise", "walk", "raise while walking", "walk, raising"]
+    settings = {"rows": 512, "pool": 1, "pieces": 1, "text_dropout": 0.3, "compose_prob": 1.0}
+    plans, heard = {}, {}
+    for share in (0.0, 0.5, 1.0):
+        [plans[share]] = ClipBatches(dataset, "train", Sampling(**settings, joined_prob=share)).plans(0)
+        heard[share] = Counter(dataset.sentences[place] for place in plans[share].sentence)
+    assert set(heard[0.0]) == {"", "raise", "walk"} and heard[0.0][""] == heard[1.0][""]
+    about_both = {share: counts["raise while walking"] + counts["walk, raising"] for share, counts in heard.items()}
+    assert 0.35 < about_both[0.5] / about_both[1.0] < 0.65
+    assert min(heard[1.0]["raise while walking"], heard[1.0]["walk, raising"]) > 0.4 * about_both[1.0]
+    plan, is_joined = plans[1.0], plans[1.0].sentence > 2
+    assert (plan.donor.frames[is_joined] > 0).all() and (plan.other[is_joined] == plan.sentence[is_joined]).all()
+
+
+def test_a_body_that_was_cut_off_before_it_showed_its_content_is_not_joined() -> None:
+    cache = composed_cache()
+    cache = dataclasses.replace(cache, clips=tuple(dataclasses.replace(clip, cyclic=False) for clip in cache.clips))
+    dataset = Dataset(
+        cache,
+        LetterCounts(),
+        SmplRepresentation().layout,
+        joined={frozenset(("walk", "raise")): ("raise while walking",)},
+    )
+    settings = {"uncond_crop_prob": 0.0, "text_dropout": 0.0, "compose_prob": 1.0, "joined_prob": 1.0}
+    plans = ClipBatches(dataset, "train", Sampling(rows=96, receivers="any", **settings)).plans(0)
+    joined = np.concatenate([plan.sentence == 3 for plan in plans])
+    lasting = np.concatenate([plan.body.frames >= 45 for plan in plans])
+    assert joined.any() and not (joined & ~lasting).any()  # walks of 60 frames, trimmed; raises last 40 at most
 
 
 def test_without_compositions_no_row_has_a_guest() -> None:

@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from stmc.commands.entry import Config
 from stmc.data.cache import Cache, read_caches
 from stmc.data.dataset import Dataset
+from stmc.data.sources.joined import joined_sentences
 from stmc.run import PARTS, build
 from stmc.statistics import Statistics
 from stmc.text import Cached
@@ -43,11 +44,13 @@ def read_training_data(
         cache = instantiate(config.data.prolonging)(cache, layout)
     if motion_statistics:
         cache = replace(cache, statistics=motion_statistics)
+    joined = joined_sentences({clip.content for clip in cache.clips}) if config.data.sampling.get("joined_prob") else {}
     dataset = instantiate(config.data.dataset, _partial_=True)(
         cache=cache,
         encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=layout,
         text=text_statistics,
         device=device,
+        joined=joined,
     )
     return cache, dataset

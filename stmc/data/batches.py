@@ -48,7 +48,8 @@ class Sampling:
     parts. Two of three last as long as the arm's clip and keep its text; the third is the whole walk, under its own
     text, and somewhere in it the arm is raised. (Networks that never saw an arm raised on walking legs lower it in a
     collage.) A share `compose_legs_prob` of the rows that do claim legs are legs under others' bodies, likewise: a man
-    walks while he drinks.
+    walks while he drinks. Of the compositions that show what both texts say, a share `joined_prob` has a sentence about
+    both instead ("walk while drinking"), as far as the dataset has one: what a whole text is asked of one network.
     With `trimmed` "in_all" the others lose at most `trim` at both ends together. With `order` "epochs" every content
     comes once an epoch, in shuffled batches (see `Epochs`), and a transition is cut out of the whole recording of the
     very clip that was drawn: for data sets whose every entry is a content of its own, as these are published.
@@ -76,6 +77,7 @@ class Sampling:
     text_dropout: float = 0.1
     compose_prob: float = 0.0
     compose_legs_prob: float = 0.0
+    joined_prob: float = 0.0
     from_start_prob: float = 0.0
     receivers: Receivers = "walking"
     slowest: float = 1.0
@@ -91,7 +93,14 @@ class Sampling:
             )
         shares = {
             name: getattr(self, name)
-            for name in ("uncond_crop_prob", "text_dropout", "compose_prob", "compose_legs_prob", "from_start_prob")
+            for name in (
+                "uncond_crop_prob",
+                "text_dropout",
+                "compose_prob",
+                "compose_legs_prob",
+                "joined_prob",
+                "from_start_prob",
+            )
         }
         if not (0 <= self.trim < 0.5 and all(0 <= share <= 1 for share in shares.values())):
             raise ValueError(f"trim {self.trim} must be in [0, 0.5), {shares} in [0, 1]")
@@ -212,9 +221,19 @@ class ClipBatches:
         donor = replace(drawn, frames=np.where(receiver == np.arange(len(receiver)), 0, drawn.frames))
         shown = np.where(whole, sentence[receiver], sentence)
         other = np.where(~whole & cyclic[receiver], sentence[receiver], sentence)
-        return replace(
-            plan, body=replace(drawn[receiver], frames=frames), sentence=shown, donor=donor, offset=offset, other=other
-        )
+        body = replace(drawn[receiver], frames=frames)
+        both = (donor.frames > 0) & (whole | cyclic[receiver]) & (sentence != NULL) & (sentence[receiver] != NULL)
+        composed = replace(plan, body=body, sentence=shown, donor=donor, offset=offset, other=other)
+        return self._join(composed, np.flatnonzero(both), rng) if self.sampling.joined_prob else composed
+
+    def _join(self, plan: BatchPlan, both: np.ndarray, rng: np.random.Generator) -> BatchPlan:
+        """Gives some of the rows `both`, which show a body's and a donor's content, a sentence about the two."""
+        sentence, other = plan.sentence.copy(), plan.other.copy()
+        for row, (u, v) in zip(both.tolist(), rng.random((len(both), 2)).tolist(), strict=True):
+            joined = self.dataset.joined_sentence(int(plan.body.clip[row]), int(plan.donor.clip[row]), v)
+            if u < self.sampling.joined_prob and joined is not None:
+                sentence[row] = other[row] = joined
+        return replace(plan, sentence=sentence, other=other)
 
     def _chosen(self, number: int, process: int, rng: np.random.Generator) -> np.ndarray:
         """The clips of a pool's rows."""

@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal, get_args
 
 import numpy as np
@@ -49,7 +50,8 @@ class Dataset:
     `limit` standard deviations from the mean is put there. With `statistics_over` "entries" the statistics are over
     each content's first clip and its first text, however many contents have the same one (as STMC's are, whose every
     entry is a content), not over all clips and distinct texts. Contents with fewer than `min_clips` training clips
-    have no texts: one clip of several actions teaches no word.
+    have no texts: one clip of several actions teaches no word. `joined` are sentences about two contents at once, by
+    the contents' names, for compositions (see `Sampling.joined_prob`); a pair of which the cache lacks one is ignored.
     Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
     """
 
@@ -64,6 +66,7 @@ class Dataset:
         text: Statistics | None = None,
         statistics_over: MeansOver = "clips",
         device: torch.device | str = "cpu",
+        joined: Mapping[frozenset[str], Sequence[str]] = MappingProxyType({}),
     ) -> None:
         if cache.features.shape[1] != layout.width:
             raise ValueError(f"the cache has {cache.features.shape[1]} features, the layout {layout.width}")
@@ -90,7 +93,9 @@ class Dataset:
             raise ValueError(f"every one of the {len(frames)} training frames is the same: there is nothing to learn")
         floors = torch.tensor(layout.filled(floor or {}, FLOOR))
         self.motion, self._limit = (cache.statistics or Statistics.of(moving, floors)).to(device), limit
-        self._embed(cache, encoder, text, first, device)
+        described = {clip.content for clip, known in zip(cache.clips, self.described, strict=True) if known}
+        joined = {pair: texts for pair, texts in joined.items() if pair <= described}
+        self._embed(cache, encoder, text, first, joined, device)
         # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]
         travelled = self.features[:, self.velocity].double().cumsum(dim=0)
@@ -102,10 +107,13 @@ class Dataset:
         encoder: TextEncoder,
         text: Statistics | None,
         first: Sequence[Clip],
+        joined: Mapping[frozenset[str], Sequence[str]],
         device: torch.device | str,
     ) -> None:
         keys = {clip.texts for clip, known in zip(cache.clips, self.described, strict=True) if known}
-        self.sentences = ["", *sorted({text for key in keys for text, _ in cache.texts[key]} - {""})]
+        own = {text for key in keys for text, _ in cache.texts[key]}
+        pairs = {text for texts in joined.values() for text in texts} - own
+        self.sentences = ["", *sorted(own - {""}), *sorted(pairs)]
         words, lengths = encoder.encode(self.sentences)
         self.words = lengths.cpu().numpy()
         exists = tensors.mask(lengths, words.shape[1])
@@ -122,6 +130,7 @@ class Dataset:
             )
             for key in keys
         }
+        self._joined = {pair: [place[text] for text in texts] for pair, texts in joined.items()}
 
     @property
     def features_width(self) -> int:
@@ -139,6 +148,11 @@ class Dataset:
             return NULL
         places, cumulated = self.choices[self.clips[clip].texts]
         return int(places[min(np.searchsorted(cumulated, u, side="right"), len(places) - 1)])
+
+    def joined_sentence(self, clip: int, other: int, u: float) -> int | None:
+        """The place of the sentence about both clips' contents that `u` in [0, 1) chooses; None where there is none."""
+        places = self._joined.get(frozenset((self.clips[clip].content, self.clips[other].content)), [])
+        return places[int(u * len(places))] if places else None
 
     def batch(self, plan: BatchPlan) -> Batch:
         """The motion and the texts of `plan`, padded to the longest of each."""
@@ -248,8 +262,8 @@ class Crops:
 class BatchPlan:
     """Crops to be: the `body` of each, and the place of its sentence; for a composition the `donor` whose claimed
     parts it takes over from its frame `offset` on (else a crop of no frames), and the sentence of the `other` of the
-    two where the crop shows it, too (else the crop's own): see `Sampling.compose_prob`. Crops stand in rows one after
-    the other: see `Arrangement` for `row` and `fade`."""
+    two where the crop shows it, too (else the crop's own, as where that is about both): see `Sampling.compose_prob`.
+    Crops stand in rows one after the other: see `Arrangement` for `row` and `fade`."""
 
     body: Crops
     sentence: np.ndarray

@@ -39,6 +39,8 @@ class PairBatches:
                 f"pairs need texts: uncond_crop_prob ({sampling.uncond_crop_prob}) and text_dropout "
                 f"({sampling.text_dropout}) must be 0"
             )
+        if sampling.joined_prob:
+            raise ValueError(f"pairs are of one content a text: joined_prob ({sampling.joined_prob}) must be 0")
         if sampling.several_texts:
             raise ValueError(f"pairs are of one text each: texts_per_row ({sampling.texts_per_row}) must be [1, 1]")
         self.batches, self.threshold = batches, threshold

@@ -34,13 +34,31 @@ FORWARD_WALKS = ("walk", "walk-left", "walk-right")
 class Content:
     """What a clip shows. `parts` are those a prompt would claim for it; `cyclic` means that any trim of the clip still
     shows the content, whereas of the others the middle has to stay in; `sentences`
-    are plain descriptions; `unseen` are three that no training sees, to ask models with, or none."""
+    are plain descriptions; `unseen` are three that no training sees, to ask models with, or none. `title` is the plain
+    name to show to people, `topic` the group that it is listed in. `gerunds` pairs some sentences, imperatives, with
+    their gerunds, for sentences about two contents (see `joined`); contents that claim the whole body have none."""
 
     name: str
     parts: frozenset[BodyPart]
     cyclic: bool
     sentences: tuple[str, ...]
     unseen: tuple[str, ...]
+    title: str
+    topic: str
+    gerunds: tuple[tuple[str, str], ...] = ()
+
+    def mirrored(self) -> Content:
+        """The content of the mirror image."""
+        return Content(
+            mirrored(self.name),
+            frozenset(BodyPart(mirrored(part)) for part in self.parts),
+            self.cyclic,
+            tuple(map(mirrored, self.sentences)),
+            tuple(map(mirrored, self.unseen)),
+            mirrored(self.title),
+            self.topic,
+            tuple((mirrored(imperative), mirrored(gerund)) for imperative, gerund in self.gerunds),
+        )
 
 
 def mirrored(text: str) -> str:
@@ -68,12 +86,12 @@ def _swap(match: re.Match[str]) -> str:
 def _read() -> Iterator[Content]:
     table = json.loads((files("stmc") / "assets" / "contents.json").read_text("utf-8"))
     for name, row in table.items():
-        parts, texts = frozenset(map(BodyPart, row["parts"])), (tuple(row["sentences"]), tuple(row["unseen"]))
+        parts, gerunds = frozenset(map(BodyPart, row["parts"])), tuple(row.get("gerunds", {}).items())
+        texts = tuple(row["sentences"]), tuple(row["unseen"])
         for each in FORWARD_WALKS if name in FORWARD_WALKS else (name,):
-            yield Content(each, parts, row["cyclic"], *texts)
-        if (other := mirrored(name)) != name:
-            parts = frozenset(BodyPart(mirrored(part)) for part in parts)
-            yield Content(other, parts, row["cyclic"], *(tuple(map(mirrored, said)) for said in texts))
+            yield Content(each, parts, row["cyclic"], *texts, row["title"], row["topic"], gerunds)
+        if mirrored(name) != name:
+            yield Content(name, parts, row["cyclic"], *texts, row["title"], row["topic"], gerunds).mirrored()
 
 
 CONTENTS: Mapping[str, Content] = MappingProxyType({content.name: content for content in _read()})
