@@ -1,9 +1,10 @@
-"""Measures sampling: time per timeline in a batch against alone, padding, STMC against others. No absolute claims."""
+"""Measures sampling: time per timeline in a batch against alone, padding, STMC against others in time and in denoised
+frames. No absolute claims."""
 
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -16,6 +17,7 @@ from rich.table import Table
 import stmc
 from stmc.commands import command
 from stmc.commands.shared import OnModel
+from stmc.composing import Method, Run, find_method
 from stmc.results.naming import method_row
 from stmc.settings import setting
 
@@ -51,12 +53,21 @@ def main(config: DictConfig) -> None:
         spent = [clock(partial(sampled, models[place], chosen, 0, name))[0] for name, place in baselines]
         rows.append((alone / batch, *(batch / seconds for seconds in spent)))
     difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
+    works = [
+        (
+            f"{method_row(name).label}, {place or 'the bundled model'}",
+            poses_denoised(models[place], chosen, name, config.steps),
+        )
+        for name, place in [(config.method, config.model), *baselines]
+    ]
     plans = model.plans(timelines)
     table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {model.device}")
     own = method_row(config.method).label
     names = [f"time of {own} / {method_row(name).label}, {place or 'the bundled model'}" for name, place in baselines]
     for name, ratios in zip(["time per timeline, alone / in the batch", *names], zip(*rows, strict=True), strict=True):
         table.add_row(name, f"{median(ratios):.2f}")
+    for name, work in works:
+        table.add_row(f"pose-wise denoising steps for each frame and step, {name}", f"{work:.2f}")
     table.add_row("largest difference of a joint, batch against alone", f"{difference:.1e} m")
     table.add_row(f"padding, all {len(timelines)} timelines at once", f"{model.guided(plans).padding:.1%}")
     table.add_row(f"padding, batches of {config.batch}", f"{batched_padding(model, plans, config.batch):.1%}")
@@ -68,6 +79,39 @@ def clock(run) -> tuple[float, list[stmc.Motion]]:
     start = time.perf_counter()
     motions = run()
     return time.perf_counter() - start, motions
+
+
+@dataclass
+class Count:
+    """A method that notes how many frames its predictors denoise, with and without texts, behind no row's end."""
+
+    method: Method
+    frames: int = field(default=0, init=False)
+
+    def sample(self, run: Run):
+        """The method's features."""
+        watched = replace(run, guided=self._watched(run.guided), guided_sequences=self._watched(run.guided_sequences))
+        return self.method.sample(watched)
+
+    def _watched(self, make):
+        def made(*given, **settings):
+            guided = make(*given, **settings)
+
+            def predict(x, t):
+                self.frames += guided.frames_denoised
+                return guided(x, t)
+
+            return predict
+
+        return made
+
+
+def poses_denoised(model: stmc.Model, timelines: list[stmc.Timeline], method: str, steps: int) -> float:
+    """How often a frame of a motion is denoised in a step, on average: FlowMDM's measure of efficiency (section 4.2),
+    which no machine changes. Crops that overlap, transitions, a second take, and guidance all add to it."""
+    count = Count(find_method(method))
+    motions = model.generate(timelines, steps=steps, method=replace(count.method, sample=count.sample))
+    return count.frames / (steps * sum(motion.frames for motion in motions))
 
 
 def batched_padding(model: stmc.Model, plans: list[stmc.Plan], size: int) -> float:

@@ -35,6 +35,7 @@ from stmc.composing import (
     sinc,
     smooth_seams,
 )
+from stmc.composing.batching import _runs
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
 from stmc.planning import Crop, Plan, Tile
 from stmc.timeline import Timeline
@@ -423,3 +424,15 @@ def test_a_crop_longer_than_the_window_is_an_error_that_says_what_to_do():
     plans = plans_of(WALK_WAVE)
     with pytest.raises(ValueError, match=r"a crop has 48 frames, but the denoiser sees 30: plan with longest=30"):
         guided_crops(Constant(), Schedule.cosine(100), plans, embeddings(plans), fixed_length=30)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "padding", "expected"),
+    [
+        ([81, 100], 0.1, [(0, 2)]),  # 19 of the 200 frames that are denoised
+        ([79, 100], 0.1, [(0, 1), (1, 2)]),  # 21
+        ([1, 1, 1, 3], 0.5, [(0, 4)]),  # the very half
+    ],
+)
+def test_padding_is_a_share_of_all_that_is_denoised(lengths, padding, expected):
+    assert _runs(lengths, padding) == expected

@@ -94,3 +94,9 @@ def test_what_no_constructor_knows_is_an_error():
     config = configured("denoiser/mdm_smpl", "+denoiser.depth=3")
     with pytest.raises(Exception, match="depth"):
         instantiate(config.denoiser, features=11, text_width=8)
+
+
+@pytest.mark.parametrize("benchmark", ["mtt", "humanml3d", "flow_mdm_babel", "flow_mdm_humanml3d"])
+def test_published_benchmarks_are_of_full_precision_unless_told_otherwise(benchmark):
+    assert configured("evaluate", f"benchmark={benchmark}").precision == "fp32"
+    assert configured("evaluate", f"benchmark={benchmark}", "precision=bf16").precision == "bf16"

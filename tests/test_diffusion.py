@@ -1,6 +1,7 @@
 """Schedules, samplers, noise and guidance against closed forms for Gaussian data, and the published code."""
 
 import inspect
+import math
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -116,6 +117,7 @@ def test_any_number_of_steps_is_evenly_spaced_and_keeps_both_ends(steps):
     assert all(a < b for a, b in pairwise(times))
     gaps = [b - a for a, b in pairwise(times)]
     assert not gaps or max(gaps) - min(gaps) <= 1
+    assert all(abs(time - i * 99 / (steps - 1)) <= 0.5 for i, time in enumerate(times) if steps > 1)  # the nearest
     assert torch.equal(schedule.respaced(times).alpha_bar, schedule.alpha_bar[list(times)])
 
 
@@ -341,11 +343,41 @@ GOLDEN_SCHEDULES = pytest.mark.parametrize("path", golden_files("stmc", "diffusi
 
 
 def golden_schedule(path: Path) -> tuple[Schedule, dict[str, Tensor]]:
-    """The schedule that the file's name tells, and what the file holds."""
-    _, name, steps = path.stem.split("_")
-    data = golden(path.parent, path.name)
-    assert int(data["T"]) == int(steps[1:])
-    return getattr(Schedule, name)(int(data["T"])), {key: torch.from_numpy(np.asarray(data[key])) for key in data}
+    """The schedule of the betas that the file holds, and all that it holds. A file without tables is of a published
+    schedule, whose name it has."""
+    data = {key: torch.from_numpy(np.asarray(value)) for key, value in golden(path.parent, path.name).items()}
+    if "buf_betas" not in data:
+        return (Schedule.cosine if "cosine" in path.stem else Schedule.linear)(int(data["T"])), data
+    return Schedule((1 - data["buf_betas"]).cumprod(dim=0)), data
+
+
+def betas_are_of_our_schedules(path):
+    """Evenly spaced ones are linear, and ours where they begin as the published ones do; others are a cosine's, whose
+    offset follows from the first of them."""
+    data = golden_schedule(path)[1]
+    if "buf_betas" not in data:
+        pytest.skip(f"{path.name} holds no tables")
+    betas, steps = data["buf_betas"], int(data["T"])
+    if torch.allclose(betas.diff(), betas.diff()[:1], rtol=1e-6):
+        same = math.isclose(betas[0], 0.1 / steps) and math.isclose(betas[-1], 20 / steps)
+        ours = Schedule.linear(steps).beta if same else torch.linspace(*betas[[0, -1]].tolist(), steps).to(betas)
+    else:
+        ours = Schedule.cosine(steps, offset_of(betas)).beta
+    torch.testing.assert_close(ours, betas, rtol=1e-6, atol=1e-9)
+
+
+def offset_of(betas: Tensor) -> float:
+    """The cosine's s for which the first beta is as it is, by halving: a larger s has a larger one."""
+
+    def first(s: float) -> float:
+        levels = [math.cos((u + s) / (1 + s) * math.pi / 2) ** 2 for u in (1 / len(betas), 0.0)]
+        return 1 - levels[0] / levels[1]
+
+    low, high = 0.0, 0.5
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if first(middle) < float(betas[0]) else (low, middle)
+    return low
 
 
 def schedules_are_those_of_the_published_code(path):
@@ -405,6 +437,7 @@ def test_schedules_and_what_follows_from_them_are_those_of_the_published_code(pa
     checked(
         subtests,
         [
+            betas_are_of_our_schedules,
             schedules_are_those_of_the_published_code,
             (noising_posterior_and_predictions_are_those_of_the_published_code, "f64"),
             (noising_posterior_and_predictions_are_those_of_the_published_code, "f32"),

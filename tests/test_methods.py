@@ -15,6 +15,7 @@ from torch import Tensor
 import stmc
 from stmc.body import BodyPart
 from stmc.composing import Run, find_method
+from stmc.composing.methods import stitch
 from stmc.denoisers import FlowMdm
 from stmc.diffusion import Schedule, ddim, ddpm, dpm_solver
 from stmc.geometry import matrix_to_rows
@@ -91,6 +92,56 @@ def first_take(model: Model, timeline: Timeline):
         return model.generate(timeline, steps=10, method="double_take")[0]
 
 
+def test_the_second_take_goes_without_the_noisiest_tenth_of_the_steps(flow):
+    """DoubleTake's own share (Shafir et al. 2024)."""
+    totals = []
+
+    def progress(steps, total):
+        totals.append(total)
+        return steps
+
+    flow.generate(WALK_WAVE, steps=20, method="double_take", progress=progress)
+    assert totals == [20, 18]
+
+
+def test_the_second_take_has_a_noise_of_its_own(flow, monkeypatch):
+    """With the first take's, what it makes anew would begin where that began."""
+    drawn, noise = [], Run.noise
+
+    def watched(self, plans, seeds=None):
+        drawn.append(noise(self, plans, seeds)())
+        return noise(self, plans, seeds)
+
+    monkeypatch.setattr(Run, "noise", watched)
+    flow.generate(WALK_WAVE, steps=2, method="double_take")
+    first, second = drawn
+    assert first.shape == second.shape and abs(float((first * second).mean())) < 0.05
+
+
+def test_what_is_behind_the_end_is_as_noisy_as_the_crops_when_composition_begins():
+    """A network that sees 60 frames sees noise behind the end of a shorter timeline: that of the step before."""
+
+    def still(x, t, text, text_mask=None, mask=None):
+        return torch.zeros_like(x)
+
+    still.fixed_length = 60
+    first, model = [], dataclasses.replace(tiny(), denoiser=still)
+
+    def sample(run: Run) -> Tensor:
+        plans = run.plans()
+        predict = run.collage(plans)
+        x0 = stitch(run, plans, lambda x, t: first.append((x, t)) or predict(x, t))
+        level = run.schedule.alpha_bar[run.times[len(run.times) - run.steps_before(0.5) - 1]]
+        expected = (1 - level).sqrt().float() * run.noise(plans)()
+        x, t = first[0]
+        assert t == run.times[len(run.times) // 2 - 1]
+        torch.testing.assert_close(x[:, 40:], expected[:, 40:])
+        return x0
+
+    model.generate("walk # 0 # 2", method=stmc.Method(sample, "Watched"), steps=8, stitch_from=0.5)
+    assert len(first) == 4
+
+
 def test_without_overlap_there_is_nothing_to_take_twice(flow):
     long = Timeline.parse("walk # 0 # 8 # legs")
     assert flow.generate(long, steps=2, overlap=0.0, method="double_take")[0].frames == 160
@@ -140,10 +191,10 @@ def test_a_method_is_any_function_of_a_run(flow):
     assert apart(first, flow.generate(WALK_WAVE, seed=7, method=still)[0]) == 0
 
 
-FIXED_BY_THE_PAPER = {"stitch_from": 0.0, "guidance_from": 0.0, "noise_scale": "variance"}
+FIXED_BY_THE_PAPER = {"stitch_from": 0.0, "guidance_from": 0.0}
 
 
-def test_the_paper_s_algorithm_is_hard_edges_from_the_first_step_on_and_its_noise_whatever_the_model_says(flow):
+def test_the_paper_s_algorithm_is_hard_edges_from_the_first_step_on_whatever_the_model_says(flow):
     sampling = Sampling(stitch_from=0.5, noise_scale="std", guidance=2.5, guidance_from=0.5)
     own = dataclasses.replace(flow, sampling=sampling)
     [paper] = own.generate(WALK_WAVE, steps=4, method="stmc_paper")
@@ -151,6 +202,15 @@ def test_the_paper_s_algorithm_is_hard_edges_from_the_first_step_on_and_its_nois
     assert apart(paper, spelled) == 0
     with pytest.raises(SettingError, match=r"stitch_from=0\.2: STMC \(paper\) fixes it at 0\.0"):
         own.generate(WALK_WAVE, method="stmc_paper", stitch_from=0.2)
+
+
+@pytest.mark.parametrize("scale", ["std", "variance"])
+def test_the_paper_s_algorithm_has_the_model_s_noise_or_the_one_asked_for(flow, scale):
+    """Publishers of other denoisers than MDM-SMPL scale it by the standard deviation."""
+    own = dataclasses.replace(flow, sampling=Sampling(noise_scale=scale))
+    assert own.settings("stmc_paper").noise_scale == scale
+    other = "std" if scale == "variance" else "variance"
+    assert own.settings("stmc_paper", noise_scale=other).noise_scale == other
 
 
 def arms(guidance: float, guidance_from: float) -> tuple[Tensor, Schedule]:

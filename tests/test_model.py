@@ -336,3 +336,21 @@ print(sorted({"torch", "transformers", "hydra", "matplotlib", "viser", "scipy"} 
 def test_an_unknown_name_of_the_package_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'stmc' has no attribute 'magic'"):
         stmc.magic  # noqa: B018
+
+
+def test_the_last_step_of_bf16_is_fp32_so_that_nothing_trembles_by_rounding():
+    """The features are what the network answers in full precision to the last noisy motion, to the last bit; the other
+    steps are in half precision."""
+    model = dataclasses.replace(tiny(), precision="bf16")
+    denoise, seen = model.denoiser.denoise, []
+
+    def watched(x, t, *others, **settings):
+        seen.append((int(t[0]), torch.is_autocast_enabled("cpu"), denoise(x, t, *others, **settings)))
+        return seen[-1][-1]
+
+    model.denoiser.denoise = watched
+    [motion] = model.generate("walk # 0 # 2", steps=4, guidance=1.0, stitch_from=0.0)
+    assert [(t, half) for t, half, _ in seen] == [(99, True), (66, True), (33, True), (0, False)]
+    assert [answer.dtype for *_, answer in seen] == [torch.bfloat16] * 3 + [torch.float32]
+    [expected] = model.decode(seen[-1][-1], [40])
+    assert apart(motion, expected) == 0

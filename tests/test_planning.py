@@ -331,3 +331,10 @@ def test_a_plan_made_by_hand_may_have_fractional_weights():
     weights = (0.7, 0.2, 0.1)  # floats whose sum is just below 1
     tiles = tuple(tile for crop, weight in enumerate(weights) for tile in tiles_of(crop, 0, 10, weight))
     Plan(10, tuple(Crop(text, 0, 10) for text in "abc"), tiles)
+
+
+@pytest.mark.parametrize("total", [0.95, 0.9999, 1.001, 1.05])
+def test_a_plan_whose_weights_nearly_sum_to_1_is_refused(total):
+    tiles = tuple(Tile(0, part, 0, 10, total) for part in BodyPart)
+    with pytest.raises(ValueError, match=f"sum to {re.escape(str(total))} and not to 1 from frame 0 on"):
+        Plan(10, (Crop("walk", 0, 10),), tiles)

@@ -51,14 +51,18 @@ def statistics(folder: Path, dataset: str) -> dict[str, torch.Tensor]:
     return values
 
 
-def write(folder: Path, dataset: str, extra: dict | None = None) -> FlowMdm:
-    """As FlowMDM's training writes them, of a small network."""
+SMALL = {"width": 16, "feedforward": 32, "layers": 1, "heads": 2, "attention_window": 9}
+
+
+def write(folder: Path, dataset: str, extra: dict | None = None, steps: int = 1000, **sizes) -> FlowMdm:
+    """As FlowMDM's training writes them, of a small network or one of other `sizes`."""
     folder.mkdir(exist_ok=True)
-    sizes = {"width": 16, "feedforward": 32, "layers": 1, "heads": 2, "attention_window": 9}
+    sizes = sizes or SMALL
     network = checkpoints.seeded(lambda: FlowMdm(FEATURES[dataset], 512, 0, **sizes))
-    torch.save(network.state_dict() | tables(16) | (extra or {}), folder / FILE[dataset])
-    said = {"dataset": dataset, "latent_dim": 16, "num_heads": 2, "rpe_horizon": 9, "bpe_training_ratio": 0.5}
-    (folder / "args.json").write_text(json.dumps(said | {"noise_schedule": "cosine", "diffusion_steps": 1000}))
+    torch.save(network.state_dict() | tables(sizes["width"]) | (extra or {}), folder / FILE[dataset])
+    said = {"latent_dim": sizes["width"], "num_heads": sizes["heads"], "rpe_horizon": sizes["attention_window"]}
+    said |= {"dataset": dataset, "bpe_training_ratio": 0.5, "noise_schedule": "cosine", "diffusion_steps": steps}
+    (folder / "args.json").write_text(json.dumps(said))
     statistics(folder, dataset)
     return network
 

@@ -94,7 +94,8 @@ def a_step_with_mdm_is_that_of_the_published_integration(folder):
     longest = int(data["max_t"].max())
     close(x0[:, :longest], frames(data["pred_xstart"]), limit_at(t))
     mean, variance = schedule.posterior(x0, x, t)
-    close(mean[:, :longest], frames(data["mean"]), limit_at(t))
+    expected = frames(data["mean"])
+    close(mean[:, : expected.shape[1]], expected, limit_at(t))
     close(mean[:, -4:], frames(data["mean_tail4"]))
     np.testing.assert_allclose(variance.item(), data["variance"], rtol=1e-5)
 
@@ -117,7 +118,7 @@ def a_step_with_motion_diffuse_is_that_of_the_published_integration(folder):
     close(schedule.from_x0(clean, noisy, t, "eps")[:, :2], data["crop_eps_first2"], limit_at(t))
     close(x0, data["pred_xstart"], limit_at(t))
     mean, variance = schedule.posterior(x0, x[:, :length], t)
-    close(mean, data["mean"], limit_at(t))
+    close(mean[:, : data["mean"].shape[1]], data["mean"], limit_at(t))
     tail, _ = schedule.posterior(torch.zeros_like(x[:, -4:]), x[:, -4:], t)
     close(tail, data["mean_tail4"])
     np.testing.assert_allclose(variance.item(), data["variance"], rtol=1e-5)

@@ -247,3 +247,12 @@ def test_foot_steps_are_the_ways_of_the_decoded_feet_seen_from_the_heading():
     feet = motion.joints[:, [JOINTS.index("left_foot"), JOINTS.index("right_foot")]].diff(dim=0)
     seen = (feet @ rotation_z(motion.heading[:-1])).flatten(1)
     torch.testing.assert_close(representation.foot_velocities(features, skeleton), seen, atol=1e-5, rtol=0)
+
+
+def test_a_turn_that_goes_on_past_half_a_turn_is_the_short_way_round():
+    """Turns of 2 and 3 radians go on with 4, which is 4 - 2 pi: no turn of a frame is longer than half of one."""
+    rotations = torch.eye(3).repeat(3, 22, 1, 1)
+    rotations[:, 0] = rotation_z(torch.tensor([0.0, 2.0, 5.0]))
+    motion = Motion.posed(rotations, torch.zeros(3, 3), 20, Skeleton.default())
+    turns = REPRESENTATION.encode(motion)[:, SMPL_LAYOUT["yaw_velocity"]].flatten()
+    assert_close(turns, torch.tensor([2.0, 3.0, 4.0 - 2 * math.pi]), atol=1e-5, rtol=0)

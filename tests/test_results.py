@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_hex
 
+from stmc.benchmarks.resampling import DRAWS, resampled
 from stmc.results import (
     Result,
     ResultError,
@@ -98,6 +99,21 @@ def test_the_table_says_what_is_by_bootstrap_and_what_is_not():
     assert "(bootstrap over timelines and seeds; Transition distance: over seeds alone, t distribution)." in text
     mixed = comparison_table([*with_draws(runs("stmc", [50, 52])), *runs("sinc", [49, 51])]).text()
     assert "Transition distance: over seeds alone, t distribution; R@3: some rows over seeds alone)." in mixed
+
+
+def test_few_timelines_have_neither_an_interval_nor_a_best_row():
+    """One or two units that are drawn anew are nearly always themselves: ± 0.0 said that chance plays no part."""
+    few = [replace(each, resampled={"recall_3": []}) for each in [*runs("stmc", [50, 52]), *runs("sinc", [49, 51])]]
+    table = comparison_table(few)
+    assert cells(table.text(), "STMC (cross-faded)")[-2] == "51.0" and cells(table.text(), "SINC")[-2] == "50.0"
+    assert "means over 2 seeds, of too few timelines for intervals or ranks." in table.text()
+    assert r"$51.0$" in table.latex()
+
+
+@pytest.mark.parametrize(("count", "draws"), [(1, 0), (4, 0), (5, DRAWS)])
+def test_fewer_than_five_units_are_not_drawn_anew(count, draws):
+    values = np.arange(count, dtype=float)
+    assert len(resampled(count, lambda units: {"fid": values[units].mean()})["fid"]) == draws
 
 
 def test_action_success_is_headed_by_what_it_is_by_chance():

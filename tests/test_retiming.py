@@ -13,7 +13,7 @@ from torch import Tensor
 
 import stmc
 from stmc.body import BodyPart
-from stmc.composing.retiming import FASTEST, paced, retimed
+from stmc.composing.retiming import FASTEST, _along, paced, retimed
 from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rows, rows_to_matrix, wrap
 from stmc.metrics.kinematics import hand_step
 from stmc.planning import Plan, cross_fade
@@ -63,11 +63,18 @@ def test_an_arm_that_jumps_reaches_over_the_whole_transition_instead():
     angles = angles_of(steady(turning(jumping(80, at=40)), plan))
     way = torch.arange(12) / 11
     reach = (way**2 * (3 - 2 * way)).diff()
-    mixed = (1 - FASTEST / 11) / (1 - reach.max())
+    mixed = (1 - 2 / 11) / (1 - reach.max())
     steps = mixed * reach
     steps[5] += 1 - mixed
     torch.testing.assert_close(angles[34:46].diff(), 2.0 * steps, atol=1e-5, rtol=0)
-    assert angles.diff().max() == pytest.approx(FASTEST * 2.0 / 11, abs=1e-5)
+    assert angles.diff().max() == pytest.approx(2 * 2.0 / 11, abs=1e-5)
+
+
+def test_a_frame_at_the_border_of_two_steps_is_behind_all_that_stand_still():
+    """Rotations rest while the other numbers of the hand go on: the last of the equal poses is meant."""
+    steps = torch.tensor([[1.0, 0.0, 1.0]])
+    at, share = _along(steps, steps)
+    assert at.tolist() == [[2, 2]] and share.tolist() == [[0.0, 0.0]]
 
 
 def test_what_is_no_arm_in_a_transition_is_not_touched():

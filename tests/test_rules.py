@@ -138,6 +138,8 @@ def test_a_second_take_goes_from_transition_to_transition():
     cut = second_take(laid_out, longest=100)
     assert set(cut.crops) == {Crop(None, 10, 110), Crop(None, 70, 170), Crop(None, 0, 10), Crop(None, 170, 200)}
     assert second_take(plans_of(timeline(("walk", 0, 60)))[0]).crops == (Crop(None, 0, 60),)
+    odd = second_take(laid_out, longest=101)  # the half frame that is left over is in front
+    assert set(odd.crops) == {Crop(None, 9, 110), Crop(None, 69, 170), Crop(None, 0, 9), Crop(None, 170, 200)}
 
 
 # Answers known in closed form -------------------------------------------------------------------------------------

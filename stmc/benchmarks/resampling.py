@@ -22,13 +22,18 @@ from stmc.motion import Motion
 DRAWS = 200
 """Enough for a standard error that is right within 5 %."""
 
+FEWEST = 5
+"""Units that a bootstrap needs: draws of one or two of them are hardly ever other ones, and spread by nothing."""
+
 Units = Int[np.ndarray, " units"]
 Measured = Callable[[Units], Mapping[str, float]]
 
 
 def resampled(count: int, measured: Measured) -> dict[str, list[float]]:
     """What is measured on `DRAWS` draws of `count` units with replacement, metric by metric, in six digits; without
-    those that some draw has nothing to tell of."""
+    those that some draw has nothing to tell of. Of fewer units than `FEWEST` there are no draws of any metric."""
+    if count < FEWEST:
+        return {name: [] for name in measured(np.arange(count))}
     draws = np.random.default_rng(0).integers(count, size=(DRAWS, count))
     found = [measured(units) for units in draws]
     shared = [name for name in found[0] if all(name in each for each in found)]

@@ -74,6 +74,12 @@ class Guided:
         return f"Guided({rows} rows of up to {frames} frames, guidance {self._guidance}, {self.padding:.1%} padding)"
 
     @property
+    def frames_denoised(self) -> int:
+        """Frames that one step denoises, once with a text and once without, without padding: a pose-wise step each
+        (FlowMDM, section 4.2)."""
+        return self._needed
+
+    @property
     def padding(self) -> float:
         """Which share of the frames that a step denoises lies behind the ends of the rows."""
         return 1 - self._needed / self._denoised if self._denoised else 0.0

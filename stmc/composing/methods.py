@@ -211,12 +211,12 @@ METHODS: Mapping[str, Method] = {
     "teach": Method(one_by_one_on_the_sphere, "TEACH", _one_track, fixed=_NEVER, tracks="Single"),
     "multi_diffusion": stitched(multi_diffusion, label="MultiDiffusion", fixed=_FROM_THE_FIRST),
     "double_take": Method(two_takes, "DoubleTake", fixed=_FROM_THE_FIRST),
-    "stmc_paper": stitched(label="STMC (paper)", fixed=_FROM_THE_FIRST | {"noise_scale": "variance"}),
+    "stmc_paper": stitched(label="STMC (paper)", fixed=_FROM_THE_FIRST),
     "stmc": Method(cross_faded, "STMC (cross-faded)"),
     "flow_mdm": Method(seamless, "FlowMDM", fixed=_WITHOUT_OVERLAP, per_frame_text=True, crops="None"),
 }
 """Table 1's rows in its order, and others beside those that they are nearest to. "stmc_paper" is the paper's algorithm
-to the letter: hard edges, composed from the first step on, its code's noise."""
+to the letter: hard edges, composed from the first step on. Its noise is the model's: each publisher has its own."""
 
 _RENAMED = {"stmc_soft": "stmc"}
 

@@ -18,12 +18,18 @@ CONFIDENCE = 0.95
 @dataclass(frozen=True)
 class Estimate:
     """A mean of `count` values; the interval is `mean` ± `half`, None where one value alone says nothing of chance.
-    `bootstrapped`: of the chance of the timelines, too, else of the seeds' alone."""
+    `bootstrapped`: of the chance of the timelines, too, else of the seeds' alone; without `half`, of too few timelines
+    to say anything of it."""
 
     mean: float
     half: float | None
     count: int
     bootstrapped: bool = False
+
+    @property
+    def of_too_few(self) -> bool:
+        """Whether so few timelines were asked for that neither an interval nor a rank means anything."""
+        return self.bootstrapped and self.half is None
 
 
 def estimate(values: Sequence[float | int]) -> Estimate:
@@ -47,10 +53,13 @@ def bootstrap(values: Sequence[float | int], resampled: Sequence[Sequence[float 
 
     `resampled` has each seed's values on the same draws of timelines, so that timelines and seeds are crossed, as they
     are in a benchmark (Owen 2007, the pigeonhole bootstrap). Few seeds tell little of seeds: of n of them a bootstrap
-    sees (n - 1) / n of the variance. Raises `ResultError` for draws of different numbers.
+    sees (n - 1) / n of the variance. Without draws (of too few timelines) there is no interval. Raises `ResultError`
+    for draws of different numbers.
     """
     if len({len(row) for row in resampled}) != 1:
         raise ResultError("records are resampled by different draws of the timelines: they do not compare")
+    if not resampled[0]:
+        return Estimate(math.fsum(values) / len(values), None, len(values), bootstrapped=True)
     table = np.asarray(resampled, dtype=np.float64)
     seeds = np.random.default_rng(0).integers(len(table), size=(table.shape[1], len(table)))
     means = table[seeds, np.arange(table.shape[1])[:, None]].mean(axis=1)

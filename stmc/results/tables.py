@@ -158,6 +158,8 @@ def _table(
 
 def _interval(made: Sequence[Mapping[str, Estimate]], columns: Sequence[Measure], one: bool) -> str:
     """What ± is, in words, and of which columns it is something else."""
+    if any(found.of_too_few for row in made for found in row.values()):
+        return ", of too few timelines for intervals or ranks"
     kinds = {each: {row[each.key].bootstrapped for row in made if each.key in row} for each in columns}
     if not any(True in found for found in kinds.values()):
         return "" if one else " ± 95% confidence intervals (t distribution)"
@@ -175,6 +177,8 @@ def _is_best(block: Sequence[Row], row: Row, measure: Measure) -> bool:
     if measure.better == "real":
         return False  # what is nearest is for the reader to see: real motion stands in the table
     compared = [other.estimates[measure.key] for other in block if other.competes and measure.key in other.estimates]
+    if any(each.of_too_few for each in compared):
+        return False
     means = [float(measure.shown(estimate.mean)) for estimate in compared]
     best = max(means) if measure.better == "higher" else min(means)
     return len(means) > 1 and float(measure.shown(row.estimates[measure.key].mean)) == best

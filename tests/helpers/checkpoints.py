@@ -60,8 +60,10 @@ name: t2m_motiondiffuse
 """
 
 
-def motion_diffuse(folder: Path, more: str = "num_layers: 1\nlatent_dim: 16", **content) -> Network:
-    network = seeded(lambda: MotionDiffuse(263, 512, width=16, layers=1))
+def motion_diffuse(
+    folder: Path, more: str = "num_layers: 1\nlatent_dim: 16", network: Network | None = None, **content
+) -> Network:
+    network = network or seeded(lambda: MotionDiffuse(263, 512, width=16, layers=1))
     statistics(folder / "meta", "mean.npy", "std.npy")
     copy = {f"clip.{key}": value for key, value in CLIP_PARTS.items()}
     (folder / "model").mkdir(exist_ok=True)
@@ -71,8 +73,8 @@ def motion_diffuse(folder: Path, more: str = "num_layers: 1\nlatent_dim: 16", **
     return network
 
 
-def mdm_smpl(folder: Path, weights: dict | None = None, **changes) -> Network:
-    network = seeded(lambda: MdmSmpl(205, 512, width=16, feedforward=32, layers=1, heads=2))
+def mdm_smpl(folder: Path, weights: dict | None = None, network: Network | None = None, **changes) -> Network:
+    network = network or seeded(lambda: MdmSmpl(205, 512, width=16, feedforward=32, layers=1, heads=2))
     draw = torch.Generator().manual_seed(0)
     state = {f"denoiser.{name}": value for name, value in network.state_dict().items()}
     for side, width in (("motion", 205), ("text", 512)):
