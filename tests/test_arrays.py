@@ -13,12 +13,12 @@ from helpers.smpl_pickles import Foreign, python_2_pickle, run_code
 from numpy.core.multiarray import _reconstruct
 from scipy import sparse
 
-from stmc.arrays import ArraysError, npz_names, read_npy, read_npz, read_pickle
+from stmc.arrays import ArraysError, npz_headers, read_npy, read_npz, read_pickle
 
 
 def test_required_and_optional_arrays_come_back_and_nothing_else(tmp_path):
     np.savez_compressed(tmp_path / "a.npz", one=np.arange(3), two=np.eye(2), three=np.zeros(1))
-    assert npz_names(tmp_path / "a.npz") == ("one", "two", "three")
+    assert tuple(npz_headers(tmp_path / "a.npz")) == ("one", "two", "three")
     arrays = read_npz(tmp_path / "a.npz", ["one"], ["two", "four"])
     assert list(arrays) == ["one", "two"]
     assert arrays["one"].tolist() == [0, 1, 2]
