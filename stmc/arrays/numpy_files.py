@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import pickle
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -68,8 +69,11 @@ def read_npy(path: Path) -> np.ndarray:
     """The array of an `.npy`. Raises `ArraysError` where the file is none, damaged, pickled or too large."""
     try:
         with path.open("rb") as file:
-            if file.read(2) == b"PK":
+            mark = file.read(2)
+            if mark == b"PK":
                 raise ArraysError(f"{path} is a zip of arrays (.npz), not one array (.npy)")
+            if mark[:1] == pickle.PROTO:
+                raise ArraysError(f"{path} cannot be read as .npy: {_OBJECTS}")
             file.seek(0)
             _check_header(file, path.stat().st_size, str(path))
             file.seek(0)
