@@ -8,10 +8,11 @@ Asked again, it makes only what is not there yet, or was made otherwise.
 
 import hashlib
 import json
+import math
 import sys
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -29,7 +30,7 @@ from stmc.commands import command
 from stmc.commands.shared import OnModel, Sharded
 from stmc.composing import METHODS, find_method
 from stmc.filenames import distinct
-from stmc.files import probe, remove_leftovers, write_text
+from stmc.files import held, probe, remove_leftovers, scratch, sha256, write_text
 from stmc.model import Precision
 from stmc.run import fingerprint
 from stmc.sampling import INDEPENDENT, Sampling
@@ -37,6 +38,7 @@ from stmc.settings import SettingError, about, record_of, setting, shown
 from stmc.shards import Incomplete, Shard, listed
 from stmc.tensors import found_device
 from stmc.timeline import UnknownPromptWarning, advise
+from stmc.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
 from stmc.viewing.film import FILMS, ffmpeg
 from stmc.vocabulary import Recognition
 
@@ -193,13 +195,29 @@ def plain(value: Any) -> Any:
 
 
 def finished(job: Job, config: DictConfig, made_by: str) -> bool:
+    """Whether the folder has the motion in all formats, made of this request."""
     folder = Path(config.output).expanduser()
+    request, digests = recorded(folder, job.name)
+    return request == record(job, config, made_by) and set(config.formats) <= whole(folder, job.name, digests)
+
+
+def recorded(folder: Path, name: str) -> tuple[dict | None, dict[str, str | None]]:
+    """The request that a motion's record names, and the SHA-256 of its files by format. A record that is damaged, or of
+    an earlier version, names no request, and may have files of every format."""
     try:
-        made = json.loads((folder / f"{job.name}.json").read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError, UnicodeDecodeError, json.JSONDecodeError):
-        return False
-    files_there = all((folder / f"{job.name}.{kind}").exists() for kind in config.formats)
-    return files_there and made == record(job, config, made_by)
+        request = load_json(read_text(folder / f"{name}.json", MOST_BYTES))
+        digests = request.pop("files")
+        return request, {kind: digests[kind] for kind in CHOICES if kind in digests}
+    except (FileNotFoundError, NotADirectoryError):
+        return None, {}
+    except (UnreadableError, AttributeError, KeyError, TypeError):
+        return None, dict.fromkeys(CHOICES)
+
+
+def whole(folder: Path, name: str, digests: Mapping[str, str | None]) -> set[str]:
+    """The formats whose files are as their record says."""
+    files = {kind: folder / f"{name}.{kind}" for kind in digests}
+    return {kind for kind, path in files.items() if path.is_file() and sha256(path) == digests[kind]}
 
 
 def sampled(
@@ -281,22 +299,35 @@ def told(console: Console) -> Iterator[Progress]:
 def save(
     motion: stmc.Motion, job: Job, config: DictConfig, made_by: str, unknown: Sequence[Recognition] = ()
 ) -> list[Path]:
-    """Writes the motion's files, then the record that says they are complete."""
+    """Write the motion's files aside, then put all of them in place with the record that names their digests, which no
+    other process does at that time. Files of an earlier request go."""
     folder = Path(config.output).expanduser()
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{job.name}.json").unlink(missing_ok=True)
     motion = motion if config.fps is None else motion.resampled(config.fps)
-    paths = [folder / f"{job.name}.{kind}" for kind in config.formats]
-    for path in paths:
-        if path.suffix == ".html":
-            write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
-        elif path.suffix in FILMS:
-            stmc.render_film(motion, path, job.timeline)
-        else:
-            stmc.write(motion, path, timeline=job.timeline)
-    done = json.dumps(record(job, config, made_by), indent=1, ensure_ascii=False) + "\n"
-    write_text(folder / f"{job.name}.json", done)
+    with scratch(folder / job.name) as aside:
+        made = [aside / f"{job.name}.{kind}" for kind in config.formats]
+        for path in made:
+            write_format(motion, path, job, unknown)
+        digests = {path.suffix[1:]: sha256(path) for path in made}
+        with held(folder / f".{job.name}.lock", math.inf):
+            request, former = recorded(folder, job.name)
+            kept = whole(folder, job.name, former) if request == record(job, config, made_by) else set()
+            for kind in former.keys() - kept:
+                (folder / f"{job.name}.{kind}").unlink(missing_ok=True)
+            (folder / f"{job.name}.json").unlink(missing_ok=True)
+            paths = [path.replace(folder / path.name) for path in made]
+            done = record(job, config, made_by) | {"files": {kind: former[kind] for kind in kept} | digests}
+            write_text(folder / f"{job.name}.json", json.dumps(done, indent=1, ensure_ascii=False) + "\n")
     return paths
+
+
+def write_format(motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
+    """Write a motion in the format of the path's suffix."""
+    if path.suffix == ".html":
+        write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
+    elif path.suffix in FILMS:
+        stmc.render_film(motion, path, job.timeline)
+    else:
+        stmc.write(motion, path, timeline=job.timeline)
 
 
 def tell(job: Job, motion: stmc.Motion, paths: list[Path], place: str, as_json: bool, console: Console) -> None:

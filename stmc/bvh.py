@@ -17,6 +17,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from stmc.bounds import BoundsError, check_frames
 from stmc.untrusted import cut, shown
 
 MOST_VALUES = 2_000_000
@@ -81,7 +82,7 @@ def parse_bvh(text: str) -> Bvh:
     A joint's position is its position channels where it has them (as in the Bandai data set), else its OFFSET.
     Euler angles are intrinsic, in the order of the channels, in degrees. Raises `BvhError` for a missing section, a
     line or a channel that is unknown, a frame count that does not match the numbers, values that are not finite in
-    float32, a frame rate that is not from 1 to 1000, more than `MOST_VALUES`, or a hierarchy above `LONGEST_HIERARCHY`.
+    float32, a motion beyond `bounds` or of more than `MOST_VALUES`, or a hierarchy above `LONGEST_HIERARCHY`.
     """
     header, *rest = re.split(r"^[ \t]*MOTION[ \t\r]*$", text, maxsplit=1, flags=re.MULTILINE)
     if not rest:
@@ -98,6 +99,10 @@ def parse_bvh(text: str) -> Bvh:
         raise BvhError(f"{shown(frames)} frames of {seconds:g} s: {asked}")
     if frames * len(joints) > MOST_VALUES:
         raise BvhError(f"{shown(frames)} frames of {len(joints)} joints are more than {MOST_VALUES:,}, the limit")
+    try:
+        check_frames(frames, 1 / seconds)
+    except BoundsError as error:
+        raise BvhError(str(error)) from error
     fps = round(1 / seconds, 2)  # files round the time: 0.0333333 s
     return _motion(joints, _values(words[5] if len(words) > 5 else "", frames, joints), fps)
 

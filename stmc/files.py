@@ -93,6 +93,23 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
 
 
+@contextmanager
+def scratch(path: Path) -> Iterator[Path]:
+    """A temporary folder beside `path`, which goes at the end; a killed process's goes with `remove_leftovers`."""
+    temporary = _temporary(path)
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def sha256(path: Path) -> str:
+    """The SHA-256 of a file's content, in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def probe(folder: Path) -> None:
     """Makes a folder and writes to it, to find out before long work whether that can be done. Raises `OSError`."""
     if folder.exists() and not folder.is_dir():
@@ -133,14 +150,20 @@ def locked(folder: Path, patience: float | int = 0.0) -> Iterator[None]:
     The operating system holds the lock: it ends with the process, however that ends. Raises `FolderInUse` after so many
     seconds of `patience` with another process. On file systems without locks there is a warning and no protection.
     """
-    path = Path(folder) / LOCK
+    with held(Path(folder) / LOCK, patience):
+        remove_leftovers(folder)
+        yield
+
+
+@contextmanager
+def held(path: Path, patience: float | int = 0.0) -> Iterator[None]:
+    """Keeps every other process from whatever the lock file `path` stands for; makes its folder. Raises as `locked`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     file = _lock_within(path, patience)
     try:
         file.truncate(0)
         file.write(f"process {os.getpid()} on host {socket.gethostname()}".encode())
         file.flush()
-        remove_leftovers(folder)
         yield
     finally:
         if os.name == "nt":  # where nobody can remove an open file

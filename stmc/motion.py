@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stmc.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
+from stmc.bounds import check_fps, check_frames
 from stmc.geometry import (
     heading,
     mirror_positions,
@@ -42,8 +43,8 @@ class Motion:
     (x left, y up, z forward) into the world. `translation` is the position of the pelvis: SMPL's own translation is
     this minus the pelvis of the rest pose (`Skeleton.smpl_translation`). All three tensors share dtype and device.
 
-    Raises `ValueError` for wrong shapes, no frames, values that are not finite, matrices that are not rotations, or a
-    frame rate that is not positive.
+    Raises `ValueError` for wrong shapes, no frames, values that are not finite, matrices that are not rotations, and
+    for frames, seconds or a frame rate beyond `bounds`.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -136,16 +137,18 @@ class Motion:
         rate it is the motion itself.
 
         Joints and rotations are resampled each for itself, so the bones of fast movements may shorten a little: pose
-        the skeleton again (`Motion.posed`) where that matters. Raises `ValueError` where not one frame remains.
+        the skeleton again (`Motion.posed`) where that matters. Raises `ValueError` where not one frame remains, or
+        more than `bounds` allows.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
             >>> motion.resampled(fps=30)
             Motion(30 frames at 30 fps, 1.00 s)
         """
-        _check_fps(fps)
+        check_fps(fps)
         if fps == self.fps:
             return self
+        check_frames(self.frames * fps / self.fps, fps)
         return Motion(
             resample_rotations(self.rotations, self.fps, fps),
             resample_positions(self.translation, self.fps, fps),
@@ -179,16 +182,11 @@ class Motion:
         return Motion(*(value.to(device=device, dtype=dtype) for value in values), self.fps, self.overlap)
 
 
-def _check_fps(fps: float | int) -> None:
-    if not 0 < fps < float("inf"):
-        raise ValueError(f"fps must be a positive number, not {fps}")
-
-
 def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float | int) -> None:
-    _check_fps(fps)
     frames = len(translation)
     if frames == 0:
         raise ValueError("a motion needs at least one frame")
+    check_frames(frames, fps)
     wanted = {
         "rotations": (rotations, (frames, NUM_ROTATIONS, 3, 3)),
         "translation": (translation, (frames, 3)),
@@ -205,12 +203,19 @@ def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float | 
     _check_rotations(rotations)
 
 
+_FRAMES_AT_ONCE = 2**14
+
+
 def _check_rotations(rotations: Tensor) -> None:
-    excess = (rotations @ rotations.mT - torch.eye(3, dtype=rotations.dtype, device=rotations.device)).abs()
-    bad = (excess.amax(dim=(-2, -1)) > 1e-2) | (torch.linalg.det(rotations) < 0)
+    bad = torch.cat([_is_no_rotation(frames) for frames in rotations.split(_FRAMES_AT_ONCE)])
     if bad.any():
         frame, joint = (int(index) for index in bad.nonzero()[0])
         raise ValueError(f"rotations[{frame}, {joint}] ({JOINTS[joint]}) is not a rotation matrix")
+
+
+def _is_no_rotation(rotations: Float[Tensor, "frames 22 3 3"]) -> Bool[Tensor, "frames 22"]:
+    excess = (rotations @ rotations.mT - torch.eye(3, dtype=rotations.dtype, device=rotations.device)).abs()
+    return (excess.amax(dim=(-2, -1)) > 1e-2) | (torch.linalg.det(rotations) < 0)
 
 
 _PIXELS = 100

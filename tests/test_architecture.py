@@ -17,6 +17,7 @@ TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob(
 
 TIERS = [
     {"untrusted"},
+    {"bounds"},
     {"arrays", "body", "bvh", "filenames", "files", "geometry", "renamed", "settings", "statistics", "tensors"},
     {"body_model", "denoisers", "diffusion", "motion", "shards", "text", "timeline"},
     {"inverse_kinematics", "loops", "planning", "sampling", "skins", "vocabulary"},

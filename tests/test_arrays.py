@@ -3,6 +3,8 @@
 import io
 import os
 import pickle
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -11,12 +13,12 @@ from helpers.smpl_pickles import Foreign, python_2_pickle, run_code
 from numpy.core.multiarray import _reconstruct
 from scipy import sparse
 
-from stmc.arrays import ArraysError, npz_names, read_npy, read_npz, read_pickle
+from stmc.arrays import ArraysError, npz_headers, read_npy, read_npz, read_pickle
 
 
 def test_required_and_optional_arrays_come_back_and_nothing_else(tmp_path):
     np.savez_compressed(tmp_path / "a.npz", one=np.arange(3), two=np.eye(2), three=np.zeros(1))
-    assert npz_names(tmp_path / "a.npz") == ("one", "two", "three")
+    assert tuple(npz_headers(tmp_path / "a.npz")) == ("one", "two", "three")
     arrays = read_npz(tmp_path / "a.npz", ["one"], ["two", "four"])
     assert list(arrays) == ["one", "two"]
     assert arrays["one"].tolist() == [0, 1, 2]
@@ -273,6 +275,68 @@ def test_a_pickle_of_six_bytes_takes_no_memory_and_sets_no_attribute(tmp_path):
     ):
         with pytest.raises(ArraysError, match=r"a\.pkl"):
             read_pickle(written(tmp_path, content), ["plain"])
+
+
+DOUBLED = b")" + b"2\x86" * 34
+"""A tuple of itself twice, 34 levels deep: 2**34 steps of `hash`, `repr` or `==`."""
+ENDLESS = {
+    "a key": b"\x80\x02}" + DOUBLED + b"K\x01s.",
+    "keys": b"\x80\x02}(" + DOUBLED + b"K\x01u.",
+    "a dict of the first protocol": b"(" + DOUBLED + b"K\x01d.",
+    "a member of a set": b"\x80\x04\x8f(" + DOUBLED + b"\x90.",
+    "a member of a frozen set": b"\x80\x04(" + DOUBLED + b"\x91.",
+    "a member of an older set": b"\x80\x02c__builtin__\nset\n]" + DOUBLED + b"a\x85R.",
+    "a set of no list": b"\x80\x02c__builtin__\nset\n" + DOUBLED + b"\x85\x81.",
+    "a key of an ordered dict": b"\x80\x02ccollections\nOrderedDict\n]((" + DOUBLED + b"K\x01le\x85R.",
+    "a class": b"\x80\x02ccopy_reg\n_reconstructor\n" + DOUBLED + b"\x85R.",
+    "an encoding": b"\x80\x02c_codecs\nencode\nX\x01\x00\x00\x00x" + DOUBLED + b"\x86R.",
+    "a type": b"\x80\x02}X\x05\x00\x00\x00plaincnumpy.core.multiarray\nscalar\ncnumpy\ndtype\n"
+    + DOUBLED
+    + b"\x85RX\x01\x00\x00\x00x\x86Rs.",
+    "a matrix's size": b"\x80\x02}X\x05\x00\x00\x00plaincscipy.sparse\ncsc_matrix\n)\x81}X\x06\x00\x00\x00_shape"
+    + DOUBLED
+    + b"K\x01\x86sbs.",
+    "a selection of selections": b"\x80\x02}X\x05\x00\x00\x00plain"
+    + b"cchumpy.ch\nCh\n)\x81q\x00}X\x01\x00\x00\x00xK\x00sb0"
+    + b"".join(
+        b"cchumpy.reordering\nSelect\n)\x81q%c}(X\x01\x00\x00\x00ah%cX\x04\x00\x00\x00idxsh%cub0" % (n, n - 1, n - 1)
+        for n in range(1, 40)
+    )
+    + b"h%cs." % 39,
+    "copies of a text": b"\x80\x02](X\x00\x00\x01\x00"
+    + b"x" * 65536
+    + b"q\x00"
+    + b"c_codecs\nencode\nh\x00\x85R" * 9999
+    + b"e.",
+    "a shape of many axes": b"\x80\x02}X\x05\x00\x00\x00plain"
+    + b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n\x85R(K\x01("
+    + b"J\xff\xff\xff\x7f" * 100_000
+    + b"tcnumpy\ndtype\nX\x02\x00\x00\x00f8\x85R\x89X\x00\x00\x00\x00tbs.",
+}
+
+
+@pytest.mark.parametrize("content", ENDLESS.values(), ids=ENDLESS)
+def test_a_pickle_that_would_never_end_is_refused_within_a_second(content, tmp_path):
+    path = written(tmp_path, content)
+    code = (
+        "import sys, time; from pathlib import Path; from stmc.arrays import *\n"
+        "began = time.process_time()\n"
+        "for read in (lambda path: read_pickle(path, ['plain']), read_places, lambda path: read_joblib(path, ['x'])):\n"
+        "    try: read(Path(sys.argv[1])); sys.exit('it was read')\n"
+        "    except ArraysError as error: assert len(str(error)) < 600, error\n"
+        "assert time.process_time() - began < 3\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(path)], check=True, timeout=60)
+
+
+def test_keys_and_members_are_texts_and_numbers(tmp_path):
+    content = {"plain": np.arange(3), "info": {"a": {1, 2.5, b"b", "c"}, 3: frozenset({"d"}), 2.5: None}}
+    for protocol in range(6):
+        path = written(tmp_path, pickle.dumps(content, protocol))
+        assert read_pickle(path, ["plain"])["plain"].tolist() == [0, 1, 2]
+    path = written(tmp_path, pickle.dumps({"plain": np.arange(3), (1, 2): 3}))
+    with pytest.raises(ArraysError, match=r"a key that is a tuple: texts and numbers are read"):
+        read_pickle(path, ["plain"])
 
 
 def test_a_selection_of_itself_is_refused(tmp_path):

@@ -128,7 +128,7 @@ DAMAGE = {
     "no features": (gone, "new_joint_vecs", "no file: new_joint_vecs/000002.npy"),
     "no texts": (gone, "texts", "no file: texts/000002.txt"),
     "empty texts": (text, b"\n", "no caption: the file is empty"),
-    "texts in bytes": (text, b"\xff\xfe#\x00", "damaged: 000002.txt is not text"),
+    "texts in bytes": (text, b"\xff\xfe#\x00", "damaged: .*000002.txt: not UTF-8 text"),
     "malformed texts": (text, b"walks", "malformed caption: line 1"),
     "a moment": (text, b"walks#w/VERB#1.0#1.5", "too short: 10 frames, not 40 to 199"),
     "after the end": (text, b"walks#w/VERB#60#63", "too short: "),

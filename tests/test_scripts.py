@@ -1,9 +1,11 @@
 """From motion capture to motions to look at, as a user goes: the scripts, on a toy data set."""
 
 import csv
+import hashlib
 import io
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -379,11 +381,72 @@ def test_a_motion_whose_files_cannot_be_written_is_not_taken_for_finished(sample
     config = settings(f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz,bvh]", "steps=2")
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
-    sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
-    monkeypatch.setattr(stmc, "write", lambda *_, **__: (_ for _ in ()).throw(OSError("no space left on device")))
-    with pytest.raises(OSError, match="no space"):
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="no space"):
+        patch.setattr(stmc, "write", lambda *_, **__: (_ for _ in ()).throw(OSError("no space left on device")))
         sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
     assert jobs_left(sample, config) == 1
+    assert not list((tmp_path / "out").iterdir())
+
+
+def saved(sample, run, out: Path, *changes: str, seed: int = 0) -> tuple:
+    """A motion of `seed` as `stmc sample` puts it into the folder."""
+    config = settings(f"output={out}", f"model={run}", "steps=2", *changes)
+    timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
+    [motion] = tiny().generate(timeline, steps=2, seed=seed)
+    sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(run))
+    return config, motion
+
+
+def test_files_of_an_earlier_request_are_removed_or_made_again_and_never_declared_finished(sample, run, tmp_path):
+    saved(sample, run, tmp_path / "out", "formats=[npz,bvh]")
+    assert jobs_left(sample, saved(sample, run, tmp_path / "out", "formats=[glb]")[0]) == 0
+    assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".npz", ".bvh", ".glb", ".json"}, "of one request"
+    config, _ = saved(sample, run, tmp_path / "out", "formats=[bvh]", "guidance=2", seed=1)
+    assert jobs_left(sample, config) == 0
+    assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".bvh", ".json"}, (
+        "those of the first request are gone"
+    )
+    both = settings(f"output={tmp_path / 'out'}", f"model={run}", "steps=2", "guidance=2", "formats=[npz,bvh]")
+    assert jobs_left(sample, both) == 1
+
+
+def test_a_file_that_is_not_its_record_s_is_made_again(sample, run, tmp_path):
+    config, _ = saved(sample, run, tmp_path / "out", "formats=[npz,bvh]")
+    record = json.loads((tmp_path / "out" / "nod_0.json").read_text())
+    assert record["files"] == {
+        kind: hashlib.sha256((tmp_path / "out" / f"nod_0.{kind}").read_bytes()).hexdigest() for kind in ("npz", "bvh")
+    }
+    whole = (tmp_path / "out" / "nod_0.bvh").read_bytes()
+    (tmp_path / "out" / "nod_0.bvh").write_bytes(whole.replace(b"1", b"2", 1))
+    assert jobs_left(sample, config) == 1
+    (tmp_path / "out" / "nod_0.bvh").write_bytes(whole)
+    assert jobs_left(sample, config) == 0
+    for former in (record | {"files": ["npz"]}, {key: record[key] for key in record if key != "files"}, [1], "x"):
+        (tmp_path / "out" / "nod_0.json").write_text(json.dumps(former))
+        assert jobs_left(sample, config) == 1
+
+
+def test_two_runs_in_one_folder_leave_each_motion_with_its_own_record(sample, run, tmp_path):
+    """Whoever comes last, a motion and its record are of one request."""
+
+    def put(number: int) -> None:
+        job = sample.Job("nod_0", timeline, 0)
+        sample.save(motions[number % 2], job, configs[number % 2], fingerprint(run))
+
+    common = (f"output={tmp_path / 'out'}", f"model={run}", "steps=2", "formats=[npz,bvh,csv]")
+    configs = [settings(*common, f"guidance={guidance}") for guidance in (1, 2)]
+    timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
+    motions = [tiny().generate(timeline, steps=2, seed=seed)[0] for seed in (0, 1)]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(5):
+            list(pool.map(put, range(4)))
+            record = json.loads((tmp_path / "out" / "nod_0.json").read_text())
+            motion = stmc.read(tmp_path / "out" / "nod_0.npz")
+            assert torch.allclose(motion.joints, motions[record["guidance"] - 1].joints, atol=1e-5)
+            assert sorted(record["files"]) == ["bvh", "csv", "npz"]
+            for kind, digest in record["files"].items():
+                assert hashlib.sha256((tmp_path / "out" / f"nod_0.{kind}").read_bytes()).hexdigest() == digest
+    assert sorted(path.suffix for path in (tmp_path / "out").iterdir()) == [".bvh", ".csv", ".json", ".npz"]
 
 
 def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp_path):

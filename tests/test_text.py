@@ -416,7 +416,15 @@ def flip_a_bit(content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda content: b"", lambda content: content[:-5], lambda content: b"\x80\x04pickle", flip_a_bit]
+    "damage",
+    [
+        lambda content: b"",
+        lambda content: content[:-5],
+        lambda content: b"\x80\x04pickle",
+        flip_a_bit,
+        lambda content: content.replace(b"CREATE TABLE texts", b"CREATE TABLE \xff\xfe\xff\xff\xff"),
+        lambda content: content.replace(b"words BLOB", b"wordz BLOB"),
+    ],
 )
 def test_a_damaged_file_is_made_anew(tmp_path, damage):
     encoder = Letters()
@@ -426,6 +434,15 @@ def test_a_damaged_file_is_made_anew(tmp_path, damage):
     for _ in range(2):
         assert torch.equal(cached.encode(["walk"])[0], expected)
     assert encoder.asked == ["walk", "walk"]  # first, and once more after the damage
+
+
+def test_a_damaged_file_that_says_it_is_read_only_is_made_anew(tmp_path):
+    cached = Cached(Letters(), tmp_path)
+    cached.encode(["walk"])
+    content = cached.file.read_bytes()
+    cached.file.write_bytes(content[:18] + b"\xff" + content[19:])
+    cached.encode(["walk", "turn"])
+    assert cached.missing(["turn"]) == []
 
 
 def test_words_that_stand_under_another_text_are_not_believed(tmp_path):
@@ -481,7 +498,9 @@ def test_a_cache_that_may_not_be_written_can_be_read(tmp_path):
 
 def test_a_full_disk_is_an_os_error(tmp_path, monkeypatch):
     def full(*_):
-        raise sqlite3.OperationalError("database or disk is full")
+        error = sqlite3.OperationalError("database or disk is full")
+        error.sqlite_errorcode = sqlite3.SQLITE_FULL
+        raise error
 
     monkeypatch.setattr(Cached, "_insert", full)
     with pytest.raises(OSError, match=r"letters_.*\.sqlite cannot be written: database or disk is full"):

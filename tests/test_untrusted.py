@@ -1,10 +1,14 @@
 """Files of strangers: only regular ones of bounded size are read, and messages stay short whatever the file holds."""
 
 import os
+import re
 import sys
 
 import pytest
 
+from stmc.benchmarks.atomic_prompts import _fields
+from stmc.data.sources.humanml3d_clips import read_captioned_clips
+from stmc.data.sources.humanml3d_texts import read_captions, read_index
 from stmc.untrusted import UnreadableError, cut, load_json, read_bytes, read_text, shown
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="links and pipes")
@@ -98,3 +102,28 @@ def test_what_is_no_regular_file_is_refused_without_waiting(tmp_path):
             read_bytes(tmp_path / name, 100)
     with pytest.raises(FileNotFoundError):
         read_bytes(tmp_path / "none", 100)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [read_captions, read_index, lambda path: list(_fields(path)), lambda path: read_captioned_clips(path.parent, "a")],
+    ids=["captions", "index", "prompts", "clips"],
+)
+def test_a_data_set_s_file_that_is_not_text_is_named(read, tmp_path):
+    (tmp_path / "a.txt").write_bytes(b"walk\xff\xfe#\x00")
+    with pytest.raises(UnreadableError, match=r"a\.txt: not UTF-8 text"):
+        read(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize(
+    "row", ["./pose_data/a.npy,1" + "0" * 400 + ",-1,x.npy", "a.npy,0,1" + "0" * 400 + ",x.npy", "a.npy", "a" * 200_000]
+)
+def test_a_row_of_an_index_that_is_mad_is_malformed(row, tmp_path):
+    (tmp_path / "index.csv").write_text(f"source_path,start_frame,end_frame,new_name\n{row}\n")
+    try:
+        [found] = read_index(tmp_path / "index.csv").values()
+    except ValueError as error:
+        found = str(error)
+    assert isinstance(found, str)
+    assert re.search(r"malformed index|index\.csv: not a table", found)
+    assert len(found) < 200 + len(str(tmp_path))

@@ -100,7 +100,7 @@ class _Unpickler(SafeUnpickler):
     def __init__(self, content: bytes | mmap.mmap) -> None:
         self._bytes = memoryview(content)
         self._stream = io.BytesIO(content) if isinstance(content, bytes) else content
-        super().__init__(self._stream)
+        super().__init__(self._stream, len(content))
 
     def find_class(self, module: str, name: str) -> Any:
         """`_Wrapped`, or what `pickles` has; `ArraysError` for any other name."""

@@ -17,6 +17,7 @@ import numpy as np
 from stmc.body import BodyPart
 from stmc.files import write_text
 from stmc.timeline import Prompt, Timeline, TimelineError
+from stmc.untrusted import read_lines
 
 SHORTEST, LONGEST = 2.0, 9.2
 """Seconds: what prompts last at least and at most, as in the published timelines."""
@@ -93,7 +94,7 @@ def write_atomic_prompts(atomic_prompts: Sequence[AtomicPrompt], path: str | Pat
 
 
 def _fields(path: Path) -> list[tuple[int, list[str]]]:
-    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+    lines = enumerate(read_lines(path), start=1)
     return [(number, [field.strip() for field in line.split("#")]) for number, line in lines if line.strip()]
 
 

@@ -19,6 +19,7 @@ from torch.nn.functional import normalize
 
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
+from stmc.bounds import check_metres
 from stmc.bvh import Bvh, BvhError, parse_bvh
 from stmc.export.axes import Z_UP_TO_Y_UP
 from stmc.geometry import global_rotations, shortest_arc
@@ -125,6 +126,7 @@ def _motion(bvh: Bvh, skeleton: Skeleton) -> Motion:
         raise BvhError(f"the legs are {_leg(rest):g} long: in metres, centimetres or inches that is no person's")
     joints = _between(places, index, body) @ up.T * (unit or 1.0)
     turned = up @ turned
+    check_metres("joints", float(joints.abs().max()))
     hands = body.offsets[NUM_ROTATIONS:].clone()
     if own:
         world = turned[:, [index[joint] for joint in JOINTS[:NUM_ROTATIONS]]]

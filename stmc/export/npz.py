@@ -9,17 +9,21 @@ from typing import IO
 import numpy as np
 import torch
 from einops import rearrange
+from torch import Tensor
 
-from stmc.arrays import npz_names, read_npz
+from stmc.arrays import ArraysError, Header, npz_headers, read_npz
 from stmc.body import JOINTS, NUM_ROTATIONS
 from stmc.body_model import Skeleton
+from stmc.bounds import MOST_COLUMNS, BoundsError, check_frames, check_metres
 from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle
 from stmc.motion import Motion
 from stmc.timeline import Timeline
+from stmc.untrusted import cut
 
 _BETAS = 16
 _FINGERS = 30
 """Joints of SMPL-H's two hands, which follow the body's 22."""
+_FRAMES_AT_ONCE = 2**14
 _RATES = ("mocap_framerate", "mocap_frame_rate")
 """AMASS's two spellings: SMPL-H files, SMPL-X files."""
 
@@ -52,30 +56,56 @@ def load_npz(path: Path, skeleton: Skeleton) -> Motion:
     """The motion of an AMASS file (float32): its first 22 joints, whatever fingers and face follow.
 
     Without `joints`, as in AMASS's own files, `skeleton` is posed. Raises `ValueError` naming the file and the array
-    that is missing, damaged or has the wrong shape.
+    that is missing, damaged or has the wrong shape, and for a motion beyond `bounds`, of which no array is unpacked.
     """
-    rate = next((name for name in _RATES if name in npz_names(path)), _RATES[0])
-    arrays = read_npz(path, ("poses", "trans", rate), ("joints",))
-    poses = _shaped(arrays, path, "poses", (None, None))
-    trans = _shaped(arrays, path, "trans", (len(poses), 3))
-    fps = float(_shaped(arrays, path, rate, ()))
-    joints = _shaped(arrays, path, "joints", (len(poses), len(JOINTS), 3)) if "joints" in arrays else None
-    if poses.shape[1] < 3 * NUM_ROTATIONS:
-        raise ValueError(f"{path}: poses has {poses.shape[1]} columns; need at least {3 * NUM_ROTATIONS}")
-    body = torch.from_numpy(poses[:, : 3 * NUM_ROTATIONS])
-    rotations = axis_angle_to_matrix(rearrange(body, "frames (joints angles) -> frames joints angles", angles=3))
+    headers = npz_headers(path)
+    rate = next((name for name in _RATES if name in headers), _RATES[0])
+    _check_headers(headers, path, rate)
+    fps = float(read_npz(path, (rate,))[rate])
+    try:
+        check_frames(headers["poses"].shape[0], fps)
+        arrays = read_npz(path, ("poses", "trans"), ("joints",))
+        chunks = [_chunk(arrays, start, skeleton) for start in range(0, len(arrays["poses"]), _FRAMES_AT_ONCE)]
+        rotations, translation, joints = (torch.cat(values) for values in zip(*chunks, strict=True))
+        check_metres("joints", float(joints.abs().max()))
+        return Motion(rotations, translation, joints, fps)
+    except BoundsError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _check_headers(headers: Mapping[str, Header], path: Path, rate: str) -> None:
+    """Raise `ValueError` unless all arrays are there, and numbers of the shapes that fit one another."""
+    if missing := [name for name in ("poses", "trans", rate) if name not in headers]:
+        has = cut(", ".join(headers), 200) or "none"
+        raise ArraysError(f"{path} has no array {', '.join(missing)}; it has {has}")
+    frames = headers["poses"].shape[:1]
+    needed = {"poses": (*frames, None), "trans": (*frames, 3), rate: (), "joints": (*frames, len(JOINTS), 3)}
+    for name in needed.keys() & headers.keys():
+        shape, dtype = headers[name]
+        if len(shape) != len(needed[name]) or not all(map(_fits, needed[name], shape)):
+            raise ValueError(f"{path}: {name} has shape {shape}; need {needed[name]}")
+        if dtype.kind not in "fiu":
+            raise ValueError(f"{path}: {name} holds {cut(str(dtype))}; need numbers")
+    columns = headers["poses"].shape[1]
+    if not 3 * NUM_ROTATIONS <= columns <= MOST_COLUMNS:
+        raise ValueError(f"{path}: poses has {columns} columns; need {3 * NUM_ROTATIONS} to {MOST_COLUMNS}")
+    if not frames[0]:
+        raise ValueError(f"{path}: poses has no frames; need at least one")
+
+
+def _fits(needed: int | None, size: int) -> bool:
+    return needed in (None, size)
+
+
+def _chunk(arrays: Mapping[str, np.ndarray], start: int, skeleton: Skeleton) -> tuple[Tensor, Tensor, Tensor]:
+    """Rotations, translation and joints (float32) of the frames from `start` on, computed in float64."""
+    part = {
+        name: torch.from_numpy(each[start : start + _FRAMES_AT_ONCE].astype(np.float64))
+        for name, each in arrays.items()
+    }
+    body = rearrange(part["poses"][:, : 3 * NUM_ROTATIONS], "frames (joints angles) -> frames joints angles", angles=3)
+    rotations = axis_angle_to_matrix(body)
+    joints = part.get("joints")
     if joints is None:
-        pelvis = torch.from_numpy(trans) + skeleton.offsets[0].double()
-        return Motion.posed(rotations, pelvis, fps, skeleton).to(dtype=torch.float32)
-    positions = torch.from_numpy(joints)
-    return Motion(rotations, positions[:, 0], positions, fps).to(dtype=torch.float32)
-
-
-def _shaped(arrays: Mapping[str, np.ndarray], path: Path, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    array = arrays[name].astype(np.float64)
-    fits = len(array.shape) == len(shape) and all(
-        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        raise ValueError(f"{path}: {name} has shape {array.shape}; need {shape}")
-    return array
+        joints = skeleton.pose(rotations, part["trans"] + skeleton.offsets[0].double())
+    return rotations.float(), joints[:, 0].float(), joints.float()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 import re
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -22,6 +23,15 @@ logger = logging.getLogger(__name__)
 
 AT_ONCE = 512
 """Texts encoded between two visits to the disk: what a kill can lose."""
+
+_DAMAGED = (sqlite3.Error, UnicodeDecodeError)
+"""What SQLite raises for a damaged file; its own message may be of damaged bytes."""
+
+_OF_THE_PLACE = (
+    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_PERM,
+)  # fmt: skip
+"""Codes of a full disk, no permission, or too long a wait: the file itself may be whole."""
 
 _PATIENCE = 300.0
 """Seconds for which a process waits until another has written."""
@@ -86,7 +96,7 @@ class Cached:
                     row = database.execute("SELECT words, sha256 FROM texts WHERE text = ?", (_key(text),)).fetchone()
                     if row and row[1] == self._digest(text, row[0]):
                         words[text] = load(row[0])["words"]
-        except (sqlite3.DatabaseError, SafetensorError, TypeError) as error:
+        except (*_DAMAGED, SafetensorError, TypeError) as error:
             logger.warning("%s cannot be read (%s); what is missing is encoded again", self.file, error)
         return {text: found for text, found in words.items() if found.shape[-1] == self.width}
 
@@ -94,13 +104,21 @@ class Cached:
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
             self._insert(words)
-        except sqlite3.OperationalError as error:  # a full disk, no permission, or too long a wait
-            raise OSError(f"{self.file} cannot be written: {error}") from error
-        except sqlite3.DatabaseError:
+            damaged = not self._read(list(words)[:1])
+        except _DAMAGED as error:
+            if self._is_kept_away(error):
+                raise OSError(f"{self.file} cannot be written: {error}") from error
+            damaged = True
+        if damaged:
             logger.warning("%s is damaged, and made anew", self.file)
             for path in (self.file, self.file.with_name(f"{self.file.name}-journal")):
                 path.unlink(missing_ok=True)
             self._insert(words)
+
+    def _is_kept_away(self, error: Exception) -> bool:
+        """Whether the place refuses to be written, not the file; a damaged file may say that it is read-only."""
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        return code in _OF_THE_PLACE or (code == sqlite3.SQLITE_READONLY and not os.access(self.file, os.W_OK))
 
     def _insert(self, words: dict[str, Float[Tensor, "_ width"]]) -> None:
         rows = [(_key(text), save({"words": found.contiguous()})) for text, found in words.items()]

@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 
 from stmc.body import BodyPart
+from stmc.bounds import MOST_SECONDS
 from stmc.timeline import files
 from stmc.timeline.advice import advise
 from stmc.timeline.drawing import draw
@@ -23,7 +24,7 @@ from stmc.timeline.overlaps import Precedence, sweep
 from stmc.timeline.rows import crowded, first_fit, renumbered
 from stmc.untrusted import shown
 
-LATEST = 14_400
+LATEST = MOST_SECONDS
 """Seconds: no prompt ends after four hours, for which a model's features alone take 0.25 GB at 20 fps."""
 
 MOST_FRAMES = 10_000_000

@@ -5,6 +5,7 @@ Knows AMASS's files and the names that its data sets had and have; knows no anno
 
 from __future__ import annotations
 
+import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping
@@ -17,14 +18,16 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.arrays import ArraysError, npz_names, read_npz
+from stmc.arrays import ArraysError, Header, npz_headers, read_npz
 from stmc.body import NUM_ROTATIONS
 from stmc.body_model import Skeleton
+from stmc.bounds import LEAST_FPS, MOST_FPS, MOST_FRAMES, BoundsError, check_frames
 from stmc.data.cache import fingerprint
 from stmc.data.preparation import LayoutError
 from stmc.geometry import axis_angle_to_matrix
 from stmc.motion import Motion
 from stmc.representation import Representation
+from stmc.untrusted import cut
 
 COLUMNS: Mapping[str, int] = {"smplh": 156, "smplx": 165}
 """Of `poses`, for each kind of body. Both begin with the root's and the 21 body joints' 66, in one order: SMPL-X has
@@ -33,8 +36,8 @@ jaw, eyes and fingers after them, SMPL-H fingers only."""
 RATES = ("mocap_framerate", "mocap_frame_rate")
 """The frame rate's name in SMPL-H files and in SMPL-X files."""
 
-SLOWEST, FASTEST = 1.0, 1000.0
-"""Frames per second of any recording that can be meant; AMASS's own are between 30 and 250."""
+_LARGEST_VALUE = 1024
+"""Bytes of a frame rate or of a body's name."""
 
 RENAMED: Mapping[str, str] = {
     "BioMotionLab_NTroje": "BMLrub", "DFaust_67": "DFaust", "MPI_HDM05": "HDM05", "MPI_Limits": "PosePrior",
@@ -55,8 +58,10 @@ def read_recording(path: Path, skeleton: Skeleton) -> Motion:
     that can be meant.
     """
     try:
-        names = npz_names(path)
-        _check_names(names, path)
+        headers = npz_headers(path)
+        _check_names(tuple(headers), path)
+        _check_shapes(headers["poses"], headers["trans"])
+        _check_small({name: headers[name] for name in (*RATES, "surface_model_type") if name in headers})
         arrays = read_npz(path, ["poses", "trans"], [*RATES, "surface_model_type"])
     except ArraysError as error:
         raise RecordingError(f"damaged: {error}") from error
@@ -66,7 +71,13 @@ def read_recording(path: Path, skeleton: Skeleton) -> Motion:
 def motion_of(arrays: Mapping[str, np.ndarray], skeleton: Skeleton) -> Motion:
     """What `read_recording` makes of a file's arrays: `poses` [frames, columns], `trans` [frames, 3], and the frame
     rate by one of its names; raises the same."""
-    _check_shapes(arrays)
+    _check_shapes(*(Header(arrays[name].shape, arrays[name].dtype) for name in ("poses", "trans")))
+    _check_kind(arrays)
+    fps = _rate(arrays)
+    try:
+        check_frames(len(arrays["poses"]), fps)
+    except BoundsError as error:
+        raise RecordingError(f"too large: {error}") from error
     poses = arrays["poses"][:, : 3 * NUM_ROTATIONS].astype(np.float64)
     trans = arrays["trans"].astype(np.float64)
     for name, values in (("poses", poses), ("trans", trans)):
@@ -75,13 +86,13 @@ def motion_of(arrays: Mapping[str, np.ndarray], skeleton: Skeleton) -> Motion:
             raise RecordingError(f"not finite: {name} from frame {broken[0]} on, {len(broken)} frames of {len(values)}")
     angles = rearrange(torch.from_numpy(poses), "frames (joints axes) -> frames joints axes", axes=3)
     pelvis = torch.from_numpy(trans) + skeleton.offsets[0].double()
-    return Motion.posed(axis_angle_to_matrix(angles), pelvis, _rate(arrays), skeleton)
+    return Motion.posed(axis_angle_to_matrix(angles), pelvis, fps, skeleton)
 
 
 def _check_names(names: tuple[str, ...], path: Path) -> None:
     if "poses" in names and "trans" in names:
         return
-    held = f"it has {', '.join(names) or 'nothing'}"
+    held = f"it has {cut(', '.join(names), 200) or 'nothing'}"
     if "betas" in names and (path.stem == "shape" or path.stem.endswith("_stagei") or "markers_latent" in names):
         raise RecordingError(f"no motion: a subject's shape alone ({held})")
     if any("marker" in name for name in names):
@@ -89,15 +100,16 @@ def _check_names(names: tuple[str, ...], path: Path) -> None:
     raise RecordingError(f"no motion: poses and trans are missing ({held})")
 
 
-def _check_shapes(arrays: Mapping[str, np.ndarray]) -> None:
-    poses, trans = arrays["poses"], arrays["trans"]
+def _check_shapes(poses: Header, trans: Header) -> None:
     numbers = all(array.dtype.kind in "fiu" for array in (poses, trans))
-    if not numbers or poses.ndim != 2 or trans.shape != (len(poses), 3):
+    if not numbers or len(poses.shape) != 2 or trans.shape != (poses.shape[0], 3):
         raise RecordingError(
             f"wrong shape: poses {poses.shape} {poses.dtype} and trans {trans.shape} {trans.dtype}; they should be "
             "numbers, (frames, columns) and (frames, 3)"
         )
-    if not len(poses):
+    if poses.shape[0] > MOST_FRAMES:
+        raise RecordingError(f"too large: {poses.shape[0]} frames are more than {MOST_FRAMES:,}, the limit of a motion")
+    if not poses.shape[0]:
         raise RecordingError("empty: zero frames")
     columns = poses.shape[1]
     known = ", ".join(f"{kind} {count}" for kind, count in COLUMNS.items())
@@ -105,6 +117,18 @@ def _check_shapes(arrays: Mapping[str, np.ndarray]) -> None:
         raise RecordingError(f"wrong variant: poses has 72 columns, as SMPL's without hands; AMASS's have {known}")
     if columns not in COLUMNS.values():
         raise RecordingError(f"wrong variant: poses has {columns} columns; AMASS's have {known}")
+
+
+def _check_small(headers: Mapping[str, Header]) -> None:
+    """Raise `RecordingError` for an array that should be one value and takes more than `_LARGEST_VALUE` bytes."""
+    for name, (shape, dtype) in headers.items():
+        if math.prod(shape) * dtype.itemsize > _LARGEST_VALUE:
+            raise RecordingError(f"wrong shape: {name} has shape {shape} of {cut(str(dtype))}; it should be one value")
+
+
+def _check_kind(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise `RecordingError` for a file that says it is of another body than it is."""
+    columns, known = arrays["poses"].shape[1], ", ".join(f"{kind} {count}" for kind, count in COLUMNS.items())
     kind = _text(arrays["surface_model_type"]) if "surface_model_type" in arrays else None
     if kind is not None and COLUMNS.get(kind) != columns:
         raise RecordingError(f"mislabelled: surface_model_type {kind!r}, but poses has {columns} columns ({known})")
@@ -115,8 +139,8 @@ def _rate(arrays: Mapping[str, np.ndarray]) -> float:
     if name is None:
         raise RecordingError(f"no frame rate: neither {' nor '.join(RATES)} among {', '.join(arrays)}")
     value = arrays[name]
-    if value.size != 1 or value.dtype.kind not in "fiu" or not SLOWEST <= float(value.reshape(())) <= FASTEST:
-        raise RecordingError(f"absurd frame rate: {name} is {value!r}; expected {SLOWEST:g} to {FASTEST:g} per second")
+    if value.size != 1 or value.dtype.kind not in "fiu" or not LEAST_FPS <= float(value.reshape(())) <= MOST_FPS:
+        raise RecordingError(f"absurd frame rate: {name} is {value!r}; expected {LEAST_FPS} to {MOST_FPS} per second")
     return float(value.reshape(()))
 
 

@@ -7,7 +7,6 @@ left out; a file that is not in the format at all is an error.
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -19,6 +18,7 @@ from stmc.data.preparation import LayoutError
 from stmc.data.sources.amass import unmirrored
 from stmc.data.sources.contents import mirrored
 from stmc.data.sources.humanml3d_texts import WHOLE, Caption, Cut, read_captions, read_index
+from stmc.untrusted import UnreadableError, read_lines
 
 SPLITS = ("train", "val", "test")
 
@@ -126,8 +126,8 @@ def _humanml3d(folder: Path) -> Annotations:
         )
     try:
         cuts = read_index(index)
-    except (ValueError, csv.Error) as error:
-        raise LayoutError(f"{index} is not HumanML3D's: {error}") from error
+    except ValueError as error:
+        raise LayoutError(f"not HumanML3D's index: {error}") from error
     entries, skipped = [], []
     for split in SPLITS:
         for name in _listed(folder / f"{split}.txt", split):
@@ -150,8 +150,8 @@ def _captioned(name: str, cut: Cut | str | None, image: bool, split: str, texts:
         captions = read_captions(texts / f"{PurePosixPath(name).name}.txt")
     except FileNotFoundError as error:
         raise ValueError(f"no file: texts/{name}.txt") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"damaged: texts/{name}.txt is not text: {error}") from error
+    except UnreadableError as error:
+        raise ValueError(f"damaged: {error}") from error
     segments = tuple(_said(caption, cut) for caption in captions if isinstance(caption, Caption))
     wrong = [caption for caption in captions if isinstance(caption, str)]
     if not segments:
@@ -267,9 +267,9 @@ def _listed(path: Path, split: str) -> list[str]:
             return []
         raise LayoutError(f"{path} is missing; it should list the names of split {split!r}, one a line")
     try:
-        names = path.read_text(encoding="utf-8").split()
-    except UnicodeDecodeError as error:
-        raise LayoutError(f"{path} is not text: {error}") from error
+        names = " ".join(read_lines(path)).split()
+    except UnreadableError as error:
+        raise LayoutError(str(error)) from error
     if not names and split != "test":
         raise LayoutError(f"{path} lists nothing")
     return list(dict.fromkeys(names))

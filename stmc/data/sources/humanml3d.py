@@ -24,6 +24,7 @@ from stmc.data.sources.humanml3d_texts import WHOLE, Caption, read_captions
 from stmc.data.spans import AnnotatedSpans, CacheBuilder
 from stmc.representation.layout import HUMANML3D_LAYOUT
 from stmc.statistics import Statistics
+from stmc.untrusted import UnreadableError, read_lines
 
 FPS = 20
 
@@ -57,7 +58,7 @@ class ProcessedHumanML3D:
         """Name → split. A name in two lists belongs to the first of train, val, test."""
         names: dict[str, str] = {}
         for split in SPLITS:
-            for name in (self._folder / f"{split}.txt").read_text(encoding="utf-8").split():
+            for name in " ".join(read_lines(self._folder / f"{split}.txt")).split():
                 names.setdefault(name, split)
         return names
 
@@ -180,8 +181,8 @@ def read_clip(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], lis
         raise ValueError(f"mislabelled: new_joints is {shape}, but new_joint_vecs has {len(features)} frames")
     try:
         captions = read_captions(texts)
-    except UnicodeDecodeError as error:
-        raise ValueError(f"damaged: {texts.name} is not text: {error}") from error
+    except UnreadableError as error:
+        raise ValueError(f"damaged: {error}") from error
     if not captions:
         raise ValueError("no caption: the file is empty")
     return features, captions

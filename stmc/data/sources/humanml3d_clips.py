@@ -15,6 +15,7 @@ from torch import Tensor
 from stmc.data.preparation import LayoutError
 from stmc.data.sources.humanml3d import FPS, LONGEST, SHORTEST, read_clip
 from stmc.data.sources.humanml3d_texts import WHOLE, Caption
+from stmc.untrusted import read_lines
 
 logger = logging.getLogger(__name__)
 
@@ -40,7 +41,7 @@ def read_captioned_clips(folder: str | Path, split: str = "test") -> list[Captio
     if not listed.is_file():
         raise LayoutError(f"{listed} does not exist: the folder is not HumanML3D's (new_joint_vecs/, texts/, test.txt)")
     clips, skipped = list[CaptionedClip](), list[str]()
-    for name in dict.fromkeys(listed.read_text(encoding="utf-8").split()):
+    for name in dict.fromkeys(" ".join(read_lines(listed)).split()):
         try:
             clips += _clips(name, *read_clip(folder, name))
         except (ValueError, OSError) as error:

@@ -10,8 +10,13 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from stmc.untrusted import cut, read_lines, shown
+
 INDEX_FPS = 20
 """Frames per second that `index.csv` counts in."""
+
+MOST_INDEX = 10**7
+"""The last frame that `index.csv` may name."""
 
 WHOLE = (0.0, 0.0)
 """Start and end of a caption that describes its whole clip."""
@@ -54,7 +59,7 @@ def read_captions(path: Path) -> list[Caption | str]:
 
     A line is `caption#caption/DET tagged/VERB#start#end`; a time of `nan` is 0, as published.
     """
-    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+    lines = enumerate(read_lines(path), start=1)
     return [_caption(line, number) for number, line in lines if line.strip()]
 
 
@@ -62,7 +67,7 @@ def _caption(line: str, number: int) -> Caption | str:
     text, *others = line.split("#")
     times = [_seconds(value) for value in others[1:]]
     if len(others) != 3 or None in times or not text.strip():
-        return f"malformed caption: line {number} is not caption#tagged words#start#end but {line[:80]!r}"
+        return f"malformed caption: line {number} is not caption#tagged words#start#end but {shown(line, 80)}"
     start, end = times
     if (start, end) != WHOLE and not 0 <= start < end < math.inf:
         return f"malformed caption: line {number} is from {start:g} to {end:g} s"
@@ -82,20 +87,23 @@ def read_index(path: Path) -> dict[str, Cut | str]:
 
     Raises `ValueError` for a file with other columns.
     """
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = csv.DictReader(file)
+    rows = csv.DictReader(read_lines(path))
+    try:
         if tuple(rows.fieldnames or ()) != COLUMNS:
-            raise ValueError(f"its columns should be {', '.join(COLUMNS)}, not {', '.join(rows.fieldnames or ())[:80]}")
+            has = cut(", ".join(rows.fieldnames or ()), 80)
+            raise ValueError(f"{path}: its columns should be {', '.join(COLUMNS)}, not {has}")
         return {str(row["new_name"]).removesuffix(".npy"): _cut(row) for row in rows}
+    except csv.Error as error:
+        raise ValueError(f"{path}: not a table ({error})") from error
 
 
 def _cut(row: dict[str, str]) -> Cut | str:
     try:
         first, last = int(row["start_frame"]), int(row["end_frame"])
     except (TypeError, ValueError):
-        return f"malformed index: frames {row['start_frame']!r} to {row['end_frame']!r}"
-    if first < 0 or (last != -1 and last <= first):
-        return f"malformed index: frames {first} to {last}"
+        return f"malformed index: frames {shown(row['start_frame'])} to {shown(row['end_frame'])}"
+    if not 0 <= first <= MOST_INDEX or not (last == -1 or first < last <= MOST_INDEX):
+        return f"malformed index: frames {shown(first)} to {shown(last)}"
     path = row["source_path"].replace("\\", "/").removeprefix("./").removeprefix("pose_data/").removesuffix(".npy")
     begins = LEAD_INS.get(path.partition("/")[0], 0.0)
     return Cut(path, begins + first / INDEX_FPS, None if last == -1 else begins + last / INDEX_FPS)
