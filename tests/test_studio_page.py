@@ -1,7 +1,6 @@
 """The studio's page in a real browser, before a server with a tiny model: what hands and keys do, and what is kept."""
 
 import base64
-import dataclasses
 import json
 import os
 import time
@@ -12,17 +11,14 @@ from threading import Thread
 
 import numpy as np
 import pytest
-import uvicorn
 from helpers import browser
 from helpers.scripts import loaded
-from helpers.tiny_model import Hashes, tiny
+from helpers.studio import knowing
 from PIL import Image
 
 import stmc
-from stmc.run import bundled
-from stmc.run.directories import VOCABULARY
-from stmc.studio import application
-from stmc.vocabulary import read_vocabulary
+from stmc.studio import Sessions, application
+from stmc.studio.connections import server_of
 
 pytestmark = [
     pytest.mark.browser,
@@ -30,21 +26,22 @@ pytestmark = [
     pytest.mark.skipif(browser.PATH is None, reason="no chromium on the PATH (Debian: apt-get install chromium)"),
 ]
 
-TOKEN = "a secret"
+SESSIONS: dict[int, Sessions] = {}
+"""Of the server at each port; one that is started again there knows the pages of before."""
 PICTURES = os.environ.get("STMC_PICTURES")
 """A folder for pictures of each step, to be looked at."""
 CONTROL, SHIFT = 2, 8
+KEY = "{ headers: { 'X-Stmc': localStorage.getItem('stmc-studio-key') } }"
+"""Of a request that the test has the page make."""
 BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria-label').split('. ').slice(0, 2))"
 
 
 @contextmanager
 def serving(folder: Path, port: int = 0) -> Iterator[int]:
     """The studio over a folder, at a port, until the end."""
-    model = dataclasses.replace(tiny(), vocabulary=read_vocabulary(bundled() / VOCABULARY), text_encoder=Hashes())
     with loaded("studio").listen(port) as listening:
         port = listening.getsockname()[1]
-        app = application(model, folder, TOKEN, port, steps=12)
-        server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1))
+        server = server_of(application(knowing(), folder, SESSIONS.setdefault(port, Sessions()), port, steps=12))
         thread = Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
@@ -65,7 +62,7 @@ def opened(port: int, folder: Path, width: int = 1280, height: int = 800) -> Ite
     """A tab with a new, empty timeline."""
     with browser.tab(folder / "profile", max(width, 500), height) as tab:
         tab.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
-        tab.open(f"http://127.0.0.1:{port}/?token={TOKEN}")
+        tab.open(f"http://127.0.0.1:{port}/#token={SESSIONS[port].invite()}")
         ready(tab)
         yield tab
         assert [params for method, params in tab.events if method == "Runtime.exceptionThrown"] == []
@@ -262,7 +259,7 @@ def motion_of(tab: browser.Tab, motion: str) -> stmc.Motion:
     """A motion of the server."""
     data = tab.call(
         "Runtime.evaluate",
-        expression=f"fetch('/api/motions/{motion}.npz').then((answer) => answer.arrayBuffer())"
+        expression=f"fetch('/api/motions/{motion}.npz', {KEY}).then((answer) => answer.arrayBuffer())"
         ".then((bytes) => btoa(Array.from(new Uint8Array(bytes), (byte) => String.fromCharCode(byte)).join('')))",
         awaitPromise=True,
         returnByValue=True,
@@ -380,10 +377,11 @@ def test_of_two_tabs_that_change_one_document_the_second_is_asked(tab):
     time.sleep(1)
     theirs = """(async () => {
       const place = "/api/documents/" + location.hash.slice(1);
-      const { version, content } = await (await fetch(place)).json();
+      const headers = { "X-Stmc": localStorage.getItem("stmc-studio-key") };
+      const { version, content } = await (await fetch(place, { headers })).json();
       const changed = { ...content, writer: "another", document: { ...content.document, name: "Theirs" } };
       const body = JSON.stringify({ base: version, content: changed });
-      await fetch(place, { method: "PUT", headers: { "X-Stmc": "1" }, body });
+      await fetch(place, { method: "PUT", headers, body });
     })()"""
     tab.call("Runtime.evaluate", expression=theirs, awaitPromise=True)
     tab.ask("document.querySelector('.bar').focus()")
@@ -443,7 +441,7 @@ def ends(tab: browser.Tab, document: str) -> list[float]:
     """Of the prompts of a document (#name), as the server has it."""
     answer = tab.call(
         "Runtime.evaluate",
-        expression=f"fetch('/api/documents/' + {json.dumps(document[1:])}).then((answer) => answer.json())",
+        expression=f"fetch('/api/documents/{document[1:]}', {KEY}).then((answer) => answer.json())",
         awaitPromise=True,
         returnByValue=True,
     )["result"]["value"]
@@ -463,7 +461,10 @@ def test_what_is_written_while_the_server_is_away_is_there_once_it_is_back(tmp_p
         picture(tab, "8_away")
         with serving(tmp_path / "studio", port):
             tab.wait("document.getElementById('saved').textContent === 'Saved'")
-            tab.ask("localStorage.clear(); delete document.body.dataset.ready; location.reload()")
+            tab.ask(
+                "Object.keys(localStorage).filter((key) => key.includes('/')).forEach((key) => localStorage.removeItem(key));"
+                "delete document.body.dataset.ready; location.reload()"
+            )
             ready(tab)
             tab.wait(f"{BARS}[0] && {BARS}[0][1].startsWith('0 s to 3.1 s')")
 

@@ -228,6 +228,7 @@ listenToKeys(studio, player, work, tracks, {
 async function start() {
   for (;;) {
     try {
+      await server.enter();
       store.set({ model: await server.askModel() });
       break;
     } catch (error) {
@@ -241,5 +242,9 @@ async function start() {
   else saving.create();
   document.body.dataset.ready = "true";
 }
-addEventListener("hashchange", () => location.hash.slice(1) && location.hash.slice(1) !== store.get().id && saving.open(location.hash.slice(1)));
+addEventListener("hashchange", () => {
+  const id = location.hash.slice(1);
+  if (id.startsWith("token=")) location.reload(); // the address of a studio that was started anew
+  else if (id && id !== store.get().id) saving.open(id);
+});
 start();
