@@ -152,4 +152,4 @@ def _owned(timeline: Timeline, fps: float | int, overlap: float | int) -> dict[s
 def _advice(recognition: Recognition | None) -> dict[str, Any] | None:
     if recognition is None:
         return None
-    return {"sentence": recognition.advice, "nearest": [sentence.text for sentence in recognition.nearest]}
+    return {"sentence": recognition.advice, "nearest": [sentence.text for sentence in recognition.near]}
