@@ -6,26 +6,30 @@
 Nothing is sent anywhere: the page is served to this machine alone, and works without a network.
 """
 
-import secrets
+import os
 import socket
 import sys
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Timer
 from typing import get_args
 
-import uvicorn
 from omegaconf import DictConfig
 from rich.console import Console
 
 import stmc
 from stmc.commands import command
 from stmc.commands.shared import OnModel, Threaded
+from stmc.files import locked, probe
 from stmc.model import Precision
 from stmc.settings import SettingError, setting
-from stmc.studio import application
+from stmc.studio import Sessions, application
+from stmc.studio.connections import server_of
+from stmc.studio.stores import private_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,20 +46,43 @@ class Settings(OnModel, Threaded):
 
 @command("studio", Settings)
 def main(config: DictConfig) -> None:
+    folder = Path(config.folder).expanduser()
+    probe(private_folder(folder))
+    with locked(folder), listen(config.port) as listening:
+        serve(config, folder, listening)
+
+
+def serve(config: DictConfig, folder: Path, listening: socket.socket) -> None:
+    """The studio, until it is ended."""
     console = Console(soft_wrap=True, highlight=False)
-    listening = listen(config.port)
-    port, token = listening.getsockname()[1], secrets.token_urlsafe(18)
+    sessions, port = Sessions(), listening.getsockname()[1]
     with console.status("loading the model"):
         model = loaded(config)
-    address = f"http://127.0.0.1:{port}/?token={token}"
+    app = application(model, folder, sessions, port, config.steps)
     console.print(
-        f"the studio is at {address}\nmotions and documents are kept in {config.folder}; Ctrl-C ends it", markup=False
+        f"the studio is at http://127.0.0.1:{port}/#token={sessions.invite()}\n"
+        f"the address can be opened once; motions and documents are kept in {config.folder}; Ctrl-C ends it",
+        markup=False,
     )
-    if config.open:
-        Timer(0.5, webbrowser.open, [address]).start()
-    app = application(model, config.folder, token, port, config.steps)
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=2))
-    server.run(sockets=[listening])
+    with opening(folder, f"http://127.0.0.1:{port}/#token={sessions.invite()}") as page:
+        if config.open:
+            Timer(0.5, webbrowser.open, [page.as_uri()]).start()
+        server_of(app).run(sockets=[listening])
+
+
+@contextmanager
+def opening(folder: Path, address: str) -> Iterator[Path]:
+    """A file that leads a browser to an address, and that nobody else can read: everybody on the machine can read with
+    which arguments a browser is started."""
+    path = folder.resolve() / "open.html"
+    path.unlink(missing_ok=True)
+    try:
+        with open(path, "x", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
+            file.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">')
+            file.write(f'<a href="{address}">stmc studio</a>')
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def listen(port: int) -> socket.socket:
@@ -64,7 +91,9 @@ def listen(port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind(("127.0.0.1", port))
+        listening.listen()
     except OSError as error:
+        listening.close()
         raise SettingError(f"port={port}: {error.strerror}; port=0 takes one that is free") from None
     return listening
 

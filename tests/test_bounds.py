@@ -144,7 +144,7 @@ def test_hundreds_of_prompts_at_once_give_one_short_warning_at_the_line_of_the_c
     [warning] = told
     assert warning.filename == __file__
     lines = str(warning.message).splitlines()
-    assert lines[0].endswith("claim legs, head at the same time; line 2 gets it, as in SINC's order")
+    assert lines[0].endswith("(line 2) both claim legs, head at 0.1 s; 'walk 1' (line 2) gets it")
     assert lines[3:] == ["these are 3 of more than 50 such pairs"]
     owners = assign(timeline, 10)
     assert owners[BodyPart.LEGS][:2] == ((0, 0, 1), (1, 1, 2))

@@ -1,7 +1,6 @@
 """The studio's page in a real browser, before a server with a tiny model: what hands and keys do, and what is kept."""
 
 import base64
-import dataclasses
 import json
 import os
 import time
@@ -12,17 +11,14 @@ from threading import Thread
 
 import numpy as np
 import pytest
-import uvicorn
 from helpers import browser
 from helpers.scripts import loaded
-from helpers.tiny_model import Hashes, tiny
+from helpers.studio import knowing
 from PIL import Image
 
 import stmc
-from stmc.run import bundled
-from stmc.run.directories import VOCABULARY
-from stmc.studio import application
-from stmc.vocabulary import read_vocabulary
+from stmc.studio import Sessions, application
+from stmc.studio.connections import server_of
 
 pytestmark = [
     pytest.mark.browser,
@@ -30,21 +26,22 @@ pytestmark = [
     pytest.mark.skipif(browser.PATH is None, reason="no chromium on the PATH (Debian: apt-get install chromium)"),
 ]
 
-TOKEN = "a secret"
+SESSIONS: dict[int, Sessions] = {}
+"""Of the server at each port; one that is started again there knows the pages of before."""
 PICTURES = os.environ.get("STMC_PICTURES")
 """A folder for pictures of each step, to be looked at."""
 CONTROL, SHIFT = 2, 8
+KEY = "{ headers: { 'X-Stmc': localStorage.getItem('stmc-studio-key') } }"
+"""Of a request that the test has the page make."""
 BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria-label').split('. ').slice(0, 2))"
 
 
 @contextmanager
 def serving(folder: Path, port: int = 0) -> Iterator[int]:
     """The studio over a folder, at a port, until the end."""
-    model = dataclasses.replace(tiny(), vocabulary=read_vocabulary(bundled() / VOCABULARY), text_encoder=Hashes())
     with loaded("studio").listen(port) as listening:
         port = listening.getsockname()[1]
-        app = application(model, folder, TOKEN, port, steps=12)
-        server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1))
+        server = server_of(application(knowing(), folder, SESSIONS.setdefault(port, Sessions()), port, steps=12))
         thread = Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
@@ -65,7 +62,7 @@ def opened(port: int, folder: Path, width: int = 1280, height: int = 800) -> Ite
     """A tab with a new, empty timeline."""
     with browser.tab(folder / "profile", max(width, 500), height) as tab:
         tab.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
-        tab.open(f"http://127.0.0.1:{port}/?token={TOKEN}")
+        tab.open(f"http://127.0.0.1:{port}/#token={SESSIONS[port].invite()}")
         ready(tab)
         yield tab
         assert [params for method, params in tab.events if method == "Runtime.exceptionThrown"] == []
@@ -205,6 +202,64 @@ def test_a_dragged_end_snaps_to_the_edge_of_another_prompt(tab):
     tab.wait(f"{BARS}[0][1].startsWith('0 s to 3.1 s')")
 
 
+def test_enter_applies_a_text_in_the_panel_and_escape_leaves_a_field_at_once(tab):
+    automatic(tab, False)
+    write(tab, "walk")
+    click(tab, "#tab-prompt")
+    click(tab, "#panel-prompt textarea")
+    tab.ask("document.activeElement.select()")
+    tab.call("Input.insertText", text="run")
+    press(tab, "Enter")
+    tab.wait(f"{BARS}[0] && {BARS}[0][0] === 'run'")
+    tab.wait("document.activeElement.matches('.bar')")
+    click(tab, "#panel-prompt input[data-key^=end]")
+    tab.ask("document.activeElement.select()")
+    tab.call("Input.insertText", text="9")
+    press(tab, "Escape")
+    assert tab.ask("document.activeElement === document.body")
+    assert tab.ask(f"{BARS}[0][1]").startswith("0 s to 3 s")
+    write(tab, "wave")  # N is a key of the page again
+
+
+def test_an_end_that_is_held_at_the_window_s_edge_goes_on(tab):
+    automatic(tab, False)
+    write(tab, "walk")
+    grip = box(tab, ".bar .grip.end")
+    start = (grip["left"] + grip["width"] / 2, grip["top"] + grip["height"] / 2)
+    tab.call(
+        "Input.dispatchMouseEvent", type="mousePressed", x=start[0], y=start[1], button="left", buttons=1, clickCount=1
+    )
+    for x in (start[0] + 40, 1275):
+        tab.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=start[1], button="left", buttons=1)
+    tab.wait(f"parseFloat({BARS}[0][1].split(' to ')[1]) > 9")
+    tab.call("Input.dispatchMouseEvent", type="mouseReleased", x=1275, y=start[1], button="left", clickCount=1)
+    tab.wait("document.getElementById('lanes').offsetWidth <= document.getElementById('scroller').clientWidth")
+    press(tab, "z", CONTROL)
+    tab.wait(f"{BARS}[0][1].startsWith('0 s to 3 s')")
+
+
+@pytest.mark.parametrize("zooms", [0, 3])
+def test_no_number_of_the_ruler_is_cut_at_its_end(tab, zooms):
+    for _ in range(zooms):
+        press(tab, "+")
+    cut = """[...document.querySelectorAll('#ruler b')].filter((mark) => {
+      const text = document.createRange();
+      text.selectNodeContents(mark);
+      return text.getBoundingClientRect().right > document.getElementById('lanes').getBoundingClientRect().right;
+    }).length"""
+    assert tab.ask("document.querySelectorAll('#ruler b').length") > 3 and tab.ask(cut) == 0
+
+
+def test_where_nothing_known_is_near_the_words_are_offered(tab):
+    automatic(tab, False)
+    write(tab, "qwxz vvv kkk")
+    click(tab, "#tab-prompt")
+    tab.wait("document.querySelector('#panel-prompt .advice') !== null")
+    assert "It knows nothing near." in tab.ask("document.querySelector('#panel-prompt .advice').textContent")
+    click(tab, "#panel-prompt [data-key=words]")
+    assert tab.ask("document.getElementById('tab-words').ariaSelected") == "true"
+
+
 def test_the_page_asks_nobody_but_its_server(tab):
     urls = [params["request"]["url"] for method, params in tab.events if method == "Network.requestWillBeSent"]
     assert {url.split("/")[2] for url in urls if url.startswith("http")} == {urls[0].split("/")[2]}
@@ -262,7 +317,7 @@ def motion_of(tab: browser.Tab, motion: str) -> stmc.Motion:
     """A motion of the server."""
     data = tab.call(
         "Runtime.evaluate",
-        expression=f"fetch('/api/motions/{motion}.npz').then((answer) => answer.arrayBuffer())"
+        expression=f"fetch('/api/motions/{motion}.npz', {KEY}).then((answer) => answer.arrayBuffer())"
         ".then((bytes) => btoa(Array.from(new Uint8Array(bytes), (byte) => String.fromCharCode(byte)).join('')))",
         awaitPromise=True,
         returnByValue=True,
@@ -380,10 +435,11 @@ def test_of_two_tabs_that_change_one_document_the_second_is_asked(tab):
     time.sleep(1)
     theirs = """(async () => {
       const place = "/api/documents/" + location.hash.slice(1);
-      const { version, content } = await (await fetch(place)).json();
+      const headers = { "X-Stmc": localStorage.getItem("stmc-studio-key") };
+      const { version, content } = await (await fetch(place, { headers })).json();
       const changed = { ...content, writer: "another", document: { ...content.document, name: "Theirs" } };
       const body = JSON.stringify({ base: version, content: changed });
-      await fetch(place, { method: "PUT", headers: { "X-Stmc": "1" }, body });
+      await fetch(place, { method: "PUT", headers, body });
     })()"""
     tab.call("Runtime.evaluate", expression=theirs, awaitPromise=True)
     tab.ask("document.querySelector('.bar').focus()")
@@ -426,6 +482,24 @@ def test_two_tabs_keep_mine_and_keep_both_and_no_click_beside_the_question_leave
         assert other.ask("document.getElementById('name').value") == "Untitled (copy)"
 
 
+def test_a_tab_where_nobody_has_edited_is_not_asked(tab, server, tmp_path):
+    automatic(tab, False)
+    write(tab, "walk")
+    saved(tab)
+    with opened(server, tmp_path / "other") as other:
+        other.ask(f"location.hash = {json.dumps(tab.ask('location.hash'))}")
+        other.wait(f"{BARS}.length === 1")
+        stretch(tab)  # to 3.1 s
+        saved(tab)
+        other.ask("document.querySelector('[data-key=full]').click()")  # a setting: the document is as it was
+        other.wait(f"{BARS}[0][1].startsWith('0 s to 3.1 s')")
+        assert not other.ask("document.getElementById('conflict-dialog').open")
+        for each in (tab, other):  # of one document different motions, or settings
+            each.ask("document.querySelector('[data-key=full]').click()")
+            saved(each)
+            assert not each.ask("document.getElementById('conflict-dialog').open")
+
+
 def stretch(tab: browser.Tab, times: int = 1) -> None:
     """The first prompt's end, by a tenth of a second each time."""
     tab.ask("document.querySelector('.bar').focus()")
@@ -443,7 +517,7 @@ def ends(tab: browser.Tab, document: str) -> list[float]:
     """Of the prompts of a document (#name), as the server has it."""
     answer = tab.call(
         "Runtime.evaluate",
-        expression=f"fetch('/api/documents/' + {json.dumps(document[1:])}).then((answer) => answer.json())",
+        expression=f"fetch('/api/documents/{document[1:]}', {KEY}).then((answer) => answer.json())",
         awaitPromise=True,
         returnByValue=True,
     )["result"]["value"]
@@ -463,7 +537,10 @@ def test_what_is_written_while_the_server_is_away_is_there_once_it_is_back(tmp_p
         picture(tab, "8_away")
         with serving(tmp_path / "studio", port):
             tab.wait("document.getElementById('saved').textContent === 'Saved'")
-            tab.ask("localStorage.clear(); delete document.body.dataset.ready; location.reload()")
+            tab.ask(
+                "for (const key of Object.keys(localStorage)) if (key.includes('/')) delete localStorage[key];"
+                "delete document.body.dataset.ready; location.reload()"
+            )
             ready(tab)
             tab.wait(f"{BARS}[0] && {BARS}[0][1].startsWith('0 s to 3.1 s')")
 
@@ -486,6 +563,36 @@ def test_a_phone_s_width_is_enough(server, tmp_path):
         )
         tops = tab.ask(order)
         assert tops == sorted(tops)
+
+
+def test_on_a_phone_time_stays_in_reach_and_what_is_touched_is_large_enough(server, tmp_path):
+    with opened(server, tmp_path, 390, 844) as tab:
+        click(tab, "#add")
+        tab.wait("document.activeElement.matches('.bar input')")
+        tab.call("Input.insertText", text="walk")
+        press(tab, "Enter")
+        shown(tab)
+        for panel in ("samples", "constraints", "words", "prompt"):
+            tab.ask(f"document.getElementById('tab-{panel}').click()")
+            time.sleep(0.3)
+            assert tab.ask(SMALL) == [], panel
+            picture(tab, f"9_phone_{panel}")
+        tab.ask("scrollTo(0, document.documentElement.scrollHeight)")
+        time.sleep(0.3)
+        picture(tab, "9_phone_end")
+        for id in ("play", "seek", "generate"):
+            place = box(tab, f"#{id}")
+            middle = (place["left"] + place["width"] / 2, place["top"] + place["height"] / 2)
+            assert tab.ask(f"document.elementFromPoint({middle[0]}, {middle[1]}).closest('#{id}') !== null"), id
+        tab.ask("(({ seek }) => { seek.value = 1; seek.dispatchEvent(new Event('input')); })(window)")
+        assert tab.ask("document.getElementById('time').textContent").startswith("1.00")
+
+
+SMALL = """[...document.querySelectorAll('button, select, input, textarea, label:has(input)')].filter((control) => {
+  const { width, height } = control.getBoundingClientRect();
+  const labelled = control.matches('input') && control.closest('label:not(.field)');
+  return width && !labelled && control.id !== 'seek' && !control.closest('.bar') && (width < 40 || height < 40);
+}).map(({ id, className, offsetWidth, offsetHeight }) => `${id || className} ${offsetWidth}x${offsetHeight}`)"""
 
 
 def test_three_samples_on_a_phone_leave_the_fourth_place_empty(server, tmp_path):

@@ -165,7 +165,7 @@ def test_ties_fall_to_the_order_of_the_file():
     ],
 )
 def test_a_part_claimed_twice_is_a_warning_that_says_who_gets_it(document, winner):
-    with pytest.warns(TimelineWarning, match=rf"right arm.* at the same time; line {winner} gets it"):
+    with pytest.warns(TimelineWarning, match=rf"right arm.* at 2 s; '{'ab'[winner - 1]}' \(line {winner}\) gets it$"):
         Timeline.parse(document)
 
 

@@ -65,13 +65,28 @@ def test_the_bundled_model_knows_what_it_was_trained_with_and_nothing_else():
 
 def test_a_prompt_that_is_not_known_warns_with_the_nearest_that_are_and_is_made_all_the_same():
     model = stmc.load()
-    with pytest.warns(UnknownPromptWarning, match="hardly knows 'swim' .* nearest it knows: '") as told:
+    with pytest.warns(
+        UnknownPromptWarning, match="hardly knows 'swim' and may do something else; it knows nothing near$"
+    ) as told:
         [motion] = model.generate("walk # 0 # 0.5\nswim # 0.5 # 1\nswim # 1 # 1.2", steps=1)
     assert motion.frames == 24 and len(told) == 1 and told[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         model.generate("walk # 0 # 0.5", steps=1)
         replace(model, vocabulary=None).generate("swim # 0 # 0.5", steps=1)
+
+
+def test_only_what_is_near_is_named(bundled_recognitions):
+    tango, german, walk = bundled_recognitions
+    assert [sentence.text for sentence in tango.near] == ["salsa footwork"] and len(tango.nearest) == 3
+    assert tango.advice.endswith("the nearest it knows: 'salsa footwork'")
+    assert not german.near and german.advice.endswith("it knows nothing near")
+    assert walk.near == walk.nearest
+
+
+@pytest.fixture
+def bundled_recognitions() -> list:
+    return stmc.load().recognise(["tango", "gehe vorwärts", "walk"])
 
 
 def test_a_text_is_compared_once_and_no_encoder_is_made_for_none(small, monkeypatch):
@@ -230,7 +245,7 @@ def test_the_page_marks_prompts_that_are_not_known(small):
     timeline = stmc.Timeline.parse("walk # 0 # 1\njuggle # 0 # 1 # head")
     [motion] = tiny().generate(timeline, steps=1)
     page = stmc.render_html(motion, timeline, unknown=replace_known(small, ["walk", "juggle"]))
-    assert page.count('class="bar unknown"') == 1 and "nearest it knows: &#x27;wa" in page
+    assert page.count('class="bar unknown"') == 1 and "it knows nothing near" in page
     assert 'class="bar unknown"' not in stmc.render_html(motion, timeline)
 
 

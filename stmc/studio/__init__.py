@@ -7,6 +7,7 @@ library's. Knows models, exports and views.
 
 from stmc.studio.jobs import Asked, Job, Jobs, Stage
 from stmc.studio.server import application
+from stmc.studio.sessions import Sessions
 from stmc.studio.stores import Documents, Motions
 
-__all__ = ["Asked", "Documents", "Job", "Jobs", "Motions", "Stage", "application"]
+__all__ = ["Asked", "Documents", "Job", "Jobs", "Motions", "Sessions", "Stage", "application"]

@@ -5,13 +5,14 @@ Other pages in the same browser, and names of other hosts that lead here, are re
 
 from __future__ import annotations
 
-import hmac
-from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs
+import asyncio
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from stmc.studio.refusals import Refused
+from stmc.studio.sessions import Sessions
 
 MOST_BYTES = 2**20 + 2**16
 """Of a request."""
@@ -19,7 +20,10 @@ MOST_BYTES = 2**20 + 2**16
 MOST_UPLOAD = 32 * 2**20
 """Of a motion that is brought along."""
 
-UPLOADS = "/api/motions"
+BODY_SECONDS = 30.0
+"""Within which each part of a request's body has to follow the one before."""
+
+API, SESSION, UPLOADS = "/api/", "/api/session", "/api/motions"
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "
@@ -32,60 +36,51 @@ HEADERS = {
 
 
 class Guard:
-    """An ASGI application before another one: asks for the token (in the address once, then in a cookie), for our own
-    host and origin, for a header that other pages cannot send, and for requests of bounded size."""
+    """An ASGI application before another one: asks for our own host and origin, for the session's key in the header
+    `X-Stmc`, which no other page can know, and for requests of bounded size. The page itself holds no secret."""
 
-    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
-        self.app, self.token = app, token
-        self.cookie = f"stmc-{port}"
+    def __init__(self, app: ASGIApp, sessions: Sessions, port: int) -> None:
+        self.app, self.sessions = app, sessions
         self.hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            if scope["type"] == "lifespan":
-                await self.app(scope, receive, send)
-            return
-        answer = self._refusal(scope)
-        if answer is not None:
-            await answer(scope, receive, _with_headers(send))
-            return
-        await self.app(scope, _bounded(receive, _most(scope)), _with_headers(send))
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await _deny(scope, receive, send)
+        elif (answer := self._refusal(scope)) is not None:
+            await answer(scope, receive, _with_headers(scope, send))
+        else:
+            await self.app(scope, _bounded(receive, _most(scope)), _with_headers(scope, send))
 
     def _refusal(self, scope: Scope) -> Response | None:
         """The answer where the request goes no further."""
-        headers = Headers(scope=scope)
+        headers, path = Headers(scope=scope), scope["path"]
         if headers.get("host") not in self.hosts:
-            return _refused(403, "this is not an address of the studio")
-        if scope["method"] == "GET" and scope["path"] == "/" and self._given(scope):
-            answer = RedirectResponse("/", 303)
-            answer.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
-            return answer
-        if not hmac.compare_digest(self._cookie(headers).encode(), self.token.encode()):
-            return PlainTextResponse("Open the address that the terminal with `stmc studio` shows.\n", 401)
-        if scope["method"] not in ("GET", "HEAD"):
-            origin = headers.get("origin")
-            ours = origin is None or origin.removeprefix("http://") in self.hosts
-            if headers.get("x-stmc") != "1" or not ours:
-                return _refused(403, "only the studio's own page may do that")
-            length = headers.get("content-length", "0")
-            if not length.isdecimal() or len(length) > 12 or int(length) > _most(scope):
-                return _refused(413, f"the request is larger than {_most(scope) / 2**20:.0f} MiB")
+            return refused(403, "this is not an address of the studio")
+        origin = headers.get("origin")
+        if origin is not None and origin.removeprefix("http://") not in self.hosts:
+            return refused(403, "only the studio's own page may do that")
+        if path.startswith(API) and path != SESSION and not self.sessions.knows(headers.get("x-stmc", "")):
+            return refused(401, "open the address that the terminal with `stmc studio` shows")
+        length = headers.get("content-length", "0")
+        if not (length.isascii() and length.isdecimal()) or len(length) > 12 or int(length) > _most(scope):
+            return refused(413, f"the request is larger than {_most(scope) / 2**20:.0f} MiB")
         return None
 
-    def _given(self, scope: Scope) -> bool:
-        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        return hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode())
 
-    def _cookie(self, headers: Headers) -> str:
-        try:
-            jar = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return ""
-        return jar[self.cookie].value if self.cookie in jar else ""
+def refused(status: int, sentence: str, **others: object) -> Response:
+    """The one shape of every refusal. What comes after a request that was not read to its end is not read either."""
+    headers = {"Connection": "close"} if status in (408, 413) else None
+    return JSONResponse({"error": sentence, **others}, status, headers)
 
 
-class TooLarge(Exception):
-    """More bytes came than were announced, or than are taken."""
+async def _deny(scope: Scope, receive: Receive, send: Send) -> None:
+    """Refuse a WebSocket: with a sentence where the server can send one."""
+    if "websocket.http.response" in scope.get("extensions", {}):
+        await refused(403, "the studio has no WebSockets")(scope, receive, send)
+    else:
+        await send({"type": "websocket.close", "code": 1008, "reason": "the studio has no WebSockets"})
 
 
 def _most(scope: Scope) -> int:
@@ -94,28 +89,36 @@ def _most(scope: Scope) -> int:
 
 
 def _bounded(receive: Receive, most: int) -> Receive:
-    """Stops reading where a request is longer than it said."""
-    total = 0
+    """Stop reading where a body is longer than it said, or stays away. After a body one waits for the other's leave,
+    as long as that takes."""
+    total, complete = 0, False
 
     async def bounded() -> Message:
-        nonlocal total
-        message = await receive()
+        nonlocal total, complete
+        if complete:
+            return await receive()
+        try:
+            message = await asyncio.wait_for(receive(), BODY_SECONDS)
+        except TimeoutError:
+            raise Refused(408, f"the rest of the request did not come within {BODY_SECONDS:g} s") from None
+        complete = not message.get("more_body", False)
         total += len(message.get("body", b""))
         if total > most:
-            raise TooLarge
+            raise Refused(413, "the request is too large")
         return message
 
     return bounded
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(scope: Scope, send: Send) -> Send:
+    """What every answer says; nothing of the interface is kept by the browser, and files are asked for again."""
+    kept = "no-store" if scope["path"].startswith(API) else "no-cache"
+
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(HEADERS)
+            headers = MutableHeaders(scope=message)
+            headers.update(HEADERS)
+            headers.setdefault("Cache-Control", kept)
         await send(message)
 
     return sent
-
-
-def _refused(status: int, sentence: str) -> Response:
-    return JSONResponse({"error": sentence}, status)

@@ -21,10 +21,9 @@ from stmc.constraints import Constraint
 from stmc.constraints.pose import Pose
 from stmc.editing import Change
 from stmc.motion import Motion
-from stmc.settings import SettingError
-from stmc.studio.refusals import Refused
+from stmc.studio.refusals import Refused, refusal_of
 from stmc.studio.stores import Motions
-from stmc.timeline import Timeline, TimelineError
+from stmc.timeline import Timeline
 
 logger = logging.getLogger(__name__)
 
@@ -258,10 +257,19 @@ def _guarded(job: Job, work: Callable[[Job], None]) -> None:
         work(job)
     except Cancelled:
         job.tell("cancelled")
-    except (SettingError, TimelineError, Refused) as error:
-        job.tell("failed", error=str(error))
-    except Exception:
-        logger.exception("job %s", job.name)
-        job.tell("failed", error="something went wrong; the terminal that runs the studio says what")
+    except Exception as error:
+        job.tell("failed", error=_explained(error, job))
     else:
         job.tell("done")
+
+
+def _explained(error: Exception, job: Job) -> str:
+    """The sentence for a job that failed; with constraints that lead out of all bounds it names their kinds."""
+    refusal = refusal_of(error)
+    if refusal is not None:
+        return str(refusal)
+    if job.asked.constraints and isinstance(error, (ValueError, ArithmeticError)):
+        kinds = sorted({type(each).__name__.lower() for each in job.asked.constraints})
+        return f"constraints ({', '.join(kinds)}) cannot be met here: {error}"
+    logger.error("job %s", job.name, exc_info=error)
+    return "something went wrong; the terminal that runs the studio says what"

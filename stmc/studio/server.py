@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -17,8 +18,9 @@ from urllib.parse import unquote
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
@@ -30,11 +32,11 @@ from stmc.constraints.reading import KINDS
 from stmc.editing import Change
 from stmc.model import Model
 from stmc.run.suggestions import suggester, with_suggestions
-from stmc.settings import SettingError
-from stmc.studio.guard import Guard, TooLarge
+from stmc.studio.guard import SESSION, Guard, refused
 from stmc.studio.jobs import PREVIEW, Asked, Jobs, Stage
-from stmc.studio.refusals import Refused, read_object, take
-from stmc.studio.stores import FORMATS, Documents, Motions
+from stmc.studio.refusals import Refused, read_object, refusal_of, take, take_texts
+from stmc.studio.sessions import Sessions
+from stmc.studio.stores import FORMATS, Documents, Motions, private_folder
 from stmc.studio.timelines import (
     MOST_PROMPTS,
     MOST_SECONDS,
@@ -46,14 +48,20 @@ from stmc.studio.timelines import (
     write_timeline,
 )
 from stmc.text import Cached
-from stmc.timeline import Timeline, TimelineError
+from stmc.timeline import Timeline
+from stmc.untrusted import cut
 from stmc.vocabulary import sentence_encoder
+
+logger = logging.getLogger(__name__)
 
 MOST_SEEDS = 8
 """Samples of one job."""
 
 MOST_CONDITIONS = 100
 """Changes, and constraints, of one job."""
+
+FARTHEST = 10_000
+"""The largest number in a constraint: metres, radians or seconds."""
 
 ASSETS = Path(str(files("stmc") / "assets"))
 
@@ -62,31 +70,35 @@ TYPES = {"glb": "model/gltf-binary", "html": "text/html", "webp": "image/webp", 
 Handler = Callable[[Request], Awaitable[Response]]
 
 
-def application(model: Model, folder: str | Path, token: str, port: int, steps: int = 50) -> Starlette:
-    """The studio as an ASGI application, which answers whoever has the `token`, at 127.0.0.1:`port`.
+def application(model: Model, folder: str | Path, sessions: Sessions, port: int, steps: int = 50) -> Starlette:
+    """The studio as an ASGI application, which answers whoever `sessions` has let in, at 127.0.0.1:`port`.
 
-    `folder` keeps motions, documents and embedded texts. A motion takes `steps` of denoising, its preview fewer.
+    `folder` keeps motions, documents and embedded texts, for one application at a time: hold
+    `stmc.files.locked(folder)` while it runs, as `stmc studio` does. A motion takes `steps` of denoising, its preview
+    fewer.
 
     Examples:
-        >>> app = stmc.studio.application(stmc.load(), "studio", token="secret", port=8686)
+        >>> app = stmc.studio.application(stmc.load(), "studio", stmc.studio.Sessions(), port=8686)
         >>> sorted(route.path for route in app.routes if route.path.startswith("/api/m"))
         ['/api/model', '/api/motions', '/api/motions/{name}.{kind}']
     """
-    folder = Path(folder).expanduser()
+    folder = private_folder(Path(folder).expanduser())
     encoder = model.text_encoder
     if not isinstance(encoder, Cached) and hasattr(encoder, "encode"):
-        model = dataclasses.replace(model, text_encoder=Cached(encoder, folder / "texts"))
-    answers = Answers(model, Motions(folder / "motions"), Documents(folder / "documents"), steps)
+        model = dataclasses.replace(model, text_encoder=Cached(encoder, private_folder(folder / "texts")))
+    documents = Documents(folder / "documents")
+    answers = Answers(model, Motions(folder / "motions", documents.texts), documents, sessions, steps)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        answers.motions.prune(answers.documents.texts())
+        await run_in_threadpool(answers.motions.prune)
         await run_in_threadpool(answers.suggest, ["walk"])  # reads the encoder's weights before somebody waits for them
         yield
         await run_in_threadpool(answers.jobs.close)
 
     routes = [
         Route("/", answers.page),
+        Route(SESSION, answered(answers.enter), methods=["POST"]),
         Route("/api/model", answered(answers.describe)),
         Route("/api/check", answered(answers.check), methods=["POST"]),
         Route("/api/read", answered(answers.read), methods=["POST"]),
@@ -102,38 +114,55 @@ def application(model: Model, folder: str | Path, token: str, port: int, steps: 
         Route("/api/documents/{name}", answered(answers.delete_document), methods=["DELETE"]),
         Mount("/assets", StaticFiles(directory=ASSETS / "studio")),
     ]
-    app = Starlette(routes=routes, lifespan=lifespan, middleware=[Middleware(Guard, token=token, port=port)])
-    app.state.folder = folder
+    guard = Middleware(Guard, sessions=sessions, port=port)
+    app = Starlette(routes=routes, lifespan=lifespan, middleware=[guard], exception_handlers={HTTPException: unrouted})
+    app.router.redirect_slashes = False
+    app.state.folder, app.state.jobs = folder, answers.jobs
     return app
 
 
 def answered(handler: Handler) -> Handler:
-    """The handler, with what it refuses as an answer in one shape: {"error": a sentence}."""
+    """The handler, with what it refuses, and what it cannot do, as an answer in one shape: {"error": a sentence}."""
 
     async def answer(request: Request) -> Response:
         try:
             return await handler(request)
-        except Refused as error:
-            return JSONResponse({"error": str(error), **error.others}, error.status)
-        except TooLarge:
-            return JSONResponse({"error": "the request is too large"}, 413)
-        except (SettingError, TimelineError) as error:
-            return JSONResponse({"error": str(error)}, 422)
+        except ClientDisconnect:
+            return refused(400, "the request ended before its end")
+        except Exception as error:
+            refusal = refusal_of(error)
+            if refusal is None:
+                logger.exception("%s %s", request.method, request.url.path)
+                refusal = Refused(500, "something went wrong; the terminal that runs the studio says what")
+            return refused(refusal.status, str(refusal), **refusal.others)
 
     return answer
+
+
+async def unrouted(request: Request, error: Exception) -> Response:
+    """The answer to an address, or a method of one, that the studio does not have."""
+    return refused(error.status_code if isinstance(error, HTTPException) else 500, "the studio has no such address")
 
 
 class Answers:
     """What each address does."""
 
-    def __init__(self, model: Model, motions: Motions, documents: Documents, steps: int) -> None:
+    def __init__(self, model: Model, motions: Motions, documents: Documents, sessions: Sessions, steps: int) -> None:
         self.model, self.motions, self.documents, self.steps = model, motions, documents, steps
+        self.sessions = sessions
         self.jobs = Jobs(model.generate, motions)
         self.suggest = suggester(sentence_encoder(model.text_encoder))
 
     async def page(self, request: Request) -> Response:
         """The page itself."""
         return FileResponse(ASSETS / "studio" / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def enter(self, request: Request) -> Response:
+        """A key for the token of an address that is opened for the first time."""
+        key = self.sessions.admit(take(read_object(await request.body()), "token", str))
+        if key is None:
+            raise Refused(401, "this address was used before: start `stmc studio` again for another one")
+        return JSONResponse({"key": key}, 201)
 
     async def describe(self, request: Request) -> Response:
         """The model, and what the page may ask for."""
@@ -252,7 +281,7 @@ class Answers:
             stages=stages[steps],
             keep=None if keep is None else self.motions.get(keep),
             change=tuple(map(_change, change)),
-            constraints=tuple(constraint_of(each, self.motions.get) for each in constraints),
+            constraints=tuple(constraint_of(_near(each), self.motions.get) for each in constraints),
             clean_feet=take(data, "clean_feet", bool, True),
             tab=take(data, "tab", str, "")[:100],
         )
@@ -287,11 +316,23 @@ def _few(values: list[Any], name: str) -> list[Any]:
     return values
 
 
+def _near(constraint: Any) -> Any:
+    """The constraint. Raises `Refused` for a number by which a body would leave all bounds."""
+    left = [constraint]
+    while left:
+        value = left.pop()
+        left += value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        if isinstance(value, (int, float)) and abs(value) > FARTHEST:
+            kind = next(iter(constraint)) if isinstance(constraint, dict) else "?"
+            raise Refused(422, f"constraint {cut(kind)}: {value:g} is beyond {FARTHEST} metres, radians or seconds")
+    return constraint
+
+
 def _change(entry: Any) -> Change:
     if not isinstance(entry, dict):
         raise Refused(422, "change: an object of start, end and parts needed")
     start, end = (take(entry, name, (int, float), default) for name, default in (("start", 0), ("end", None)))
-    return Change(start, end, take(entry, "parts", list, []))
+    return Change(start, end, take_texts(entry, "parts"))
 
 
 def _attached(content: bytes, name: str, kind: str) -> Response:

@@ -10,16 +10,18 @@ import re
 import secrets
 import tempfile
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Semaphore
 from typing import Any
 
 from stmc.export import read, write
-from stmc.files import remove_leftovers, write_text
+from stmc.files import locked, remove_leftovers, write_text
 from stmc.loops import looped
 from stmc.motion import Motion
 from stmc.studio.refusals import Refused
+from stmc.studio.timelines import MOST_SECONDS
 from stmc.timeline import Timeline
 from stmc.untrusted import UnreadableError, load_json, read_text
 from stmc.viewing.film import FILMS, render_film
@@ -27,8 +29,17 @@ from stmc.viewing.web import render_html
 
 ID = re.compile(r"[A-Za-z0-9_-]{1,40}")
 
-MOST_MOTIONS = 400
-"""Motions that are kept, beside those that documents name: the newest."""
+MOST_MOTIONS, MOST_MOTION_BYTES = 400, 2**31
+"""Motions that are kept, and their bytes on the disk, beside those that documents name: the newest."""
+
+PRUNE_AFTER = 40
+"""New motions after which old ones are looked for again."""
+
+MOST_RATE, MOST_METRES = 1000, 10_000.0
+"""Of a motion that is brought along: frames a second, and how far from the origin."""
+
+MOST_FILM_FRAMES = 9000
+"""Frames of a film, which are drawn one by one: five minutes at 30 a second."""
 
 MOST_DOCUMENT = 2**20
 """Bytes of a document."""
@@ -54,6 +65,26 @@ RECEIVED = (".npz", ".bvh")
 """Suffixes of motions that are brought along."""
 
 
+PATIENCE = 10.0
+"""Seconds for which one process waits until another has written a document."""
+
+
+def private_folder(folder: Path | str) -> Path:
+    """Make a folder that only its owner can look into; one that is there stays as it is."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    return folder
+
+
+def _own_folder(folder: Path | str) -> Path:
+    """The same, also where an earlier version made it for everybody; what killed processes left there goes."""
+    folder = private_folder(folder)
+    folder.chmod(0o700)
+    remove_leftovers(folder)
+    return folder
+
+
 def _named(identity: str) -> str:
     if not ID.fullmatch(identity):
         raise Refused(404, "there is no such thing")
@@ -72,19 +103,27 @@ class Motions:
     """
 
     folder: Path | str
+    named: Callable[[], str] = str
+    """A text with the names of all motions that have to stay, however old: the documents'."""
     _held: OrderedDict[str, Motion] = field(default_factory=OrderedDict, repr=False)
     _lock: Lock = field(default_factory=Lock, repr=False)
+    _film: Lock = field(default_factory=Lock, repr=False)
+    _heavy: Semaphore = field(default_factory=lambda: Semaphore(2), repr=False)
+    _added: int = field(default=0, repr=False)
 
     def __post_init__(self) -> None:
-        self.folder = Path(self.folder)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(self.folder)
+        self.folder = _own_folder(self.folder)
 
     def add(self, motion: Motion) -> str:
-        """Keeps a motion, and returns its name."""
+        """Keep a motion, and return its name; now and then the oldest go."""
         name = secrets.token_urlsafe(9)
-        write(motion, self.folder / f"{name}.npz")
+        path = self.folder / f"{name}.npz"
+        write(motion, path)
+        path.chmod(0o600)
         self._hold(name, motion)
+        self._added += 1
+        if self._added % PRUNE_AFTER == 0:
+            self.prune()
         return name
 
     def get(self, name: str) -> Motion:
@@ -96,7 +135,11 @@ class Motions:
         path = self.folder / f"{_named(name)}.npz"
         if not path.exists():
             raise Refused(404, "that motion is no longer kept; make it anew")
-        motion = read(path)
+        try:
+            motion = read(path)
+        except ValueError as error:
+            raise Refused(422, f"that motion is damaged: {str(error).replace(str(path), 'its file')}") from None
+        _check_bounds(motion)
         self._hold(name, motion)
         return motion
 
@@ -109,45 +152,59 @@ class Motions:
         """Keeps the motion of somebody's file with the suffix `kind`. Raises `Refused` where it is none."""
         if kind not in RECEIVED:
             raise Refused(422, f"a recorded motion is a {' or a '.join(RECEIVED)} file")
-        with tempfile.TemporaryDirectory() as folder:
+        with self._heavy, tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"motion{kind}"
             path.write_bytes(content)
             try:
                 motion = read(path)
             except ValueError as error:
                 raise Refused(422, str(error).replace(str(path), "the file")) from None
+        _check_bounds(motion)
         return self.add(motion)
 
     def exported(self, name: str, kind: str, timeline: Timeline | None, fps: float | int | None, loop: bool) -> bytes:
         """A motion as a file of one of `FORMATS`; a loop goes without the timeline, whose times are not the loop's.
 
-        Raises `Refused` for other formats, for one that needs what is not installed, and for what cannot be a loop."""
+        Raises `Refused` for other formats, for one that needs what is not installed, and for what cannot be a loop, be
+        brought to that frame rate, or be written in that format."""
         if kind not in FORMATS:
             raise Refused(404, f"no .{kind}: choose from {', '.join(FORMATS)}")
         motion = self.get(name)
-        if loop:
-            try:
+        try:
+            if loop:
                 motion, timeline = looped(motion), None
-            except ValueError as error:
-                raise Refused(422, str(error)) from None
-        motion = motion if fps is None else motion.resampled(fps)
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"motion.{kind}"
-            if kind == "html":
-                write_text(path, render_html(motion, timeline, title=timeline.name if timeline else "motion"))
-            elif path.suffix in FILMS:
-                try:
-                    render_film(motion, path, timeline)
-                except ModuleNotFoundError as error:
-                    raise Refused(501, str(error)) from None
-            else:
-                write(motion, path, timeline=timeline)
-            return path.read_bytes()
+            if f".{kind}" in FILMS:
+                return self._film_of(_at_rate(motion, fps), kind, timeline)
+            with self._heavy:
+                return _file_of(_at_rate(motion, fps), kind, timeline)
+        except Refused:
+            raise
+        except (ValueError, OverflowError) as error:
+            raise Refused(422, str(error)) from None
 
-    def prune(self, named: str) -> None:
-        """Removes the oldest beyond `MOST_MOTIONS`, but for those whose names stand in the text."""
-        paths = sorted(self.folder.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
-        for path in paths[MOST_MOTIONS:]:
+    def _film_of(self, motion: Motion, kind: str, timeline: Timeline | None) -> bytes:
+        """One film at a time: each takes a processor for minutes."""
+        if motion.frames > MOST_FILM_FRAMES:
+            raise Refused(422, f"{motion.frames} frames: a film has {MOST_FILM_FRAMES} at most; lower the frame rate")
+        if not self._film.acquire(blocking=False):
+            raise Refused(429, "another film is being drawn; wait for its end")
+        try:
+            return _file_of(motion, kind, timeline)
+        finally:
+            self._film.release()
+
+    def prune(self) -> None:
+        """Remove the oldest beyond `MOST_MOTIONS` or `MOST_MOTION_BYTES`, but for those that `named` names.
+
+        The folder belongs to one server at a time, so that nothing goes which another one shows."""
+        files = [(path.stat(), path) for path in self.folder.glob("*.npz") if path.is_file()]
+        old, total = [], 0
+        for number, (status, path) in enumerate(sorted(files, key=lambda each: each[0].st_mtime, reverse=True)):
+            total += status.st_size
+            if number >= MOST_MOTIONS or total > MOST_MOTION_BYTES:
+                old.append(path)
+        named = self.named() if old else ""
+        for path in old:
             if path.stem not in named:
                 path.unlink(missing_ok=True)
 
@@ -156,6 +213,35 @@ class Motions:
             self._held[name] = motion
             while len(self._held) > REMEMBERED:
                 self._held.popitem(last=False)
+
+
+def _at_rate(motion: Motion, fps: float | int | None) -> Motion:
+    return motion if fps is None else motion.resampled(fps)
+
+
+def _check_bounds(motion: Motion) -> None:
+    """Raise `Refused` for a motion longer, faster or farther away than the studio makes any."""
+    if not 1 <= motion.fps <= MOST_RATE:
+        raise Refused(422, f"{motion.fps:g} frames a second: 1 to {MOST_RATE} needed")
+    if motion.duration > MOST_SECONDS:
+        raise Refused(422, f"{motion.duration:g} s: {MOST_SECONDS} at most in the studio")
+    if not float(motion.translation.abs().max()) <= MOST_METRES:
+        raise Refused(422, f"the motion is more than {MOST_METRES:g} m from the origin")
+
+
+def _file_of(motion: Motion, kind: str, timeline: Timeline | None) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"motion.{kind}"
+        if kind == "html":
+            write_text(path, render_html(motion, timeline, title=timeline.name if timeline else "motion"))
+        elif path.suffix in FILMS:
+            try:
+                render_film(motion, path, timeline)
+            except ModuleNotFoundError as error:
+                raise Refused(501, str(error)) from None
+        else:
+            write(motion, path, timeline=timeline)
+        return path.read_bytes()
 
 
 @dataclass(eq=False)
@@ -175,9 +261,7 @@ class Documents:
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     def __post_init__(self) -> None:
-        self.folder = Path(self.folder)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(self.folder)
+        self.folder = _own_folder(self.folder)
 
     def all(self) -> list[dict[str, Any]]:
         """Name, version and time of each, the last changed first; what cannot be read is left out."""
@@ -210,7 +294,7 @@ class Documents:
         text = json.dumps(content, ensure_ascii=False, allow_nan=False)
         if len(text.encode()) > MOST_DOCUMENT:
             raise Refused(413, f"the document is larger than {MOST_DOCUMENT / 2**20:g} MiB")
-        with self._lock:
+        with self._lock, locked(self.folder, PATIENCE):  # threads, and other processes
             path = self._path(name)
             now = self.get(name) if path.exists() else {"version": 0, "content": None}
             if now["version"] != base and now["content"] is not None:
@@ -219,6 +303,7 @@ class Documents:
                 raise Refused(507, f"there are {MOST_DOCUMENTS} documents; delete some")
             version = max(base, now["version"]) + 1
             write_text(path, json.dumps({"version": version, "content": content}, ensure_ascii=False))
+            path.chmod(0o600)
             return version
 
     def delete(self, name: str) -> None:
@@ -226,8 +311,14 @@ class Documents:
         self._path(name).unlink(missing_ok=True)
 
     def texts(self) -> str:
-        """All of them, to look for names in."""
-        return "\n".join(path.read_text("utf-8", errors="replace") for path in self.folder.glob("*.json"))
+        """All that can be read, to look for names in."""
+        found = []
+        for path in self.folder.glob("*.json"):
+            try:
+                found.append(read_text(path, 2 * MOST_DOCUMENT))
+            except (UnreadableError, OSError):
+                continue
+        return "\n".join(found)
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{_named(name)}.json"

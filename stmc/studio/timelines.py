@@ -13,7 +13,7 @@ from typing import Any
 from stmc.body import BodyPart
 from stmc.model import Model
 from stmc.run.suggestions import Suggest, with_suggestions
-from stmc.studio.refusals import Refused, take
+from stmc.studio.refusals import Refused, take, take_texts
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
 from stmc.untrusted import shown
 from stmc.viewing.colours import owners, transitions
@@ -24,12 +24,19 @@ MOST_SECONDS = 300
 
 MOST_PROMPTS = 200
 
+MOST_LETTERS = 10_000
+"""The letters of the longest text, times the number of texts: as many are embedded before a check is answered."""
+
+MOST_FILE = 100_000
+"""Letters of a timelines' file."""
+
 
 def timeline_of(data: Mapping[str, Any]) -> Timeline:
     """The timeline of a page's JSON. Raises `Refused`, with the number of the prompt that is wrong, from 0."""
     name, listed = take(data, "name", str, ""), take(data, "prompts", list)
     if len(listed) > MOST_PROMPTS:
         raise Refused(422, f"{len(listed)} prompts: {MOST_PROMPTS} at most in the studio", prompt=None)
+    _check_letters(listed)
     timeline = _timeline(name, tuple(_prompt(number, each) for number, each in enumerate(listed)))
     if timeline.duration > MOST_SECONDS:
         last = max(range(len(listed)), key=lambda number: timeline.prompts[number].end)
@@ -37,12 +44,22 @@ def timeline_of(data: Mapping[str, Any]) -> Timeline:
     return timeline
 
 
+def _check_letters(listed: list[Any]) -> None:
+    """Raise `Refused` for more text than is embedded while somebody waits: texts are padded to the longest one."""
+    texts = [entry.get("text") if isinstance(entry, dict) else None for entry in listed]
+    lengths = [len(text) if isinstance(text, str) else 0 for text in texts]
+    longest, different = max(lengths, default=0), len({text for text in texts if isinstance(text, str)})
+    if different * longest > MOST_LETTERS:
+        message = f"{different} texts of up to {longest} letters: shorten the longest to {MOST_LETTERS // different}"
+        raise Refused(422, message, prompt=lengths.index(longest))
+
+
 def _prompt(number: int, data: Any) -> Prompt:
     try:
         if not isinstance(data, dict):
             raise Refused(422, "a prompt should be an object")
         start, end = (take(data, each, (int, float)) for each in ("start", "end"))
-        return Prompt(take(data, "text", str), start, end, take(data, "parts", list, []))
+        return Prompt(take(data, "text", str), start, end, take_texts(data, "parts"))
     except (TimelineError, Refused, TypeError) as error:
         raise Refused(422, f"prompt {number + 1}: {error}", prompt=number) from None
 
@@ -69,7 +86,10 @@ def in_order(parts: Collection[BodyPart]) -> list[BodyPart]:
 
 
 def read_timelines(name: str, text: str) -> list[Timeline]:
-    """The timelines of a file that the page has read; its `name` says which format. Raises `TimelineError`."""
+    """The timelines of a file that the page has read; its `name` says which format. Raises `TimelineError`, and
+    `Refused` for a longer file than is read while somebody waits."""
+    if len(text) > MOST_FILE:
+        raise Refused(422, f"{len(text):,} letters: the studio reads files of {MOST_FILE:,} at most")
     return Timeline.parse_all(text, Path(name).suffix)
 
 
@@ -132,4 +152,4 @@ def _owned(timeline: Timeline, fps: float | int, overlap: float | int) -> dict[s
 def _advice(recognition: Recognition | None) -> dict[str, Any] | None:
     if recognition is None:
         return None
-    return {"sentence": recognition.advice, "nearest": [sentence.text for sentence in recognition.nearest]}
+    return {"sentence": recognition.advice, "nearest": [sentence.text for sentence in recognition.near]}

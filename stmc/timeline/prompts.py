@@ -326,19 +326,23 @@ PAIRS_TOLD, PAIRS_COUNTED = 3, 50
 
 
 def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
-    """Which prompts claim a part at once, and who gets it; a prompt that lists none yields without a word."""
+    """Which prompts claim a part at once, when first, and who gets it; one that lists none yields without a word."""
     shared: dict[tuple[int, int], set[BodyPart]] = {}
+    first: dict[tuple[int, int], float] = {}
     precedence = Precedence([prompt.parts for prompt in prompts])
-    for _, _, ended, started in sweep((prompt.start, prompt.end) for prompt in prompts):
+    for start, _, ended, started in sweep((prompt.start, prompt.end) for prompt in prompts):
         precedence.update(ended, started)
         for part in BodyPart:
             for rival in precedence.rivals(part):
-                shared.setdefault((rival, precedence.owner(part)), set()).add(part)
+                pair = (rival, precedence.owner(part))
+                shared.setdefault(pair, set()).add(part)
+                first.setdefault(pair, start)
         if len(shared) > PAIRS_COUNTED:
             break
+    names = [f"{shown(prompt.text)} ({place})" for prompt, place in zip(prompts, places, strict=True)]
     told = [
-        f"{places[loser]} ({shown(prompts[loser].text)}) and {places[winner]} ({shown(prompts[winner].text)}) claim "
-        f"{_listed(parts)} at the same time; {places[winner]} gets it, as in SINC's order"
+        f"{names[loser]} and {names[winner]} both claim {_listed(parts)} at {first[loser, winner]:g} s; "
+        f"{names[winner]} gets it"
         for (loser, winner), parts in list(shared.items())[:PAIRS_TOLD]
     ]
     if len(shared) > PAIRS_TOLD:

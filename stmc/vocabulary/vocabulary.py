@@ -19,6 +19,10 @@ from stmc.vocabulary.sentences import Content, Sentence, embed_sentences
 THRESHOLD = 0.6
 """Measured on prompts inside and outside of what a model of 74 contents knows: see docs/models.md."""
 
+NEAR = 0.45
+"""Cosine from which a known sentence is worth naming: of "tango" and "salsa footwork" it is 0.48, of "swim" and "a sip"
+0.43."""
+
 NEAREST = 3
 """Known sentences that a message names."""
 
@@ -29,13 +33,14 @@ EXAMPLES = 5
 @dataclass(frozen=True)
 class Recognition:
     """How near a prompt is to what a model knows. `nearest` are known sentences: the first example of each of the
-    nearest contents, or where contents have no names the nearest themselves; `score` is what is compared with
-    `threshold`."""
+    nearest contents, or where contents have no names the nearest themselves; `near` are those of them whose content is
+    at least `NEAR`; `score` is what is compared with `threshold`."""
 
     text: str
     nearest: tuple[Sentence, ...]
     score: float
     threshold: float
+    near: tuple[Sentence, ...]
 
     @property
     def known(self) -> bool:
@@ -51,8 +56,9 @@ class Recognition:
     @property
     def advice(self) -> str:
         """What to tell of a prompt that is not known, in a line."""
-        near = ", ".join(shown(sentence.text) for sentence in self.nearest)
-        return f"the model hardly knows {shown(self.text)} and may do something else; the nearest it knows: {near}"
+        texts = ", ".join(shown(sentence.text) for sentence in self.near)
+        near = f"the nearest it knows: {texts}" if texts else "it knows nothing near"
+        return f"the model hardly knows {shown(self.text)} and may do something else; {near}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,13 +134,15 @@ class Vocabulary:
 
     def _recognition(self, text: str, row: Float[Tensor, " sentences"], count: int) -> Recognition:
         known, others = row[: len(self.known)], row[len(self.known) :]
-        nearest: dict[Sentence, None] = {}
+        nearest: dict[Sentence, float] = {}
         for place in known.argsort(descending=True).tolist():
             sentence = self.known[place]
-            nearest[self.examples.get(sentence.content, (sentence,))[0]] = None
+            nearest.setdefault(self.examples.get(sentence.content, (sentence,))[0], float(known[place]))
             if len(nearest) == count:
                 break
-        return Recognition(text, tuple(nearest), float(2 * known.max() - others.max()), self.threshold)
+        score = float(2 * known.max() - others.max())
+        near = tuple(sentence for sentence, cosine in nearest.items() if cosine >= NEAR)
+        return Recognition(text, tuple(nearest), score, self.threshold, near)
 
     def _examples(self, places: Sequence[int]) -> tuple[Sentence, ...]:
         rows = self._rows[list(places)]

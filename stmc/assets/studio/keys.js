@@ -159,10 +159,17 @@ export function listenToKeys(studio, player, work, tracks, page) {
     return PLAIN[key.length === 1 ? key.toLowerCase() : key];
   }
 
+  // Of a field, with what stood there before; what is typed next is a key of the page.
+  function leave(field) {
+    if ("defaultValue" in field) field.value = field.defaultValue;
+    field.blur();
+  }
+
   document.addEventListener("keydown", (event) => {
     if (document.querySelector("dialog[open]")) return;
     const undoing = (event.ctrlKey || event.metaKey) && event.key === "Enter";
-    if (typing(event.target) && !undoing && event.key !== "Escape") return;
+    if (typing(event.target) && event.key === "Escape" && !event.isComposing) return leave(event.target);
+    if (typing(event.target) && !undoing) return;
     if (event.target.matches("input[type=range]") && event.key.startsWith("Arrow")) return;
     const act = actOf(event);
     if (!act) return;

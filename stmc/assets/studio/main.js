@@ -47,12 +47,15 @@ function moved(id, point, finished) {
 player.listen((time, playing) => {
   stage.at(time);
   find("time").textContent = `${clock(time)} / ${clock(studio.duration())} s`;
+  find("seek").max = studio.duration();
+  find("seek").value = time;
   const play = find("play");
   if (play.dataset.playing === String(playing)) return;
   play.dataset.playing = String(playing);
   play.setAttribute("aria-label", playing ? "Pause" : "Play");
   play.querySelector("use").setAttribute("href", playing ? "#icon-pause" : "#icon-play");
 });
+find("seek").oninput = ({ target }) => player.seek(target.valueAsNumber);
 find("play").onclick = () => player.play();
 find("speed").onchange = ({ target }) => (player.speed = Number(target.value));
 find("loop").onclick = ({ currentTarget }) => {
@@ -151,10 +154,12 @@ watch(store, ({ saved }) => [saved], ({ saved }) => !["saved", "saving"].include
 watch(store, ({ history, saved }) => [history, saved], ({ history, saved }) => {
   find("undo").disabled = !history.past.length;
   find("redo").disabled = !history.future.length;
+  find("name").defaultValue = history.present.name;
   if (document.activeElement !== find("name")) find("name").value = history.present.name;
   find("saved").textContent = SAVED[saved];
   find("saved").dataset.state = saved;
   document.title = `${history.present.name} – stmc studio`;
+  find("seek").max = studio.duration();
   find("time").textContent = `${clock(player.time())} / ${clock(studio.duration())} s`;
 });
 
@@ -228,6 +233,7 @@ listenToKeys(studio, player, work, tracks, {
 async function start() {
   for (;;) {
     try {
+      await server.enter();
       store.set({ model: await server.askModel() });
       break;
     } catch (error) {
@@ -241,5 +247,9 @@ async function start() {
   else saving.create();
   document.body.dataset.ready = "true";
 }
-addEventListener("hashchange", () => location.hash.slice(1) && location.hash.slice(1) !== store.get().id && saving.open(location.hash.slice(1)));
+addEventListener("hashchange", () => {
+  const id = location.hash.slice(1);
+  if (id.startsWith("token=")) location.reload(); // the address of a studio that was started anew
+  else if (id && id !== store.get().id) saving.open(id);
+});
 start();

@@ -32,7 +32,7 @@ export function createPromptPanel(studio, player, work, tracks) {
     return [
       make("div", { class: "heading" }, make("i", { class: "swatch", style: `background:${colourOf(prompt.colour)}` }), heading("Prompt"),
         button("", () => store.set({ selected: null }), { class: "plain", "aria-label": "Choose no prompt", "data-key": "none" }, "close")),
-      make("textarea", { rows: "2", value: text, "aria-label": "Text", "data-key": `text-${id}`, onchange: ({ target }) => edit({ kind: "write", id, text: target.value }) }),
+      make("textarea", { rows: "2", value: text, "aria-label": "Text", "data-key": `text-${id}`, onkeydown: (event) => applied(event, id), onchange: ({ target }) => edit({ kind: "write", id, text: target.value }) }),
       check?.prompt === id ? make("p", { class: "advice" }, check.error) : null,
       told?.advice ? advice(id, told.advice) : null,
       make("div", { class: "pair" },
@@ -48,10 +48,19 @@ export function createPromptPanel(studio, player, work, tracks) {
     ];
   }
 
+  // Enter applies what is typed, as on the track; leaving the field does so, too.
+  function applied(event, id) {
+    if (event.key !== "Enter" || event.ctrlKey || event.metaKey || event.isComposing) return;
+    event.preventDefault();
+    event.target.blur();
+    queueMicrotask(() => tracks.focus(id));
+  }
+
   const advice = (id, { nearest }) => make("div", { class: "advice" },
-    make("p", {}, "The model hardly knows this and may do something else. It knows:"),
-    make("div", { class: "chips" }, nearest.map((text) =>
-      button(text, () => edit({ kind: "write", id, text }), { class: "chip", "data-key": `near-${text}` }))));
+    make("p", {}, `The model hardly knows this and may do something else. ${nearest.length ? "It knows:" : "It knows nothing near."}`),
+    make("div", { class: "chips" }, nearest.length
+      ? nearest.map((text) => button(text, () => edit({ kind: "write", id, text }), { class: "chip", "data-key": `near-${text}` }))
+      : button("See what it knows", () => find("tab-words").click(), { class: "chip", "data-key": "words" })));
 
   function chips({ id, parts }, told) {
     const claimed = parts.length ? parts : told?.parts ?? [];

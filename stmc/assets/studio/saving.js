@@ -82,10 +82,22 @@ export function createSaving(studio, conflict) {
     if (written() !== saved && store.get().saved === "saved") timer = setTimeout(push, SAVE_AFTER);
   }
 
+  // Where nobody would lose an edit nobody is asked: of the same document the motions that came last count, and a tab that
+  // has changed nothing since it last agreed with the server takes what is there.
+  function unasked(theirs) {
+    const there = JSON.stringify(theirs.content.document);
+    const ours = JSON.stringify(store.get().history.present);
+    if (there === ours) return "mine";
+    return saved !== null && ours === JSON.stringify(JSON.parse(saved).document) ? "theirs" : null;
+  }
+
   // Somebody else's version is newer.
   async function settle(theirs) {
-    store.set({ saved: "conflict" });
-    const choice = await conflict(theirs);
+    let choice = unasked(theirs);
+    if (!choice) {
+      store.set({ saved: "conflict" });
+      choice = await conflict(theirs);
+    }
     if (choice === "theirs") return take(store.get().id, theirs.content, theirs.version);
     if (choice === "both") {
       const copy = contentOf(store.get());

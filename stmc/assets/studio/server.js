@@ -1,5 +1,17 @@
 // Speaks with the server. Knows addresses, headers and how to wait for a server that is away; knows no page.
 
+// What shows that this page was opened by whoever started the studio. It is kept by this browser for this address alone:
+// a cookie would go to every server of this machine.
+const KEY = "stmc-studio-key";
+const AGAIN_AFTER = 1000; // milliseconds
+const ENDS = ["done", "failed", "cancelled"];
+let key = null;
+try {
+  key = localStorage.getItem(KEY);
+} catch {
+  // a browser that keeps nothing: the key lasts as long as the page
+}
+
 export const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1) + (text.endsWith(".") ? "" : ".");
 
 export class ServerError extends Error {
@@ -13,7 +25,7 @@ export class ServerError extends Error {
 async function answered(path, options = {}) {
   let response;
   try {
-    response = await fetch(path, { credentials: "same-origin", cache: "no-store", ...options });
+    response = await fetch(path, { cache: "no-store", ...options, headers: { "X-Stmc": key ?? "", ...options.headers } });
   } catch {
     throw new ServerError(0, { error: "the server does not answer" });
   }
@@ -25,9 +37,27 @@ async function answered(path, options = {}) {
 const json = async (path, options) => (await answered(path, options)).json();
 const unsafe = (method, data) => ({
   method,
-  headers: { "X-Stmc": "1", ...(data === undefined ? {} : { "Content-Type": "application/json" }) },
+  headers: data === undefined ? {} : { "Content-Type": "application/json" },
   body: data === undefined ? undefined : JSON.stringify(data),
 });
+
+// Takes the token out of the page's address, which can be opened once, for the key. Where it was used before, a page of
+// the same browser still has the key.
+export async function enter() {
+  const token = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (!token) return;
+  try {
+    ({ key } = await json("/api/session", unsafe("POST", { token })));
+  } catch (error) {
+    if (error.status !== 401) throw error;
+  }
+  history.replaceState(null, "", location.pathname);
+  try {
+    localStorage.setItem(KEY, key ?? "");
+  } catch {
+    // see above
+  }
+}
 
 export const askModel = () => json("/api/model");
 export const check = (timeline, signal) => json("/api/check", { ...unsafe("POST", { timeline }), signal });
@@ -36,7 +66,7 @@ export const writeTimeline = async (timeline, format) =>
   (await answered("/api/write", unsafe("POST", { timeline, format }))).text();
 
 export const uploadMotion = (file) =>
-  json("/api/motions", { method: "POST", headers: { "X-Stmc": "1", "X-Filename": encodeURIComponent(file.name) }, body: file });
+  json("/api/motions", { method: "POST", headers: { "X-Filename": encodeURIComponent(file.name) }, body: file });
 
 export const motionFile = async (id, extension, settings = {}) => {
   const query = new URLSearchParams(settings).toString();
@@ -52,18 +82,44 @@ export const startJob = (request) => json("/api/jobs", unsafe("POST", request));
 export const cancelJob = (id) => answered(`/api/jobs/${encodeURIComponent(id)}`, unsafe("DELETE"));
 
 // Tells what happens in a job: `hear(kind, data)`. Returns what stops listening. A connection that breaks is taken up
-// again by the browser; where the server knows the job no more, the job has failed.
+// again; where the server knows the job no more, it is "lost".
 export function followJob(id, hear) {
-  const source = new EventSource(`/api/jobs/${encodeURIComponent(id)}/events`);
-  const finish = (kind, data) => {
-    source.close();
-    hear(kind, data);
-  };
-  for (const kind of ["progress", "motion"]) source.addEventListener(kind, (event) => hear(kind, JSON.parse(event.data)));
-  for (const kind of ["done", "failed", "cancelled"])
-    source.addEventListener(kind, (event) => finish(kind, JSON.parse(event.data || "{}")));
-  source.addEventListener("error", () => {
-    if (source.readyState === EventSource.CLOSED) finish("lost", {});
-  });
-  return () => source.close();
+  const stop = new AbortController();
+  const { signal } = stop;
+  async function listen() {
+    const response = await answered(`/api/jobs/${encodeURIComponent(id)}/events`, { signal });
+    for await (const { kind, data } of eventsOf(response.body)) {
+      if (signal.aborted) return true;
+      hear(kind, data);
+      if (ENDS.includes(kind)) return true;
+    }
+    return false;
+  }
+  (async () => {
+    while (!signal.aborted) {
+      try {
+        if (await listen()) return;
+      } catch (error) {
+        if (error.status && !signal.aborted) return hear("lost", {});
+      }
+      await new Promise((resolve) => setTimeout(resolve, AGAIN_AFTER));
+    }
+  })();
+  return () => stop.abort();
+}
+
+// Server-sent events as they come: "event: kind", "data: json", an empty line.
+async function* eventsOf(body) {
+  const reader = body.pipeThrough(new TextDecoderStream()).getReader();
+  let text = "";
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    const blocks = (text + value).split("\n\n");
+    text = blocks.pop();
+    for (const block of blocks) {
+      const [kind, data] = block.split("\n").map((line) => line.slice(line.indexOf(": ") + 2));
+      yield { kind, data: JSON.parse(data) };
+    }
+  }
 }

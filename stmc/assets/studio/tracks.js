@@ -9,6 +9,9 @@ import { rulerStep, snapped, snappedShift, written } from "./times.js";
 
 const NEAR = 9; // pixels within which things snap
 const SHORTEST_VIEW = 6; // seconds
+const MARGIN = 34; // pixels behind the last second: room for its number
+const BORDER = 24; // pixels at the window's edges where a drag goes on by itself
+const PACE = 10; // pixels of each picture by which it does
 
 export function createTracks(studio, player, work) {
   const { store } = studio;
@@ -18,10 +21,11 @@ export function createTracks(studio, player, work) {
   let height = 36; // pixels of a track
   let extent = SHORTEST_VIEW; // seconds to be seen
   let held = null; // what a pointer drags
+  let beyond = 0; // pixels by which a drag has lengthened the tracks
 
   // ---- scale ------------------------------------------------------------------------------------------------------------
   const labelWidth = () => ruler.offsetLeft;
-  const scale = () => (zoom * (scroller.clientWidth - labelWidth() - 14)) / extent;
+  const scale = () => (zoom * (scroller.clientWidth - labelWidth() - MARGIN)) / extent;
   const timeAt = (event) => (event.clientX - ruler.getBoundingClientRect().left) / scale();
   const x = (seconds) => `${seconds * scale()}px`;
 
@@ -44,7 +48,7 @@ export function createTracks(studio, player, work) {
     const state = store.get();
     const { present } = state.history;
     const count = Math.max(trackCount(present), (state.draft?.track ?? -1) + 1) + 1;
-    lanes.style.width = `${labelWidth() + zoom * (scroller.clientWidth - labelWidth() - 2)}px`;
+    lanes.style.width = `${labelWidth() + zoom * (scroller.clientWidth - labelWidth() - 2) + beyond}px`;
     keyed(rows, Array.from({ length: count }, (_, track) => track), (track) => track, createRow, () => {});
     bars.style.height = `${count * height}px`;
     bars.style.left = `${labelWidth()}px`;
@@ -126,7 +130,7 @@ export function createTracks(studio, player, work) {
 
   function paintRuler() {
     const step = rulerStep(scale());
-    const seconds = Array.from({ length: Math.floor(extent / step) + 1 }, (_, index) => index * step);
+    const seconds = Array.from({ length: Math.floor((extent + beyond / scale()) / step) + 1 }, (_, index) => index * step);
     keyed(ruler, seconds, (second) => second, (second) => make("b", {}, String(second)), (mark, second) => (mark.style.left = x(second)));
     ruler.setAttribute("aria-valuemax", rounded(studio.duration()));
     lanes.style.setProperty("--second", `${scale()}px`);
@@ -228,12 +232,28 @@ export function createTracks(studio, player, work) {
     if (event.pointerType === "touch" && !chosen) return; // the first touch chooses, the next one drags
     event.preventDefault();
     const kind = event.target.classList.contains("start") ? "start" : event.target.classList.contains("end") ? "end" : "move";
-    held = { kind, prompt, at: timeAt(event), y: event.clientY, gesture: studio.gesture(), moved: false };
+    held = { kind, prompt, at: timeAt(event), y: event.clientY, gesture: studio.gesture(), moved: false, event };
     bars.setPointerCapture(event.pointerId);
+    requestAnimationFrame(goOn);
+  }
+
+  // At the window's edge the tracks run on beneath the hand, and grow longer where they end.
+  function goOn() {
+    if (!held) return;
+    requestAnimationFrame(goOn);
+    if (!held.moved) return;
+    const { left, right } = scroller.getBoundingClientRect();
+    const by = held.event.clientX > right - BORDER ? PACE : held.event.clientX < left + labelWidth() + BORDER ? -PACE : 0;
+    const before = scroller.scrollLeft;
+    if (by > 0) beyond += Math.max(0, before + scroller.clientWidth + by - lanes.offsetWidth);
+    if (by > 0) lanes.style.width = `${Math.max(lanes.offsetWidth, before + scroller.clientWidth + by)}px`;
+    scroller.scrollLeft += by;
+    if (scroller.scrollLeft !== before) drag(held.event);
   }
 
   function drag(event) {
     if (!held) return;
+    held.event = event;
     const { kind, prompt, at, y, gesture } = held;
     const by = timeAt(event) - at;
     if (!held.moved && Math.abs(by) * scale() < 3 && Math.abs(event.clientY - y) < 6) return;
@@ -254,7 +274,7 @@ export function createTracks(studio, player, work) {
 
   function drop() {
     if (!held) return;
-    held = null;
+    [held, beyond] = [null, 0];
     studio.settle();
     paint();
   }
