@@ -13,10 +13,10 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-import trimesh
 from einops import rearrange
 from jaxtyping import Float, Int64
 from torch import Tensor
@@ -24,6 +24,9 @@ from torch import Tensor
 from stmc.arrays import ArraysError, read_npz, read_pickle
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.geometry import axis_angle_to_matrix, forward_kinematics, global_rotations
+
+if TYPE_CHECKING:  # slow to import
+    import trimesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +149,8 @@ class Body:
         self, rotations: Float[Tensor, "frames 22 3 3"], translation: Float[Tensor, "frames 3"]
     ) -> list[trimesh.Trimesh]:
         """The mesh of every frame, z up, in metres: trimesh writes each as `.obj`, `.ply`, `.glb` and more."""
+        import trimesh  # not above: it is slow to import
+
         faces = self.faces.cpu().numpy()
         posed = self.vertices(rotations, translation).double().cpu().numpy()
         return [trimesh.Trimesh(vertices, faces, process=False) for vertices in posed]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import roma
 import torch
 from einops import einsum, rearrange
 from jaxtyping import Float, Int64
@@ -19,27 +18,37 @@ from torch import Tensor
 
 def axis_angle_to_matrix(axis_angle: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation matrices of axis-angle vectors (SMPL's poses); any length, also zero."""
+    import roma  # not above: it takes as long to import as torch
+
     return roma.rotvec_to_rotmat(axis_angle)
 
 
 def matrix_to_axis_angle(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     """Axis-angle vectors of length at most pi. At exactly pi either of the two axes may come."""
+    import roma  # not above: it takes as long to import as torch
+
     return roma.rotmat_to_rotvec(matrix)
 
 
 def quaternion_to_matrix(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation matrices of unit quaternions, real part first."""
+    import roma  # not above: it takes as long to import as torch
+
     return roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(quaternion))
 
 
 def matrix_to_quaternion(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
     """Unit quaternions, real part first and not negative."""
+    import roma  # not above: it takes as long to import as torch
+
     quaternion = roma.quat_xyzw_to_wxyz(roma.rotmat_to_unitquat(matrix))
     return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
 def euler_zyx_to_matrix(angles: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """`Rz(angles[0]) Ry(angles[1]) Rx(angles[2])`."""
+    import roma  # not above: it takes as long to import as torch
+
     return roma.euler_to_rotmat("ZYX", angles)
 
 

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from stmc.arrays.numpy_files import LARGEST, ArraysError
 
@@ -276,6 +275,8 @@ def _unfolded(value: StandIn, name: str) -> np.ndarray:
 
 
 def _matrix(state: dict, layout: str) -> np.ndarray:
+    from scipy import sparse  # not above: it is slow to import
+
     rows, columns = state.get("_shape", state.get("shape"))
     if not (_is_size(rows) and _is_size(columns)) or rows * columns * 8 > _LARGEST_MATRIX:
         raise ValueError(f"{rows} x {columns} numbers")
