@@ -1,4 +1,4 @@
-"""Measures sampling: time per timeline in a batch against alone, padding, STMC against others. No absolute claims."""
+"""Measure the speed of sampling: a batch against single timelines, padding, STMC against other methods."""
 
 import sys
 import time

@@ -25,6 +25,10 @@ Config = Any
 """What Hydra composes: an OmegaConf `DictConfig`."""
 
 
+SHORT = {"import": "import_checkpoint"}
+"""Commands that are not called like their scripts."""
+
+
 @dataclass(frozen=True)
 class Command:
     """What `command` makes of a function. A call is the whole way: arguments, checks, the function, an exit code."""
@@ -101,7 +105,8 @@ class Command:
     def help(self) -> str:
         """What `--help` prints."""
         described = self.function.__globals__.get("__doc__") or ""
-        return explanation(self.name, described, self.settings, self.positional, self.parts)
+        name = next((short for short, script in SHORT.items() if script == self.name), self.name)
+        return explanation(name, described, self.settings, self.positional, self.parts)
 
     @cached_property
     def parts(self) -> dict[str, tuple[str, list[str]]]:
