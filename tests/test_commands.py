@@ -103,6 +103,26 @@ def test_a_folder_of_one_s_own_wins_over_ours(sample, tmp_path):
     assert (sample.composed(asked).steps, sample.composed(asked).seed) == (7, 3)
 
 
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_command_takes_a_folder_of_one_s_own_beside_ours(found, name, tmp_path, capsys):
+    """Of another group than the command's, so that its own configuration, and all others, come from ours."""
+    (tmp_path / "denoiser").mkdir()
+    (tmp_path / "denoiser" / "mine.yaml").write_text("_target_: mylab.Mine\n")
+    given = [*NEEDED.get(name, []), "--config-dir", str(tmp_path)]
+    assert ended(idle(found[name]), given, capsys) == (0, "")
+    if "denoiser" in found[name].parts:
+        seen = dataclasses.replace(found[name], function=lambda config: print(config.denoiser._target_))
+        assert seen([*given, "denoiser=mine"]) == 0
+        assert capsys.readouterr().out == "mylab.Mine\n"
+
+
+def test_a_folder_of_one_s_own_is_forgotten_after_the_command(sample, tmp_path):
+    (tmp_path / "sample.yaml").write_text("steps: 7\n")
+    for given, steps in ((["--config-dir", str(tmp_path)], 7), ([], None)):
+        config = sample.composed(read(given, sample.settings, sample.parts, sample.positional))
+        assert config.steps == steps
+
+
 # What is refused -----------------------------------------------------------------------------------------------------
 
 REFUSED = {
