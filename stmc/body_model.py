@@ -23,7 +23,7 @@ from torch import Tensor
 
 from stmc.arrays import ArraysError, read_npz, read_pickle
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.geometry import axis_angle_to_matrix, forward_kinematics, global_rotations
+from stmc.geometry import axis_angle_to_matrix, forward_kinematics, local_bones
 
 if TYPE_CHECKING:  # slow to import
     import trimesh
@@ -71,10 +71,9 @@ class Skeleton:
             >>> torch.allclose(own.offsets, body.offsets, atol=1e-3)
             True
         """
-        pelvis, parents = cls.default().offsets[0] if pelvis is None else pelvis, list(PARENTS[1:])
-        bones = joints[:, 1:] - joints[:, parents]
-        turned = global_rotations(rotations, PARENTS)[:, parents].mT @ bones[..., None]
-        return cls(torch.cat([pelvis.to(joints)[None], turned[..., 0].mean(dim=0)]))
+        pelvis = cls.default().offsets[0] if pelvis is None else pelvis
+        bones = local_bones(rotations, joints, PARENTS)[:, 1:]
+        return cls(torch.cat([pelvis.to(joints)[None], bones.mean(dim=0)]))
 
     @property
     def rest(self) -> Float[Tensor, "24 3"]:

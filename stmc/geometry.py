@@ -149,20 +149,30 @@ def global_rotations(
 
 
 def forward_kinematics(
-    rotations: Float[Tensor, "*batch joints 3 3"], offsets: Float[Tensor, "_ 3"], parents: Sequence[int]
+    rotations: Float[Tensor, "*batch joints 3 3"], offsets: Float[Tensor, "*frames _ 3"], parents: Sequence[int]
 ) -> Float[Tensor, "*batch _ 3"]:
     """Joint positions relative to the root, in the world's axes.
 
-    `offsets`: each joint's rest position relative to its parent's, in the parent's frame; the root's row is not used.
+    `offsets`: each joint's rest position relative to its parent's, in the parent's frame, for all frames or for each;
+    the root's row is not used.
     """
-    bones = einsum(
-        global_rotations(rotations, parents)[..., list(parents[1:]), :, :], offsets[1:],
-        "... joints row column, joints column -> ... joints row",
-    )  # fmt: skip
+    turns = global_rotations(rotations, parents)[..., list(parents[1:]), :, :]
+    bones = einsum(turns, offsets[..., 1:, :], "... joints row column, ... joints column -> ... joints row")
     positions = [torch.zeros_like(bones[..., 0, :])]
     for joint, parent in enumerate(parents[1:]):
         positions.append(positions[parent] + bones[..., joint, :])
     return torch.stack(positions, dim=-2)
+
+
+def local_bones(
+    rotations: Float[Tensor, "*batch joints 3 3"], positions: Float[Tensor, "*batch all 3"], parents: Sequence[int]
+) -> Float[Tensor, "*batch all 3"]:
+    """The bones from each joint's parent to it, in the parent's frame, zero for the root: the offsets with which
+    `forward_kinematics` gives `positions` again."""
+    bones = positions[..., 1:, :] - positions[..., list(parents[1:]), :]
+    turns = global_rotations(rotations, parents)[..., list(parents[1:]), :, :]
+    local = einsum(turns, bones, "... joints row column, ... joints row -> ... joints column")
+    return torch.cat([torch.zeros_like(positions[..., :1, :]), local], dim=-2)
 
 
 def sampling_positions(frames: int, old_fps: float | int, new_fps: float | int) -> Float[Tensor, " frames"]:
