@@ -7,10 +7,10 @@ import signal
 import subprocess
 import sys
 from concurrent.futures.process import BrokenProcessPool
-from shutil import copytree
 
 import pytest
 import torch
+from helpers.own_folder import install_wheel
 from helpers.scripts import ROOT, configured, loaded
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
@@ -425,17 +425,7 @@ def test_ctrl_c_while_sampling_is_one_line_and_leaves_no_temporary(tmp_path):
 @pytest.mark.slow
 def test_a_wheel_has_the_command_the_configurations_and_no_result_pages(tmp_path):
     pytest.importorskip("setuptools", minversion="77")
-    source = tmp_path / "source"
-    for folder in ("stmc", "scripts", "configs"):
-        copytree(ROOT / folder, source / folder)
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
-        (source / name).write_bytes((ROOT / name).read_bytes())
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
-    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), str(source)]
-    subprocess.run(build, check=True)
-    [wheel] = tmp_path.glob("*.whl")
-    place = tmp_path / "installed"
-    subprocess.run([*pip, "install", "--no-deps", "--target", str(place), str(wheel)], check=True)
+    place = install_wheel(tmp_path / "wheel")
     assert not list(place.rglob("assets/results"))
     assert (place / "stmc/py.typed").exists()
     environment = os.environ | {"PYTHONPATH": str(place)}

@@ -473,6 +473,13 @@ def test_a_typed_timeline_never_replaces_another(sample, run, tmp_path):
     assert written("nod # 0 # 1.25", "suggest_parts=true") == set()
 
 
+def test_sampling_runs_with_a_folder_of_one_s_own_configurations(sample, run, tmp_path):
+    (tmp_path / "configs").mkdir()
+    given = [f"model={run}", "--config-dir", str(tmp_path / "configs"), "steps=1", "formats=bvh"]
+    assert sample.main(["nod # 0 # 1 # head", str(tmp_path / "out"), *given]) == 0
+    assert (tmp_path / "out" / "nod_0.bvh").exists()
+
+
 def test_a_text_without_seconds_is_answered_with_the_form_of_a_timeline(sample, tmp_path, capsys):
     assert sample.main(["walk", str(tmp_path)]) == 2
     assert "timeline='walk': no such file; with its seconds it is a timeline: 'walk # 0 # 4'" in capsys.readouterr().err
