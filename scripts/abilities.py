@@ -1,4 +1,4 @@
-"""Measures what a model can do, by the geometry of its samples: `python scripts/abilities.py model=RUN`."""
+"""Measure what a model can do, by the geometry of its samples: `stmc abilities model=RUN`."""
 
 import json
 import sys

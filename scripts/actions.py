@@ -1,4 +1,4 @@
-"""Asks a model for every action of its data that geometry can tell: `python scripts/actions.py model=RUN`."""
+"""Ask a model for every action of its data that geometry can tell: `stmc actions model=RUN`."""
 
 import json
 import math

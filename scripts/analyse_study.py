@@ -1,7 +1,4 @@
-"""What raters prefer: `python scripts/analyse_study.py study=outputs/study answers=FOLDER`.
-
-Every setting is in configs/analyse_study.yaml.
-"""
+"""Report what the raters of a study prefer: `stmc analyse_study FOLDER study=outputs/study`."""
 
 import json
 import sys

@@ -1,7 +1,7 @@
-"""Draws what one frame attends to at each step of FlowMDM's denoising (its Fig. 2): blue early, red late.
+"""Draw the frames that one frame attends to at each step of FlowMDM's denoising (its Fig. 2): blue early, red late.
 
-`stmc attention runs/flow_humanml3d` writes the figure and its numbers, and prints how far away, on average, stands what
-the frame attends to.
+`stmc attention runs/flow_humanml3d` writes the figure and its numbers, and prints the average distance between the
+frame and those that it attends to.
 """
 
 import sys

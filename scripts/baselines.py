@@ -1,7 +1,7 @@
-"""Writes the baselines of STMC for other tools: `python scripts/baselines.py timelines=MTT.txt output=outputs/mtt`.
+"""Write STMC's baselines for other tools: `stmc baselines MTT.txt outputs/mtt`.
 
-`NAME_onetext.txt` has all prompts of a timeline as one text, `NAME_singletrack.txt` the consecutive texts that
-DiffCollage composes; both in the timelines' order (STMC, section 4.3).
+`NAME_onetext.txt` joins all prompts of a timeline into one text. `NAME_singletrack.txt` holds the consecutive texts
+that DiffCollage composes. Both keep the order of the timelines (STMC, section 4.3).
 """
 
 import sys

@@ -1,5 +1,5 @@
-"""Measures sampling: time per timeline in a batch against alone, padding, STMC against others in time and in denoised
-frames. No absolute claims."""
+"""Measure the speed of sampling: a batch against single timelines, padding, STMC against other methods in time and in
+denoised frames."""
 
 import sys
 import time

@@ -1,7 +1,7 @@
-"""Measures time and memory against the length of a timeline, each length in a process of its own.
+"""Measure time and memory against the length of a timeline, each length in its own process.
 
-`python scripts/benchmark_length.py` prints a table, and saves the figure and the numbers. On a CPU times are ratios: to
-the shortest timeline of the same run.
+The command prints a table and saves the figure and the numbers. On a CPU, times are ratios to the shortest timeline of
+the same run.
 """
 
 import json

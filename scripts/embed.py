@@ -1,4 +1,4 @@
-"""Encodes texts ahead of training or sampling: `python scripts/embed.py texts=PATH text_encoder=clip`."""
+"""Encode texts before training or sampling: `stmc embed PATH text_encoder=clip`."""
 
 import json
 import sys

@@ -1,7 +1,7 @@
-"""Compares methods, samplers and settings on a benchmark: `python scripts/evaluate.py experiment=comparison`.
+"""Compare methods, samplers and settings on a benchmark: `stmc evaluate experiment=comparison`.
 
-Every setting is in configs/evaluate.yaml. The output holds `results.jsonl` (a record per run), `about.json` (what all
-of them were made with), and every experiment's table as text and LaTeX, and its figure.
+The output folder gets `results.jsonl` (a record per run), `about.json` (the settings that all runs share), and for
+every experiment a table as text and LaTeX, and a figure.
 """
 
 import itertools

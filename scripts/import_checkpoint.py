@@ -1,4 +1,4 @@
-"""Makes run directories of published checkpoints: `python scripts/import_checkpoint.py source=PATH output=runs/mdm`."""
+"""Convert published checkpoints into run directories: `stmc import PATH runs/mdm`."""
 
 import sys
 from dataclasses import MISSING, dataclass
@@ -34,7 +34,7 @@ class Settings:
 def main(config: DictConfig) -> None:
     folder = convert(config.source, config.output, config.statistics, config.text_model)
     Console().print((folder / CARD).read_text(encoding="utf-8"), markup=False)
-    hint = f": try python scripts/sample.py model={folder}" if "denoiser" in read_config(folder / CONFIG) else ""
+    hint = f": try stmc sample model={folder}" if "denoiser" in read_config(folder / CONFIG) else ""
     Console().print(f"in {folder}{hint}", markup=False)
 
 

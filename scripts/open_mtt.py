@@ -1,7 +1,8 @@
-"""Makes the open benchmark anew: `python scripts/open_mtt.py cache=[cache/bandai,cache/cmu]`.
+"""Rebuild the open benchmark: `stmc open_mtt cache=[cache/bandai,cache/cmu]`.
 
-Every content that held-out recordings show is an atomic prompt; those that none shows are named and left out. Then says
-how well an evaluator finds each prompt's text among all: in held-out clips alone, and in compositions of two of them.
+Every action that held-out recordings show becomes an atomic prompt; the command names the actions that it leaves out.
+It then reports how well an evaluator finds the text of each prompt among all texts: in held-out clips alone, and in
+compositions of two of them.
 """
 
 import sys

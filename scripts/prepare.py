@@ -1,7 +1,7 @@
-"""Prepares a data set for training: `python scripts/prepare.py data=bandai source=ARCHIVE_OR_FOLDER`.
+"""Prepare a data set for training: `stmc prepare SOURCE data=bandai`, where SOURCE is an archive or a folder.
 
-`data=humanml3d source=AMASS annotations=FOLDER body=SMPLH`, and others: see configs/data. Asked again after it was
-killed, it resumes.
+HumanML3D on AMASS needs more: `stmc prepare AMASS data=humanml3d annotations=FOLDER body=SMPLH`. Run the same command
+again to resume.
 """
 
 import os
@@ -32,7 +32,7 @@ TOLD = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    source: str | None = setting(None, "where the recordings are: an archive or a folder; see configs/data/*.yaml")
+    source: str | None = setting(None, "archive or folder of the recordings; each data set has its own layout")
     annotations: str | None = setting(None, "folder of the texts of AMASS's recordings")
     body: str | None = setting(None, "SMPL-H's folder, for the joints as published; null: the default skeleton's")
     folder: str = setting("${data.folder}", "where the prepared data goes")
@@ -80,7 +80,7 @@ def described(config: DictConfig) -> Preparation:
     foreign = [name for name in given if name not in known]
     if missing or foreign:
         told = [f"{name}= is missing" for name in missing] + [f"{name}= does not belong to it" for name in foreign]
-        raise SettingError(f"{', '.join(told)}; what this data set is prepared from: see configs/data")
+        raise SettingError(f"{', '.join(told)}; --help lists the settings that name the parts of a data set")
     return instantiate(config.data.preparation, **given)
 
 

@@ -1,9 +1,9 @@
-"""Samples motions of timelines: files to animate with, and pages to look at.
+"""Sample motions of timelines: files to animate with, and pages to look at.
 
-    stmc sample timelines.json outputs/       python scripts/sample.py timeline=timelines.json output=outputs
-    stmc sample "walk # 0 # 4" outputs/       a timeline itself: text # start # end, in seconds, # body parts
+    stmc sample timelines.json outputs/       every timeline of a file
+    stmc sample "walk # 0 # 4" outputs/       one timeline: text # start # end, in seconds, # body parts
 
-Asked again, it makes only what is not there yet, or was made otherwise.
+Run the same command again to resume: motions that are complete, and made with the same settings, are kept.
 """
 
 import hashlib
@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -29,7 +30,7 @@ import stmc
 from stmc.commands import command
 from stmc.commands.shared import OnModel, Sharded
 from stmc.composing import METHODS, find_method
-from stmc.filenames import distinct
+from stmc.filenames import distinct, name_of_texts
 from stmc.files import held, probe, remove_leftovers, scratch, sha256, write_text
 from stmc.model import Precision
 from stmc.run import fingerprint
@@ -39,12 +40,14 @@ from stmc.shards import Incomplete, Shard, listed
 from stmc.tensors import found_device
 from stmc.timeline import UnknownPromptWarning, advise
 from stmc.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
-from stmc.viewing.film import FILMS, ffmpeg
+from stmc.viewing.film_formats import FILMS, ffmpeg
 from stmc.vocabulary import Recognition
 
 FORMATS = ("npz", "bvh", "html")
 """Those that are written if nobody says which."""
 CHOICES = (*FORMATS, "glb", "csv", "xml", "webp", "gif", "mp4")
+EXAMPLE = "'walk # 0 # 4'"
+"""A timeline as it is typed."""
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
 DECIDING = ("method", "precision", "fps", "clean_feet", "change", *about(Sampling))
 """The settings that decide what a motion becomes, beside its seed, model and timeline."""
@@ -57,7 +60,7 @@ SILENCE = 30
 @dataclass(frozen=True, kw_only=True)
 class Settings(Sampling, OnModel, Sharded):
     timeline: str | None = setting(
-        None, "a .json or .txt of one timeline or many, or a timeline itself; null: the bundled example"
+        None, ".json or .txt file of timelines, or one timeline as text; null: the bundled example"
     )
     output: str = setting("outputs", "folder of the motions")
     method: str = setting(
@@ -65,20 +68,20 @@ class Settings(Sampling, OnModel, Sharded):
         f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",
     )
     keep: str | None = setting(
-        None, "a motion, .npz or .bvh: results are it but for `change` and what is behind its end"
+        None, "motion to edit, .npz or .bvh; only `change`, and frames behind its end, are generated"
     )
-    change: tuple[str, ...] = setting((), "what is made anew of it: start # end # body parts, in seconds, each")
-    constraints: str | None = setting(None, "a .json of paths, headings, keyframes, hands and feet for every timeline")
-    samples: int = setting(1, "motions of each timeline, with seeds from `seed` on", at_least=1, at_most=100_000)
-    seed: int = setting(0, "of the first motion of each timeline", at_least=0)
+    change: tuple[str, ...] = setting((), "intervals of `keep` to regenerate: start # end # body parts, in seconds")
+    constraints: str | None = setting(None, ".json of paths, headings, keyframes, hands and feet, for every timeline")
+    samples: int = setting(1, "motions of each timeline; their seeds count up from `seed`", at_least=1, at_most=100_000)
+    seed: int = setting(0, "seed of the first motion of each timeline", at_least=0)
     formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=CHOICES)
-    clean_feet: bool = setting(True, "feet stay where they stand, and above the floor; false: as the model made them")
+    clean_feet: bool = setting(True, "keep standing feet in place and above the floor; false: leave them as sampled")
     fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
-    precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+    precision: str = setting("fp32", "of the denoiser; bf16 is faster on some processors", choices=get_args(Precision))
     batch: int | None = setting(None, "timelines at a time; null: 8 on a CPU, 64 on a GPU", at_least=1)
-    trusted: tuple[str, ...] = setting((), "packages of your own that the model is made of, or `method` named of")
-    suggest_parts: bool = setting(False, "prompts that list no body parts get suggested ones, which are shown")
-    json: bool = setting(False, "a line of JSON on stdout for each motion, and everything else on stderr")
+    trusted: tuple[str, ...] = setting((), "your own packages that hold classes of the model, or the `method`")
+    suggest_parts: bool = setting(False, "suggest body parts for prompts that list none, and print them")
+    json: bool = setting(False, "print a line of JSON on stdout for each motion, and everything else on stderr")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -152,18 +155,50 @@ def jobs(config: DictConfig, console: Console) -> list[Job]:
     if config.suggest_parts:
         tell_parts(timelines, console)
         timelines = [stmc.with_suggested_parts(each) for each in timelines]
+    stem = stem or free_name(timelines[0], Path(config.output).expanduser())
     names = distinct((timeline.name or (stem if len(timelines) == 1 else "") for timeline in timelines), stem)
     seeds = range(config.seed, config.seed + config.samples)
     made = [Job(f"{name}_{seed}", each, seed) for name, each in zip(names, timelines, strict=True) for seed in seeds]
     return sorted(made, key=lambda job: -job.timeline.duration)
 
 
-def asked(timeline: str | None) -> tuple[list[stmc.Timeline], str]:
-    """The timelines of a file, or the one that was typed; and what those without a name are called."""
+def asked(timeline: str | None) -> tuple[list[stmc.Timeline], str | None]:
+    """The timelines of a file, and the name for those without one; or the one that was typed, without a name."""
     if timeline is not None and "#" in timeline and not Path(timeline).expanduser().exists():
-        return [stmc.Timeline.parse(timeline.replace("\\n", "\n"))], "timeline"
+        return [stmc.Timeline.parse(timeline.replace("\\n", "\n"))], None
     path = Path(timeline or str(files("stmc") / "assets/timelines/walk_jump_sit.json")).expanduser()
+    if timeline is not None and not path.suffix and "/" not in timeline and not path.exists():
+        raise SettingError(f"timeline={shown(timeline)}: no such file; with its seconds it is a timeline: {EXAMPLE}")
     return list(stmc.Timeline.read_all(path)), path.stem
+
+
+def free_name(timeline: stmc.Timeline, folder: Path) -> str:
+    """The name of a typed timeline: its texts, and a number behind them where motions of the same texts at other times
+    or for other body parts have that name in `folder`."""
+    base = name_of_texts(prompt.text for prompt in timeline.prompts)
+    names = chain([base], (f"{base}-{number}" for number in count(2)))
+    return next(name for name in names if told_prompts(name, folder) in ([], [prompts_of(timeline)]))
+
+
+def told_prompts(name: str, folder: Path) -> list[list]:
+    """The different prompts in the records of the motions of that name, of whatever seed."""
+    records = [read_record(path) for path in folder.glob(f"{name}_*.json") if path.stem[len(name) + 1 :].isdigit()]
+    told = [record["prompts"] for record in records if "prompts" in record]
+    return [prompts for number, prompts in enumerate(told) if prompts not in told[:number]]
+
+
+def read_record(path: Path) -> dict:
+    """A record beside a motion; empty where there is none that can be read."""
+    try:
+        read = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+        return {}
+    return read if isinstance(read, dict) else {}
+
+
+def prompts_of(timeline: stmc.Timeline) -> list[list]:
+    """The prompts of a timeline as a record has them."""
+    return [[prompt.text, prompt.start, prompt.end, sorted(prompt.parts)] for prompt in timeline.prompts]
 
 
 def tell_parts(timelines: list[stmc.Timeline], console: Console) -> None:
@@ -174,11 +209,14 @@ def tell_parts(timelines: list[stmc.Timeline], console: Console) -> None:
 
 def record(job: Job, config: DictConfig, made_by: str) -> dict:
     """What a motion depends on, but for settings that are left open."""
-    prompts = [[prompt.text, prompt.start, prompt.end, sorted(prompt.parts)] for prompt in job.timeline.prompts]
     said = {key: plain(config[key]) for key in DECIDING}
     said = {key: value for key, value in said.items() if value is not None and value is not False and value != []}
     files = {key: digest(config[key]) for key in ("keep", "constraints") if config[key] is not None}
-    return said | files | {"seed": job.seed, "model": made_by, "prompts": prompts, "version": stmc.__version__}
+    return (
+        said
+        | files
+        | {"seed": job.seed, "model": made_by, "prompts": prompts_of(job.timeline), "version": stmc.__version__}
+    )
 
 
 def digest(path: str) -> str:

@@ -1,9 +1,9 @@
-"""Opens the studio: a page on this machine to write timelines, sample, edit and take motions away.
+"""Open the studio: a page on this machine to write timelines, sample, edit and export motions.
 
-    stmc studio                      python scripts/studio.py
-    stmc studio model=runs/mine      one's own model
+    stmc studio                      with the bundled model
+    stmc studio model=runs/mine      with a model of your own
 
-Nothing is sent anywhere: the page is served to this machine alone, and works without a network.
+The page is served to this machine alone, sends nothing anywhere, and needs no network.
 """
 
 import os

@@ -1,7 +1,4 @@
-"""Makes a perceptual study of two methods: `python scripts/study.py first=FOLDER second=FOLDER timelines=PATH`.
-
-Every setting is in configs/study.yaml.
-"""
+"""Make a perceptual study of two methods: `stmc study FOLDER_A FOLDER_B TIMELINES`."""
 
 import sys
 from dataclasses import MISSING, dataclass

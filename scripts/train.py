@@ -1,19 +1,18 @@
-"""Trains a denoiser: `python scripts/train.py run=FOLDER data.folder=CACHE`; devices: `accelerate launch`."""
+"""Train a denoiser: `stmc train runs/mine data.folder=CACHE`; on several devices: `accelerate launch -m stmc train`."""
 
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import torch
-from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
-from stmc import tensors
+from stmc import tensors, training
 from stmc.commands import command
 from stmc.commands.shared import Trained
 from stmc.commands.training_data import read_training_data
@@ -28,8 +27,11 @@ from stmc.run import PARTS, build, check
 from stmc.sampling import Sampling
 from stmc.settings import SettingError, record_of, setting
 from stmc.text import Cached
-from stmc.training import Callback, Denoising, GuidedTeacher, Trainer, begin
+from stmc.training import Denoising, GuidedTeacher
 from stmc.vocabulary import sentence_encoder
+
+if TYPE_CHECKING:  # an extra, which the help does without
+    import accelerate
 
 DRAWN = (
     "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
@@ -61,11 +63,11 @@ class Settings(Trained):
 
 @command("train", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    with begin(config.run, config.device) as accelerator:
+    with training.begin(config.run, config.device) as accelerator:
         train(config, accelerator)
 
 
-def train(config: DictConfig, accelerator: Accelerator) -> None:
+def train(config: DictConfig, accelerator: "accelerate.Accelerator") -> None:
     """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
     sampling = instantiate(config.data.sampling)
@@ -96,7 +98,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     described = OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint}
     if config.teacher is None:
         del described["teacher"]  # trainings that began before there were teachers go on
-    trainer = Trainer(
+    trainer = training.Trainer(
         denoiser,
         objective(config, dataset, model, distilled),
         ClipBatches(dataset, "train", sampling, settings.seed),
@@ -104,11 +106,13 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
         callbacks=[
-            Callback(
+            training.Callback(
                 settings.checkpoint_every,
                 lambda step, network: export(config, replace(model, denoiser=network), step, trainer.changes),
             ),
-            Callback(config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)),
+            training.Callback(
+                config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)
+            ),
         ],
         accelerator=accelerator,
         described=described,
@@ -213,7 +217,7 @@ def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) 
     while it was trained."""
     folder = Path(config.run).expanduser()
     settings = OmegaConf.to_yaml(config, resolve=True)
-    card = f"# Trained with scripts/train.py, step {step}\n\n"
+    card = f"# Trained with stmc train, step {step}\n\n"
     if guidance := config.objective.get("distilled_guidance"):
         card += (
             f"Distilled from {taught_by(config)}: one pass predicts what that model does with guidance {guidance}. "

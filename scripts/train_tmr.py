@@ -1,4 +1,4 @@
-"""Trains TMR, the evaluator: `python scripts/train_tmr.py run=FOLDER data.folder=CACHE`."""
+"""Train TMR, the evaluator: `stmc train_tmr runs/tmr data.folder=CACHE`."""
 
 import json
 import sys
@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
-from accelerate import Accelerator
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from stmc import training
 from stmc.commands import command
 from stmc.commands.shared import Trained
 from stmc.commands.training_data import read_training_data
@@ -24,8 +25,10 @@ from stmc.metrics.retrieval import Retrieval, cosines, small_batches, t2m_m2t
 from stmc.run import EVALUATOR_PARTS, build, check, load_evaluator, save_evaluator
 from stmc.settings import setting
 from stmc.text import Cached
-from stmc.training import Callback, Trainer, begin
 from stmc.training.logs import Table
+
+if TYPE_CHECKING:  # an extra, which the help does without
+    import accelerate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,11 +46,11 @@ class Settings(Trained):
 
 @command("train_tmr", Settings, ("run",))
 def main(config: DictConfig) -> None:
-    with begin(config.run, config.device) as accelerator:
+    with training.begin(config.run, config.device) as accelerator:
         train(config, accelerator)
 
 
-def train(config: DictConfig, accelerator: Accelerator) -> None:
+def train(config: DictConfig, accelerator: "accelerate.Accelerator") -> None:
     """All of it, from the data to the run directory."""
     settings = instantiate(config.training)
     sampling = instantiate(config.data.sampling)
@@ -69,7 +72,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         evaluator.network.load_state_dict(started.network.state_dict())
         evaluator.network.restate(started.motion_statistics, dataset.motion.to("cpu"))
     check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
-    trainer = Trainer(
+    trainer = training.Trainer(
         evaluator.network,
         instantiate(config.objective),
         training,
@@ -77,8 +80,10 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
         callbacks=[
-            Callback(settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))),
-            Callback(
+            training.Callback(
+                settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))
+            ),
+            training.Callback(
                 settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))
             ),
         ],
@@ -99,9 +104,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
         results = {"step": step, "test": measured(evaluator, held_out, "test")}
         text = json.dumps(results, indent=1) + "\n"
         write_text(folder / "results.json", text)
-        made = (
-            f"# Trained with scripts/train_tmr.py, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
-        )
+        made = f"# Trained with stmc train_tmr, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
         changed = "".join(f"\n\nSettings changed {change}" for change in trainer.changes)
         card = f"{made}{changed}\n\nOn the test split:\n\n```json\n{text}```\n"
         save_evaluator(evaluator, folder, card, trusted=config.trusted)

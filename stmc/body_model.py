@@ -13,17 +13,20 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-import trimesh
 from einops import rearrange
 from jaxtyping import Float, Int64
 from torch import Tensor
 
 from stmc.arrays import ArraysError, read_npz, read_pickle
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.geometry import axis_angle_to_matrix, forward_kinematics, global_rotations
+from stmc.geometry import axis_angle_to_matrix, forward_kinematics, local_bones
+
+if TYPE_CHECKING:  # slow to import
+    import trimesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +71,9 @@ class Skeleton:
             >>> torch.allclose(own.offsets, body.offsets, atol=1e-3)
             True
         """
-        pelvis, parents = cls.default().offsets[0] if pelvis is None else pelvis, list(PARENTS[1:])
-        bones = joints[:, 1:] - joints[:, parents]
-        turned = global_rotations(rotations, PARENTS)[:, parents].mT @ bones[..., None]
-        return cls(torch.cat([pelvis.to(joints)[None], turned[..., 0].mean(dim=0)]))
+        pelvis = cls.default().offsets[0] if pelvis is None else pelvis
+        bones = local_bones(rotations, joints, PARENTS)[:, 1:]
+        return cls(torch.cat([pelvis.to(joints)[None], bones.mean(dim=0)]))
 
     @property
     def rest(self) -> Float[Tensor, "24 3"]:
@@ -146,6 +148,8 @@ class Body:
         self, rotations: Float[Tensor, "frames 22 3 3"], translation: Float[Tensor, "frames 3"]
     ) -> list[trimesh.Trimesh]:
         """The mesh of every frame, z up, in metres: trimesh writes each as `.obj`, `.ply`, `.glb` and more."""
+        import trimesh  # not above: it is slow to import
+
         faces = self.faces.cpu().numpy()
         posed = self.vertices(rotations, translation).double().cpu().numpy()
         return [trimesh.Trimesh(vertices, faces, process=False) for vertices in posed]

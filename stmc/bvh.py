@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from einops import einsum
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stmc.bounds import BoundsError, check_frames
@@ -191,6 +190,8 @@ def _motion(joints: Sequence[_Joint], values: np.ndarray, fps: float | int) -> B
 
 def _rotations(order: str, angles: Sequence[np.ndarray], joint: _Joint) -> np.ndarray:
     try:
+        from scipy.spatial.transform import Rotation  # not above: it is slow to import
+
         return Rotation.from_euler(order, np.stack(angles, axis=-1), degrees=True).as_matrix()  # upper case: intrinsic
     except ValueError as error:
         channels = f"the rotation channels of joint {shown(joint.name)} are {cut(', '.join(order))}"

@@ -37,3 +37,14 @@ def distinct(names: Iterable[str], stem: str) -> Iterator[str]:
         chosen = next(each for each in tried if each.casefold() not in taken)
         taken.add(chosen.casefold())
         yield chosen
+
+
+def name_of_texts(texts: Iterable[str]) -> str:
+    """A file name that says texts: `walk_raise-the-right-arm`. Other texts have another name: where letters, digits and
+    spaces do not say all, a hash follows."""
+    texts = list(texts)
+    words = [re.sub(r"[\W_]+", "-", text).strip("-").lower() for text in texts]
+    name = "_".join(words)
+    if [word.replace("-", " ") for word in words] != texts:
+        name += f"-{hashlib.sha256(chr(0).join(texts).encode(errors='surrogatepass')).hexdigest()[:6]}"
+    return safe(name)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import roma
 import torch
 from einops import einsum, rearrange
 from jaxtyping import Float, Int64
@@ -19,27 +18,37 @@ from torch import Tensor
 
 def axis_angle_to_matrix(axis_angle: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation matrices of axis-angle vectors (SMPL's poses); any length, also zero."""
+    import roma  # not above: it takes as long to import as torch
+
     return roma.rotvec_to_rotmat(axis_angle)
 
 
 def matrix_to_axis_angle(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     """Axis-angle vectors of length at most pi. At exactly pi either of the two axes may come."""
+    import roma  # not above: it takes as long to import as torch
+
     return roma.rotmat_to_rotvec(matrix)
 
 
 def quaternion_to_matrix(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation matrices of unit quaternions, real part first."""
+    import roma  # not above: it takes as long to import as torch
+
     return roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(quaternion))
 
 
 def matrix_to_quaternion(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
     """Unit quaternions, real part first and not negative."""
+    import roma  # not above: it takes as long to import as torch
+
     quaternion = roma.quat_xyzw_to_wxyz(roma.rotmat_to_unitquat(matrix))
     return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
 def euler_zyx_to_matrix(angles: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """`Rz(angles[0]) Ry(angles[1]) Rx(angles[2])`."""
+    import roma  # not above: it takes as long to import as torch
+
     return roma.euler_to_rotmat("ZYX", angles)
 
 
@@ -140,20 +149,30 @@ def global_rotations(
 
 
 def forward_kinematics(
-    rotations: Float[Tensor, "*batch joints 3 3"], offsets: Float[Tensor, "_ 3"], parents: Sequence[int]
+    rotations: Float[Tensor, "*batch joints 3 3"], offsets: Float[Tensor, "*frames _ 3"], parents: Sequence[int]
 ) -> Float[Tensor, "*batch _ 3"]:
     """Joint positions relative to the root, in the world's axes.
 
-    `offsets`: each joint's rest position relative to its parent's, in the parent's frame; the root's row is not used.
+    `offsets`: each joint's rest position relative to its parent's, in the parent's frame, for all frames or for each;
+    the root's row is not used.
     """
-    bones = einsum(
-        global_rotations(rotations, parents)[..., list(parents[1:]), :, :], offsets[1:],
-        "... joints row column, joints column -> ... joints row",
-    )  # fmt: skip
+    turns = global_rotations(rotations, parents)[..., list(parents[1:]), :, :]
+    bones = einsum(turns, offsets[..., 1:, :], "... joints row column, ... joints column -> ... joints row")
     positions = [torch.zeros_like(bones[..., 0, :])]
     for joint, parent in enumerate(parents[1:]):
         positions.append(positions[parent] + bones[..., joint, :])
     return torch.stack(positions, dim=-2)
+
+
+def local_bones(
+    rotations: Float[Tensor, "*batch joints 3 3"], positions: Float[Tensor, "*batch all 3"], parents: Sequence[int]
+) -> Float[Tensor, "*batch all 3"]:
+    """The bones from each joint's parent to it, in the parent's frame, zero for the root: the offsets with which
+    `forward_kinematics` gives `positions` again."""
+    bones = positions[..., 1:, :] - positions[..., list(parents[1:]), :]
+    turns = global_rotations(rotations, parents)[..., list(parents[1:]), :, :]
+    local = einsum(turns, bones, "... joints row column, ... joints row -> ... joints column")
+    return torch.cat([torch.zeros_like(positions[..., :1, :]), local], dim=-2)
 
 
 def sampling_positions(frames: int, old_fps: float | int, new_fps: float | int) -> Float[Tensor, " frames"]:

@@ -9,10 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import roma
 import torch
 from jaxtyping import Float
-from scipy.linalg import solveh_banded
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -163,6 +161,8 @@ class _Bones:
 
     def _fitted(self, *names: str) -> Tensor:
         """The rotation that brings bones at rest closest to where they are seen (Kabsch 1976)."""
+        import roma  # not above: it takes as long to import as torch
+
         seen, rest = (torch.stack([bones[name] for name in names], dim=-1) for bones in (self.seen, self.rest))
         return roma.special_procrustes(seen @ rest.mT)
 
@@ -214,6 +214,8 @@ def _steady(hints: Sequence[Float[Tensor, "frames 2"]]) -> Float[Tensor, "frames
         bands = np.full((2, len(target)), -_STIFFNESS)
         bands[1] = weight + 2 * _STIFFNESS
         bands[1, [0, -1]] -= _STIFFNESS
+        from scipy.linalg import solveh_banded  # not above: it is slow to import
+
         target = solveh_banded(bands, target)
     return torch.from_numpy(target).to(hints[0])
 

@@ -17,7 +17,9 @@ from torch import Tensor
 from stmc.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
 from stmc.bounds import check_fps, check_frames
 from stmc.geometry import (
+    forward_kinematics,
     heading,
+    local_bones,
     mirror_positions,
     mirror_rotations,
     resample_positions,
@@ -133,12 +135,10 @@ class Motion:
         )
 
     def resampled(self, fps: float | int) -> Motion:
-        """The same movement at another frame rate: rotations on the sphere, positions on straight lines. At its own
-        rate it is the motion itself.
+        """The same movement at another frame rate: rotations on the sphere, the pelvis on straight lines, and bones with
+        the rotations that turn them, so that they keep their lengths. At its own rate it is the motion itself.
 
-        Joints and rotations are resampled each for itself, so the bones of fast movements may shorten a little: pose
-        the skeleton again (`Motion.posed`) where that matters. Raises `ValueError` where not one frame remains, or
-        more than `bounds` allows.
+        Raises `ValueError` where not one frame remains, or more than `bounds` allows.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -149,10 +149,13 @@ class Motion:
         if fps == self.fps:
             return self
         check_frames(self.frames * fps / self.fps, fps)
+        rotations = resample_rotations(self.rotations, self.fps, fps)
+        pelvis = resample_positions(self.joints[:, 0], self.fps, fps)
+        bones = resample_positions(local_bones(self.rotations, self.joints, PARENTS), self.fps, fps)
         return Motion(
-            resample_rotations(self.rotations, self.fps, fps),
+            rotations,
             resample_positions(self.translation, self.fps, fps),
-            resample_positions(self.joints, self.fps, fps),
+            pelvis[:, None] + forward_kinematics(rotations, bones, PARENTS),
             fps,
             self.overlap,
         )

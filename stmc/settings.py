@@ -116,13 +116,13 @@ def takes(kind: type) -> Callable[[Function], Function]:
     return shows
 
 
-def check_name(name: Any, known: Iterable[str]) -> None:
-    """Raises `SettingError` for a name that is not known, with the nearest one that is."""
+def check_name(name: Any, known: Iterable[str], kind: str = "setting") -> None:
+    """Raises `SettingError` for the name of a `kind` of thing that is not known, with the nearest one that is."""
     known = list(known)
     if name not in known:
         near = get_close_matches(str(name), known, 1)
         meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
-        raise SettingError(f"unknown setting {shown(name)}: {meant}")
+        raise SettingError(f"unknown {kind} {shown(name)}: {meant}")
 
 
 def _check_values(kind: type, values: Mapping[str, Any]) -> None:

@@ -40,7 +40,7 @@ def test_a_folder_that_lacks_one_of_its_files_is_no_cache(lost, tmp_path):
     written(tmp_path)
     (tmp_path / lost).unlink()
     assert not fresh(tmp_path, "inputs")
-    with pytest.raises(CacheError, match=r"holds no prepared data; make it with scripts/prepare\.py"):
+    with pytest.raises(CacheError, match=r"holds no prepared data; make it with stmc prepare"):
         Cache.read(tmp_path)
 
 

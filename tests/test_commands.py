@@ -7,10 +7,10 @@ import signal
 import subprocess
 import sys
 from concurrent.futures.process import BrokenProcessPool
-from shutil import copytree
 
 import pytest
 import torch
+from helpers.own_folder import install_wheel
 from helpers.scripts import ROOT, configured, loaded
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
@@ -19,7 +19,7 @@ import stmc
 from stmc.commands import Command, program
 from stmc.commands.arguments import quoted, read
 from stmc.commands.dispatch import scripts
-from stmc.commands.endings import MOST, explained, guarded
+from stmc.commands.endings import EXTRAS, MOST, explained, guarded
 from stmc.settings import about, defaults
 
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py"))
@@ -101,6 +101,26 @@ def test_a_folder_of_one_s_own_wins_over_ours(sample, tmp_path):
     assert (sample.composed(asked).steps, sample.composed(asked).samples) == (7, 1)
     asked = read([f"--config-dir={tmp_path}", "-cn", "quick"], sample.settings, sample.parts, sample.positional)
     assert (sample.composed(asked).steps, sample.composed(asked).seed) == (7, 3)
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_command_takes_a_folder_of_one_s_own_beside_ours(found, name, tmp_path, capsys):
+    """Of another group than the command's, so that its own configuration, and all others, come from ours."""
+    (tmp_path / "denoiser").mkdir()
+    (tmp_path / "denoiser" / "mine.yaml").write_text("_target_: mylab.Mine\n")
+    given = [*NEEDED.get(name, []), "--config-dir", str(tmp_path)]
+    assert ended(idle(found[name]), given, capsys) == (0, "")
+    if "denoiser" in found[name].parts:
+        seen = dataclasses.replace(found[name], function=lambda config: print(config.denoiser._target_))
+        assert seen([*given, "denoiser=mine"]) == 0
+        assert capsys.readouterr().out == "mylab.Mine\n"
+
+
+def test_a_folder_of_one_s_own_is_forgotten_after_the_command(sample, tmp_path):
+    (tmp_path / "sample.yaml").write_text("steps: 7\n")
+    for given, steps in ((["--config-dir", str(tmp_path)], 7), ([], None)):
+        config = sample.composed(read(given, sample.settings, sample.parts, sample.positional))
+        assert config.steps == steps
 
 
 # What is refused -----------------------------------------------------------------------------------------------------
@@ -258,7 +278,7 @@ def test_help_says_what_every_setting_is(found, name, capsys):
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_every_script_ends_in_one_line_when_it_is_stopped(found, name, capsys):
     command = dataclasses.replace(found[name], function=raising(KeyboardInterrupt()))
-    assert ended(command, NEEDED.get(name, []), capsys) == (130, "stopped; ask again to go on\n")
+    assert ended(command, NEEDED.get(name, []), capsys) == (130, "Interrupted. Run the same command again to resume.\n")
 
 
 @pytest.mark.parametrize(
@@ -266,7 +286,7 @@ def test_every_script_ends_in_one_line_when_it_is_stopped(found, name, capsys):
     [
         (OSError(28, "No space left on device", "/out/a.npz"), "/out/a.npz: no space left on device"),
         (ModuleNotFoundError("No module named 'accelerate'", name="accelerate"), "pip install 'stmc[train]'"),
-        (BrokenProcessPool(), "a worker was killed, perhaps for memory"),
+        (BrokenProcessPool(), "a worker was killed, perhaps for lack of memory"),
     ],
 )
 def test_what_a_user_can_mend_is_one_line(error, message, capsys):
@@ -349,7 +369,39 @@ def test_one_program_lists_and_runs_all_scripts(capsys):
     assert program(["sample", "steps=0"]) == 2
     assert "steps=0" in capsys.readouterr().err
     assert program(["nobody"]) == 2
-    assert "choose from" in capsys.readouterr().err
+    assert capsys.readouterr().err.startswith("unknown command 'nobody': choose from abilities, ")
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("sampel", "sample"), ("improt", "import"), ("train-tmrr", "train_tmr")])
+def test_a_misspelt_command_is_answered_with_the_nearest_as_help_lists_it(typed, meant, capsys):
+    assert program([typed]) == 2
+    assert capsys.readouterr().err == f"unknown command '{typed}': did you mean {meant}?\n"
+
+
+SLOW_TO_IMPORT = ("matplotlib", "roma", "scipy", "sympy", "torch._dynamo", "transformers", "trimesh", "viser")
+
+
+def test_help_of_sampling_imports_nothing_slow_but_torch():
+    code = (
+        "import sys, stmc.commands; stmc.commands.program(['sample', '--help'])\n"
+        f"print({{*sys.modules}} & {{*{SLOW_TO_IMPORT}}})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, text=True, capture_output=True)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_help_needs_no_extra_and_speaks_of_no_file_that_a_wheel_lacks(name, monkeypatch, capsys):
+    for extra in EXTRAS:
+        for module in [each for each in sys.modules if each.partition(".")[0] == extra]:
+            monkeypatch.delitem(sys.modules, module)
+        monkeypatch.setitem(sys.modules, extra, None)
+    for module in ("stmc.training.loop", "stmc.training.device"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    assert loaded(name).main(["--help"]) == 0
+    told = capsys.readouterr().out
+    assert "scripts/" not in told
+    assert "configs/" not in told.replace("mylab/configs", "")
 
 
 @pytest.mark.slow
@@ -365,7 +417,7 @@ def test_ctrl_c_while_sampling_is_one_line_and_leaves_no_temporary(tmp_path):
     running.send_signal(signal.SIGINT)
     _, told = running.communicate(timeout=120)
     assert running.returncode == 130
-    assert told == "stopped; ask again to go on\n"
+    assert told == "Interrupted. Run the same command again to resume.\n"
     assert list(tmp_path.glob("*.npz"))
     assert not list(tmp_path.glob(".*"))
 
@@ -373,17 +425,7 @@ def test_ctrl_c_while_sampling_is_one_line_and_leaves_no_temporary(tmp_path):
 @pytest.mark.slow
 def test_a_wheel_has_the_command_the_configurations_and_no_result_pages(tmp_path):
     pytest.importorskip("setuptools", minversion="77")
-    source = tmp_path / "source"
-    for folder in ("stmc", "scripts", "configs"):
-        copytree(ROOT / folder, source / folder)
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
-        (source / name).write_bytes((ROOT / name).read_bytes())
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
-    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), str(source)]
-    subprocess.run(build, check=True)
-    [wheel] = tmp_path.glob("*.whl")
-    place = tmp_path / "installed"
-    subprocess.run([*pip, "install", "--no-deps", "--target", str(place), str(wheel)], check=True)
+    place = install_wheel(tmp_path / "wheel")
     assert not list(place.rglob("assets/results"))
     assert (place / "stmc/py.typed").exists()
     environment = os.environ | {"PYTHONPATH": str(place)}

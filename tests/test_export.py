@@ -94,6 +94,21 @@ def test_a_bvh_s_own_kinematics_put_every_joint_where_the_motion_has_it(make, tm
         assert np.abs(written - motion.joints[frame].numpy()).max() < 1e-4
 
 
+@pytest.mark.parametrize("fps", [10, 30, 60])
+@pytest.mark.parametrize("make", [lambda: walking(seconds=3.0, speed=3.0), tumbling])
+def test_files_of_one_motion_agree_at_any_frame_rate(make, fps, tmp_path):
+    motion = make()
+    for kind in ("npz", "bvh"):
+        write(motion, tmp_path / f"motion.{kind}", fps=fps)
+    file = Bvh((tmp_path / "motion.bvh").read_text("ascii"))
+    joints = np.load(tmp_path / "motion.npz")["joints"]
+    assert len(joints) == file.frames
+    for frame in range(0, file.frames, 7):
+        places = file.places(file.rows[frame])
+        written = np.array([places[name] for name in JOINTS[:NUM_ROTATIONS]]) @ Y_UP_TO_Z_UP.T
+        assert np.abs(written - joints[frame, :NUM_ROTATIONS]).max() < 1e-4
+
+
 def test_a_bvh_rests_in_a_t_pose_with_y_up_and_arms_stretched_sideways(motion, tmp_path):
     file = bvh(motion, tmp_path)
     places = file.places(np.zeros(file.rows.shape[1]))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stmc.filenames import MOST, distinct, safe
+from stmc.filenames import MOST, distinct, name_of_texts, safe
 
 
 @pytest.mark.parametrize(
@@ -40,3 +40,21 @@ def test_no_two_names_differ_in_case_alone():
     found = list(distinct(names, "file"))
     assert found == ["a", "A_0001", "file_0002", "a_0003", "a_0001_0004", "ß", "SS_0006", "CON_"]
     assert len({name.casefold() for name in found}) == len(names)
+
+
+def test_a_name_says_texts_and_other_texts_have_another():
+    assert name_of_texts(["walk"]) == "walk"
+    assert name_of_texts(["walk", "raise the right arm"]) == "walk_raise-the-right-arm"
+    texts = (
+        ["walk run"],
+        ["walk-run"],
+        ["walk", "run"],
+        ["walk_run"],
+        ["Walk run"],
+        ["walk  run"],
+        ["!"],
+        ["?"],
+        ["走る"],
+    )
+    assert len({name_of_texts(each) for each in texts}) == len(texts)
+    assert all(safe(name_of_texts(each)) == name_of_texts(each) != "" for each in texts)

@@ -137,7 +137,7 @@ def test_a_worker_that_is_killed_ends_in_a_sentence(tmp_path, monkeypatch, capsy
     source = humanml3d(tmp_path / "HumanML3D", clips=2)
     settings = (f"source={source}", f"folder={tmp_path / 'c'}", "workers=1")
     assert loaded("prepare").main(["data=humanml3d_processed", *settings]) == 2
-    assert capsys.readouterr().err == "a worker was killed, perhaps for memory; ask again, with fewer workers=\n"
+    assert capsys.readouterr().err == "a worker was killed, perhaps for lack of memory; run again with fewer workers=\n"
 
 
 def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, in_this_process):

@@ -503,18 +503,49 @@ def test_sampling_tells_each_motion_in_a_line_and_writes_the_frame_rate_that_was
     told = capsys.readouterr()
     assert told.err == ""
     assert [line.partition(":")[0] for line in told.out.splitlines()] == [
-        "timeline_0",
-        "timeline_1",
+        "nod_0",
+        "nod_1",
         "motions in " + str(output),
     ]
-    assert "Frame Time: 0.0333" in (output / "timeline_0.bvh").read_text()
-    assert stmc.read(output / "timeline_1.npz").fps == 30
+    assert "Frame Time: 0.0333" in (output / "nod_0.bvh").read_text()
+    assert stmc.read(output / "nod_1.npz").fps == 30
     assert sample.main([*asked, "--json", "samples=3"]) == 0
     [line] = capsys.readouterr().out.splitlines()
     line = json.loads(line)
     assert (line["name"], line["seed"], line["files"]) == (
-        "timeline_2", 2, [str(output / f"timeline_2.{kind}") for kind in ("bvh", "npz")]
+        "nod_2", 2, [str(output / f"nod_2.{kind}") for kind in ("bvh", "npz")]
     )  # fmt: skip
+
+
+def test_a_typed_timeline_never_replaces_another(sample, run, tmp_path):
+    output = tmp_path / "out"
+
+    def written(timeline: str, *more: str) -> set[str]:
+        output.mkdir(exist_ok=True)
+        before = {path.name: path.read_bytes() for path in output.iterdir()}
+        assert sample.main([timeline, str(output), f"model={run}", "steps=1", "formats=bvh", *more]) == 0
+        assert {name: (output / name).read_bytes() for name in before} == before
+        return {path.stem for path in output.iterdir()} - {name.rpartition(".")[0] for name in before}
+
+    assert written("nod # 0 # 1 # head") == {"nod_0"}
+    assert written("shake # 0 # 1 # head") == {"shake_0"}
+    assert written("nod # 0 # 1.5 # head") == {"nod-2_0"}
+    assert written("nod # 0 # 1 # head", "samples=2") == {"nod_1"}
+    assert written("nod # 0 # 1.5 # head") == set()
+    assert written("nod # 0 # 1.25", "suggest_parts=true") == {"nod-3_0"}
+    assert written("nod # 0 # 1.25", "suggest_parts=true") == set()
+
+
+def test_sampling_runs_with_a_folder_of_one_s_own_configurations(sample, run, tmp_path):
+    (tmp_path / "configs").mkdir()
+    given = [f"model={run}", "--config-dir", str(tmp_path / "configs"), "steps=1", "formats=bvh"]
+    assert sample.main(["nod # 0 # 1 # head", str(tmp_path / "out"), *given]) == 0
+    assert (tmp_path / "out" / "nod_0.bvh").exists()
+
+
+def test_a_text_without_seconds_is_answered_with_the_form_of_a_timeline(sample, tmp_path, capsys):
+    assert sample.main(["walk", str(tmp_path)]) == 2
+    assert "timeline='walk': no such file; with its seconds it is a timeline: 'walk # 0 # 4'" in capsys.readouterr().err
 
 
 def test_a_log_hears_of_the_steps_now_and_then(sample, monkeypatch):
@@ -532,7 +563,7 @@ def test_the_page_shows_the_transitions_that_were_sampled(sample, run, tmp_path)
     for number, (setting, width) in enumerate((("overlap=0.5", 0.5), ("overlap=1", 1.0), ("method=sinc", None))):
         output = tmp_path / str(number)
         assert sample.main([*common, f"output={output}", setting]) == 0
-        page = (output / "timeline_0.html").read_text()
+        page = (output / "walk_run_0.html").read_text()
         spans = re.findall(r'class="span change"[^>]*style="left:([\d.]+)%;width:([\d.]+)%', page)
         assert {round(4 * float(span) / 100, 2) for _, span in spans} == ({width} if width else set())
 

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from stmc.arrays.numpy_files import LARGEST, ArraysError
 from stmc.untrusted import shown
@@ -371,6 +370,8 @@ def _unfolded(value: StandIn, name: str, level: int) -> np.ndarray:
 
 
 def _matrix(state: dict, layout: str, name: str, level: int) -> np.ndarray:
+    from scipy import sparse  # not above: it is slow to import
+
     rows, columns = state.get("_shape", state.get("shape"))
     if not (_is_size(rows) and _is_size(columns)) or rows * columns * 8 > _LARGEST_MATRIX:
         sizes = " x ".join(shown(size) if isinstance(size, int) else type(size).__name__ for size in (rows, columns))

@@ -8,12 +8,9 @@ from collections.abc import Sequence
 
 import stmc
 from stmc.commands.endings import guarded
-from stmc.commands.entry import Command
+from stmc.commands.entry import SHORT, Command
 from stmc.commands.places import load_script, place
-from stmc.settings import SettingError
-
-SHORT = {"import": "import_checkpoint"}
-"""Commands that are not called like their scripts."""
+from stmc.settings import check_name
 
 
 def program(arguments: Sequence[str] | None = None) -> int:
@@ -38,7 +35,7 @@ def found(name: str) -> Command:
     """The command of that name. Raises `SettingError`."""
     script = SHORT.get(name, name).replace("-", "_")
     if script not in scripts():
-        raise SettingError(f"unknown command {name!r}: choose from {', '.join(scripts())}")
+        check_name(name, named_commands(), "command")
     return load_script(script).main
 
 
@@ -48,8 +45,13 @@ def scripts() -> dict[str, str]:
     return {name: (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0] for name, text in texts.items()}
 
 
+def named_commands() -> dict[str, str]:
+    """Every command with the first line of its script's docstring."""
+    names = {script: short for short, script in SHORT.items()}
+    return {names.get(script, script): told for script, told in scripts().items()}
+
+
 def listed() -> str:
     """What `stmc --help` prints."""
-    names = {script: short for short, script in SHORT.items()}
-    rows = [f"  {names.get(script, script):<18}{told.partition(':')[0]}" for script, told in scripts().items()]
+    rows = [f"  {name:<18}{told.partition(':')[0].rstrip('.')}" for name, told in named_commands().items()]
     return "\n".join(["Usage: stmc COMMAND [SETTING=VALUE …]", "", *rows, "", "stmc COMMAND --help says more.", ""])

@@ -42,7 +42,7 @@ def guarded(run: Callable[[], object]) -> int:
             run()
             sys.stdout.flush()
         except KeyboardInterrupt:
-            _say("stopped; ask again to go on")
+            _say("Interrupted. Run the same command again to resume.")
             return STOPPED
         except BrokenPipeError:  # whoever read our output has enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -69,7 +69,7 @@ def explained(error: BaseException) -> str | None:
     if isinstance(error, (HydraException, OmegaConfBaseException, YAMLError)):
         return one_line(str(error).partition("full_key:")[0].partition("See https")[0])
     if isinstance(error, BrokenProcessPool):
-        return "a worker was killed, perhaps for memory; ask again, with fewer workers="
+        return "a worker was killed, perhaps for lack of memory; run again with fewer workers="
     if isinstance(error, OSError):
         return one_line(_of_the_system(error))
     return one_line(str(error)) if isinstance(error, ValueError) and _is_ours(error) else None

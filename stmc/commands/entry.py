@@ -9,13 +9,17 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 from hydra import compose, initialize_config_dir
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
+from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import OmegaConf, open_dict
 
-from stmc.commands.arguments import Asked, quoted, read
+from stmc.commands.arguments import Asked, read
 from stmc.commands.endings import guarded
 from stmc.commands.help import explanation
 from stmc.commands.places import load_script, place
@@ -23,6 +27,10 @@ from stmc.settings import SettingError, about, defaults, record_of
 
 Config = Any
 """What Hydra composes: an OmegaConf `DictConfig`."""
+
+
+SHORT = {"import": "import_checkpoint"}
+"""Commands that are not called like their scripts."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +92,8 @@ class Command:
         name = asked.name or self.name
         if not any((place / f"{name}.yaml").is_file() for place in (folder, ours)):
             raise SettingError(f"--config-name {name}: {folder / name}.yaml does not exist")
-        behind = [] if folder == ours else [f"hydra.searchpath=[{quoted(f'file://{ours}')}]"]
-        with initialize_config_dir(str(folder.resolve()), job_name=self.name, version_base="1.3"):
-            yield name, [*asked.overrides, *behind]
+        with _in_front(folder), initialize_config_dir(str(ours), job_name=self.name, version_base="1.3"):
+            yield name, [*asked.overrides]
 
     def check(self, config: Config) -> None:
         """Raises `SettingError` for settings that are missing, unknown or do not fit, before anything is loaded."""
@@ -101,7 +108,8 @@ class Command:
     def help(self) -> str:
         """What `--help` prints."""
         described = self.function.__globals__.get("__doc__") or ""
-        return explanation(self.name, described, self.settings, self.positional, self.parts)
+        name = next((short for short, script in SHORT.items() if script == self.name), self.name)
+        return explanation(name, described, self.settings, self.positional, self.parts)
 
     @cached_property
     def parts(self) -> dict[str, tuple[str, list[str]]]:
@@ -110,6 +118,30 @@ class Command:
         chosen = dict(next(iter(each.items())) for each in listed if OmegaConf.is_dict(each))
         names = {name: sorted(path.stem for path in place("configs").glob(f"{name}/*.yaml")) for name in chosen}
         return {name: (one, names[name]) for name, one in chosen.items()}
+
+
+class _OwnFolder(SearchPathPlugin):
+    """Hydra's hook for folders of configurations: the user's own comes in front of ours.
+
+    `hydra.searchpath` would not do: Hydra looks for a command's own configuration before it reads that setting.
+    """
+
+    folder: ClassVar[Path | None] = None
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        if self.folder is not None:
+            search_path.prepend("command-line", f"file://{self.folder}", "main")
+
+
+@contextmanager
+def _in_front(folder: Path) -> Iterator[None]:
+    """Lets Hydra, once it is initialised, look into `folder` first."""
+    Plugins.instance().register(_OwnFolder)
+    _OwnFolder.folder = folder.resolve()
+    try:
+        yield
+    finally:
+        _OwnFolder.folder = None
 
 
 def _missing(value: Any, name: str = "") -> Iterator[str]:

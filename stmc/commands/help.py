@@ -24,14 +24,17 @@ def explanation(name: str, described: str, settings: type, positional: Sequence[
     paragraphs = [
         " ".join(["Usage: stmc", name, *plain, "[SETTING=VALUE …]"]),
         described.strip(),
-        "Settings, also as --SETTING VALUE; in brackets what holds unless it is given:",
+        "Settings, also as --SETTING VALUE; defaults are in brackets:",
         "\n".join(_entry(each, _what(told[each]), first[each]) for each in _own_first(settings)),
     ]
     if parts:
-        paragraphs.append("Parts, each a file of configs/PART, with settings PART.SETTING=VALUE:")
+        paragraphs.append("Parts, each a configuration file; PART.SETTING=VALUE changes a setting of one:")
         paragraphs.append("\n".join(_entry(part, ", ".join(names), chosen) for part, (chosen, names) in parts.items()))
-    paragraphs.append("--config-name NAME: another configuration; --config-dir FOLDER: your own ones; --cfg: show it.")
-    paragraphs.append("--multirun SETTING=VALUE,VALUE: a job for each of the values; hydra/launcher=NAME says where.")
+    paragraphs.append(
+        "--config-dir FOLDER: your own configuration files, beside ours; --config-name NAME: start from NAME.yaml;\n"
+        "--cfg: print the configuration and stop."
+    )
+    paragraphs.append("--multirun SETTING=VALUE,VALUE: one job per value; hydra/launcher=NAME chooses where they run.")
     return "\n\n".join(paragraphs) + "\n"
 
 

@@ -29,8 +29,8 @@ class Sharded:
 
     shard: str | None = setting(
         None,
-        "3/64: the third of 64 shares alone; all/64: nothing, but say what of them is missing; null: everything, or "
-        "the share of this process among those that accelerate launch or torchrun started",
+        "3/64: only the third of 64 shares; all/64: only check which shares are complete; null: everything, or "
+        "this process's share where accelerate launch or torchrun started several",
     )
 
 
@@ -45,11 +45,11 @@ class Threaded:
 class Trained(Threaded):
     """Of a command that trains."""
 
-    run: str = setting(MISSING, "folder for checkpoints, logs and what is trained; asked again, it resumes")
-    trusted: tuple[str, ...] = setting((), "packages of your own that the parts may be classes of")
+    run: str = setting(MISSING, "folder for checkpoints, logs and the trained model; run again to resume")
+    trusted: tuple[str, ...] = setting((), "your own packages that hold classes of the parts")
     allow_changed_settings: bool = setting(
-        False, "go on although the run was begun with other settings; the card says which"
+        False, "resume although the run began with other settings; the card lists the changes"
     )
     device: str = setting("auto", "where to compute; auto: cuda if there is one", choices=("auto", "cpu", "cuda"))
-    validation: int = setting(4, "batches that the validation loss is measured on", at_least=1)
-    text_cache: str = setting("cache/text", "folder of embedded texts, which other runs can use, too")
+    validation: int = setting(4, "number of batches for the validation loss", at_least=1)
+    text_cache: str = setting("cache/text", "folder of embedded texts, shared with other runs")

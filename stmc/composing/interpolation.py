@@ -11,7 +11,6 @@ from itertools import pairwise
 import torch
 from einops import rearrange
 from jaxtyping import Float
-from roma import rotmat_slerp
 from torch import Tensor
 
 from stmc.body import BodyPart
@@ -67,6 +66,8 @@ def slerp(
     The layout's field "rotations" holds two rows, or two columns, of a matrix for each joint. The `plans` are those
     without overlap; `overlap` frames around each change are replaced.
     """
+    import roma  # not above: it takes as long to import as torch
+
     smooth = smooth_seams(raw, plans, layout.columns, overlap)
     for i, plan in enumerate(plans):
         for part in BodyPart:
@@ -75,7 +76,7 @@ def slerp(
                 old = rearrange(raw[i, window][[0, -1]][:, turned], "ends (joints six) -> ends joints six", six=6)
                 first, last = rows_to_matrix(old)
                 steps = torch.linspace(0, 1, window.stop - window.start).to(raw)
-                arc = matrix_to_rows(rotmat_slerp(first, last, steps))
+                arc = matrix_to_rows(roma.rotmat_slerp(first, last, steps))
                 smooth[i, window, turned] = rearrange(arc, "frames joints six -> frames (joints six)")
     return smooth
 

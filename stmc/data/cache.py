@@ -132,7 +132,7 @@ class Cache:
         folder = Path(folder)
         table = _table(folder)
         if table is None or not (folder / FEATURES).exists():
-            raise CacheError(f"{folder} holds no prepared data; make it with scripts/prepare.py")
+            raise CacheError(f"{folder} holds no prepared data; make it with stmc prepare")
         try:
             numbers = load_file(folder / FEATURES)
             return cls(
@@ -147,7 +147,7 @@ class Cache:
                 skeleton=Skeleton(numbers["skeleton"]) if "skeleton" in numbers else None,
             )
         except SafetensorError as error:
-            raise CacheError(f"{folder / FEATURES} is damaged: {error}; run scripts/prepare.py again") from error
+            raise CacheError(f"{folder / FEATURES} is damaged: {error}; run stmc prepare again") from error
         except (AttributeError, KeyError, TypeError) as error:
             raise CacheError(f"{folder / TABLE} is not a cache's table: {cut(repr(error), 200)}") from error
 

@@ -10,7 +10,6 @@ import io
 from typing import IO
 
 import numpy as np
-import roma
 import torch
 from einops import rearrange
 from jaxtyping import Float
@@ -81,6 +80,8 @@ def _angles(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarr
 
     Every rotation has two triples, (z, x, y) and (z + pi, pi - x, y + pi), each up to full turns.
     """
+    import roma  # not above: it takes as long to import as torch
+
     frames, joints = rotations.shape[:2]
     first = roma.rotmat_to_euler("ZXY", torch.from_numpy(rotations)).numpy()
     second = first * [1, -1, 1] + np.pi

@@ -11,7 +11,6 @@ from itertools import pairwise
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.linalg import solve_banded
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -169,6 +168,8 @@ def _placed(
         bands[1, index : index + 2] += tie
         bands[0, index + 1] = bands[2, index] = -tie
         right[index : index + 2] += [jump, -jump]
+    from scipy.linalg import solve_banded  # not above: it is slow to import
+
     constants = torch.from_numpy(solve_banded((1, 1), bands, right))
     return [way + constant for way, constant in zip(ways, constants, strict=True)]
 

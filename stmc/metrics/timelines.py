@@ -191,7 +191,7 @@ def _published_features(motions: Sequence[Motion], evaluator: MotionEvaluator) -
     if (width := features[0].shape[1]) != HUMANML3D_LAYOUT.width:
         raise ValueError(
             f"the evaluator knows {width} features; the published formulas need one of HumanML3D's "
-            f"{HUMANML3D_LAYOUT.width}, such as the published TMR (scripts/import_checkpoint.py)"
+            f"{HUMANML3D_LAYOUT.width}, such as the published TMR (stmc import)"
         )
     return features
 

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from stmc.body import JOINTS, BodyPart
 from stmc.body_model import Body, Skeleton
@@ -70,6 +69,8 @@ def _loft(
     """
     centres = np.array([centre for centre, *_ in sections])
     walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))])
+    from scipy.interpolate import PchipInterpolator  # not above: it is slow to import
+
     spline = PchipInterpolator(walked, np.column_stack([centres, [half for _, *half in sections]]))
     rings = spline(np.linspace(0.0, walked[-1], max(5, round(walked[-1] / 0.022))))
     along = (centres[-1] - centres[0]) / np.linalg.norm(centres[-1] - centres[0])

@@ -24,7 +24,8 @@ from stmc.studio.refusals import Refused
 from stmc.studio.timelines import MOST_SECONDS
 from stmc.timeline import Timeline
 from stmc.untrusted import UnreadableError, load_json, read_text
-from stmc.viewing.film import FILMS, render_film
+from stmc.viewing import render_film
+from stmc.viewing.film_formats import FILMS
 from stmc.viewing.web import render_html
 
 ID = re.compile(r"[A-Za-z0-9_-]{1,40}")

@@ -1,4 +1,4 @@
-"""Two methods' motions of the same timelines, from two folders as `scripts/sample.py` fills them.
+"""Two methods' motions of the same timelines, from two folders as `stmc sample` fills them.
 
 Knows the records that it leaves beside the motions; knows nothing of surveys.
 """

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from jaxtyping import UInt8
@@ -18,9 +16,9 @@ from stmc.files import write_whole
 from stmc.motion import Motion
 from stmc.timeline import Timeline
 from stmc.viewing.colours import ink, palette, part_colours, transition_seconds
+from stmc.viewing.film_formats import FILMS, ffmpeg
 from stmc.viewing.strip import Stage
 
-FILMS = (".webp", ".gif", ".mp4")
 _SIZE, _DPI = (4.8, 5.6), 100
 """Inches, and pixels an inch: both sides are even, as videos must be."""
 _LINE = 0.052
@@ -56,15 +54,6 @@ def render_film(
     shown = np.unique(np.linspace(0, motion.frames - 1, _BOUNDS).round().astype(int))
     pictures = _pictures(Stage.of(motion, body, colours, shown), timeline)
     write_whole(path, _video(motion, pictures) if path.suffix.lower() == ".mp4" else _animation(motion, pictures, path))
-
-
-def ffmpeg() -> ModuleType:
-    """What writes videos. Raises `ModuleNotFoundError` that says how to come by it."""
-    try:
-        return import_module("imageio_ffmpeg")
-    except ModuleNotFoundError as error:
-        message = "videos need imageio-ffmpeg: pip install 'stmc[film]'; .webp does without"
-        raise ModuleNotFoundError(message, name="imageio_ffmpeg") from error
 
 
 def _pictures(stage: Stage, timeline: Timeline | None) -> Iterator[UInt8[np.ndarray, "height width 3"]]:

@@ -15,7 +15,6 @@ from stmc.motion import Motion
 from stmc.skins import skin_of
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing.colours import NEUTRAL, ink, owners, palette, part_colours, transition_seconds, transitions
-from stmc.viewing.scene import cameras, record
 from stmc.vocabulary import Recognition
 
 _ALONE = (
@@ -55,6 +54,8 @@ def render_html(
         >>> "<title>A walk</title>" in html
         True
     """
+    from stmc.viewing.scene import record  # not above: viser is slow to import
+
     title = title or (timeline.name if timeline is not None else "")
     overlap = transition_seconds(motion, overlap)
     colours = part_colours(timeline, motion.fps, motion.frames, overlap)
@@ -116,6 +117,8 @@ def _in_notebook() -> bool:
 def _view(motion: Motion) -> str:
     """What the page's camera has to know: where it sees everything, and the pelvis' path over the floor, ten times a
     second (m)."""
+    from stmc.viewing.scene import cameras  # not above: viser is slow to import
+
     step = max(1, int(motion.fps / 10))
     path = motion.translation[::step, :2].double().cpu().numpy().round(3).tolist()
     return json.dumps({"cameras": cameras(motion), "path": path, "rate": motion.fps / step}, separators=(",", ":"))

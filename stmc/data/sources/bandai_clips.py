@@ -1,4 +1,4 @@
-"""The Bandai Namco Research motion dataset as one of those that scripts/prepare.py knows.
+"""The Bandai Namco Research motion dataset as one of those that `stmc prepare` knows.
 
 Knows what preparing is; how its clips are read and converted is `bandai`'s.
 """

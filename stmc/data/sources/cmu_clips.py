@@ -1,4 +1,4 @@
-"""CMU's motion capture database as one of those that scripts/prepare.py knows.
+"""CMU's motion capture database as one of those that `stmc prepare` knows.
 
 Knows what preparing is and which segments of the recordings show what; how recordings are read and converted is
 `cmu`'s.
