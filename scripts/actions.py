@@ -22,7 +22,7 @@ from rich.table import Table
 
 import stmc
 from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_texts
-from stmc.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words
+from stmc.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words, same_meaning
 from stmc.benchmarks.questions import QUESTIONS, rates
 from stmc.commands import command
 from stmc.commands.shared import OnModel
@@ -269,11 +269,6 @@ def text_answers(text: str, motion: Motion) -> dict[str, bool]:
     return {"shown": shown, "sided": sided} | others
 
 
-def same_meaning(text: str) -> set[str]:
-    """A text, and those whose check its motions may pass since they mean it, too."""
-    return {text} | {other for other, check in MTT_CHECKS.items() if text in check.meant}
-
-
 def report_texts(results: Mapping[str, Mapping], samples: int) -> None:
     """Each text with its samples, whether it warns and which others they pass; then how many texts are shown."""
     console, table = Console(), Table("text", "shown", "its side alone", "warns", "passes also")
@@ -301,23 +296,21 @@ def others_passed(row: Mapping) -> str:
 
 
 def calibrate(config: DictConfig) -> None:
-    """Of each text, how often recorded motions of its own pass its check, and those of all other texts."""
+    """Of each text, how often recorded motions of its own pass its check, and those of all other texts. A text that
+    claims other body parts is not named: what its motions do with these is no part of it."""
     cache, representation = read_caches(list(config.cache)), SmplRepresentation()
     real = recorded(cache, representation, cache.skeleton or stmc.Skeleton.default(), config.clips)
-    own = {
-        text: [motion for action in check.actions for motion in real.get(action, [])]
-        for text, check in MTT_CHECKS.items()
-    }
+    parts = {prompt.text: prompt.parts for prompt in read_texts(config.texts)}
+    own = {text: [motion for action in MTT_CHECKS[text].actions for motion in real.get(action, [])] for text in parts}
     shares = confusions({text: motions for text, motions in own.items() if motions})
     write_text(Path(config.output) / "mtt_checks.json", json.dumps(shares, indent=1) + "\n")
-    table = Table("text", "own motions", "pass", "others pass (mean)", "passed by, above 20 %")
-    for text, row in shares.items():
-        allowed = {text, *MTT_CHECKS[text].meant}
-        others = {other: share for other, share in row.items() if other not in allowed}
-        worst = sorted(((share, other) for other, share in others.items() if share > CONFUSED), reverse=True)
-        names = ", ".join(f"{other} {share:.0%}" for share, other in worst)
-        passes = f"{row[text]:.0%}" if text in row else ""
-        table.add_row(text, str(len(own[text])), passes, f"{fmean(others.values()):.1%}", names)
+    table = Table("text", "own motions", "pass", "others pass (mean)", f"passed by, above {CONFUSED:.0%}")
+    for text in parts:
+        others = {other: share for other, share in shares[text].items() if text not in same_meaning(other)}
+        named = sorted(((share, other) for other, share in others.items() if parts[other] & parts[text]), reverse=True)
+        worst = ", ".join(f"{other} {share:.0%}" for share, other in named if share > CONFUSED)
+        passes = f"{shares[text][text]:.0%}" if own[text] else ""
+        table.add_row(text, str(len(own[text])), passes, f"{fmean(others.values()):.1%}", worst)
     Console().print(table)
 
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import torch
 
-from stmc.metrics.actions import joint_speed
+from stmc.metrics.actions import joint_speed, lean
 from stmc.metrics.gestures import (
     BITE,
     EAR,
@@ -22,6 +22,7 @@ from stmc.metrics.gestures import (
     hand_gap,
     hand_speed,
     longest,
+    looked_left,
     reversals,
     seen_from,
     visits,
@@ -48,10 +49,10 @@ def waves(motion: Motion) -> bool:
 
 
 def eats(motion: Motion) -> bool:
-    """Whether the left hand visits the mouth twice or more, for at most 1.2 seconds each, and goes down by 15 cm or
+    """Whether the left hand visits the mouth twice or more, for 0.25 to 1.2 seconds each, and goes down by 15 cm or
     more in between."""
     height = seen_from(motion, "left_wrist", "head")[:, 1]
-    stays = visits(within(motion, BITE), motion.fps, 0.1, 0.25)
+    stays = visits(within(motion, BITE), motion.fps, 0.25, 0.25)
     dips = [float(height[first:last].min()) for (_, first), (last, _) in pairwise(stays)]
     brief = all(last - first <= 1.2 * motion.fps for first, last in stays)
     return len(dips) >= 1 and brief and max(dips) < -0.2
@@ -121,14 +122,14 @@ def picks_up(motion: Motion) -> bool:
 
 
 def wipes(motion: Motion) -> bool:
-    """Whether the left hand goes to and fro four times or more in front of the body, the forearm not upright."""
+    """Whether the left hand, without the other one, goes to and fro four times or more well in front of the body, the
+    forearm not upright and the trunk not bent down."""
     place = seen_from(motion, "left_wrist", "chest")
-    ahead = (place[:, 2] > 0.18) & (place[:, 1] < 0.2) & (place[:, 1] > -0.42)
-    ahead = ahead & (elevation(motion, "left_elbow", "left_wrist") < math.radians(45)) & ~within(motion, MOUTH)
-    strokes = [
-        max(reversals(place[a:b, axis], 0.08) for axis in (0, 1)) for a, b in visits(ahead, motion.fps, 0.5, 0.2)
-    ]
-    return max(strokes, default=0) >= 4
+    ahead = (place[:, 2] > 0.22) & (place[:, 1] < 0.2) & (place[:, 1] > -0.42) & (lean(motion)[:, 0] < math.radians(35))
+    level = elevation(motion, "left_elbow", "left_wrist") < math.radians(45)
+    alone = level & (hand_gap(motion) > 0.2) & ~within(motion, MOUTH)
+    stays = visits(ahead & alone, motion.fps, 0.5, 0.1)
+    return max((reversals(place[a:b, axis], 0.08) for a, b in stays for axis in (0, 1)), default=0) >= 4
 
 
 def looks(motion: Motion) -> bool:
@@ -137,8 +138,8 @@ def looks(motion: Motion) -> bool:
     yaw, few = gaze(motion)[:, 0], max(1, round(motion.fps))
     heading = torch.nn.functional.pad(turned(motion)[None], (few // 2, few - few // 2), mode="replicate")[0]
     calm = (heading[few:] - heading[:-few]) < math.radians(25)
-    held = longest((yaw > math.radians(30)) & calm, motion.fps)
-    return held > 0.3 and float(yaw.min()) > -0.5 * float(yaw.max()) and float(yaw.max() - yaw.min()) > math.radians(20)
+    held = longest((yaw > math.radians(30)) & calm & (looked_left(motion) > math.radians(25)), motion.fps)
+    return held > 0.3 and float(yaw.min()) > -0.5 * float(yaw.max())
 
 
 def claps(motion: Motion) -> bool:

@@ -95,8 +95,8 @@ _SYMMETRIC = {
     ),
     "slowly walk forwards": Check(lambda motion: legs.walks(motion, 0.15, 0.9), ("walk-slow",)),
     "slowly walk backwards": Check(lambda motion: legs.walks(motion, -0.46, -0.12), ("walk-back-slow",)),
-    "quickly walk forwards": Check(lambda motion: legs.walks(motion, 1.4, 2.4), ("walk-fast",)),
-    "quickly walk backwards": Check(lambda motion: legs.walks(motion, -2.0, -0.85), ("walk-back-fast",)),
+    "quickly walk forwards": Check(lambda motion: legs.walks(motion, 1.5, 2.4), ("walk-fast",)),
+    "quickly walk backwards": Check(lambda motion: legs.walks(motion, -2.0, -1.0), ("walk-back-fast",)),
     "run": Check(lambda motion: legs.jogs(motion, 1.5, 9.0), ("run",), ("jogs forwards",)),
     "jogs forwards": Check(lambda motion: legs.jogs(motion, 1.3, 9.0), ("run",), ("run",)),
     "jogs backwards": Check(lambda motion: legs.jogs(motion, -3.5, -0.7), ("jog-back",)),
@@ -121,6 +121,11 @@ MTT_CHECKS: Mapping[str, Check] = MappingProxyType({
     **{mirror_words(text): _mirrored(check) for text, check in _SIDED.items() if "180" not in text},
 })  # fmt: skip
 """By MTT's text."""
+
+
+def same_meaning(text: str) -> frozenset[str]:
+    """A text, and those whose checks its motions may pass since they mean it, too."""
+    return frozenset({text} | {other for other, check in MTT_CHECKS.items() if text in check.meant})
 
 
 def confusions(motions: Mapping[str, Sequence[Motion]]) -> dict[str, dict[str, float]]:

@@ -16,7 +16,7 @@ from stmc.metrics.actions import (
     pelvis_height,
     way,
 )
-from stmc.metrics.gestures import hand_gap, longest, seen_from
+from stmc.metrics.gestures import hand_gap, longest
 from stmc.metrics.kinematics import joint
 from stmc.metrics.steps import (
     airborne,
@@ -25,6 +25,7 @@ from stmc.metrics.steps import (
     path_length,
     pivots,
     rests_after,
+    to_the_left,
     turned,
 )
 from stmc.motion import Motion
@@ -44,7 +45,8 @@ def straight(motion: Motion) -> bool:
 def walks(motion: Motion, slowest: float, fastest: float) -> bool:
     """Whether a body goes straight ahead, by its heading, at a mean speed in between (metres per second, negative
     backwards), a foot on the floor."""
-    paced = slowest <= mean_speed(motion) <= fastest and airborne(motion) < 2.5 * RUNNING
+    most = RUNNING if fastest < 0 else 2.5 * RUNNING  # the toes of some actors and recordings float in every walk
+    paced = slowest <= mean_speed(motion) <= fastest and airborne(motion) < most
     return paced and straight(motion) and not jumps_with_both_feet(motion)
 
 
@@ -73,7 +75,8 @@ def circles(motion: Motion) -> bool:
 def turns(motion: Motion, least: float, most: float) -> bool:
     """Whether an upright body has turned to the left by `least` to `most` degrees in the end, and never by 25 more."""
     angle, upright = torch.rad2deg(turned(motion)), float(pelvis_height(motion).min()) > SEATED
-    return least <= float(angle[-1]) <= most and float(angle.max()) < most + 25 and upright
+    kicks = max(kick_height(motion, side) for side in ("left", "right")) > 0.5
+    return least <= float(angle[-1]) <= most and float(angle.max()) < most + 25 and upright and not kicks
 
 
 def quarter_circle(motion: Motion) -> bool:
@@ -139,27 +142,24 @@ def jumping_jacks(motion: Motion) -> bool:
 
 
 def golfs(motion: Motion) -> bool:
-    """Whether two hands that stay together swing fast across the body, past the low middle, from one side to the
-    other."""
-    both = (seen_from(motion, "left_wrist", "chest") + seen_from(motion, "right_wrist", "chest")) / 2
-    together = hand_gap(motion) < 0.3
-    low = (both[:, 1] < -0.25) & together
-    speed = (both.diff(dim=0).norm(dim=-1) * motion.fps)[together[1:]]
-    if float(together.float().mean()) < 0.6 or not bool(low.any()):
+    """Whether two hands that stay together swing fast, low in the middle, from one side of the body to the other."""
+    hands = (joint(motion, "left_wrist") + joint(motion, "right_wrist")) / 2 - joint(motion, "pelvis")
+    together, across = hand_gap(motion) < 0.25, to_the_left(motion, hands)
+    if float(together.float().mean()) < 0.5:
         return False
-    across = both[together, 0]
-    return float(across.max() - across.min()) > 0.4 and bool((speed > 2.2).any())
+    swung = hands.diff(dim=0).norm(dim=-1)[together[1:]] * motion.fps
+    sides = float(across[together].min()) < -0.15 and float(across[together].max()) > 0.15
+    return sides and bool((swung > 2.2).any()) and float(hands[together, 2].min()) < 0.1
 
 
 def bows(motion: Motion) -> bool:
-    """Whether an upright body leans forward by 25 degrees or more, more than to a side, and comes up again."""
-    bent = lean(motion)
-    deepest = int(bent[:, 0].argmax())
-    most = float(bent[deepest, 0])
-    after = float(bent[deepest:, 0].min())
-    upright = float(pelvis_height(motion)[deepest]) > UPRIGHT
-    slow = longest(bent[:, 0] > math.radians(15), motion.fps) > 0.75
-    return most > math.radians(25) and after < 0.6 * most and upright and slow and not _hands_low(motion)
+    """Whether an upright body bends forward by 28 degrees or more, for 0.9 seconds, and comes up again."""
+    bent, height = lean(motion)[:, 0], pelvis_height(motion)
+    deepest = int(bent.argmax())
+    most = float(bent[deepest])
+    rises = max(float(bent[: deepest + 1].min()), float(bent[deepest:].min())) < 0.6 * most
+    slow = longest(bent > math.radians(20), motion.fps) >= 0.9
+    return most > math.radians(28) and rises and slow and float(height[deepest]) > 0.7 and not _hands_low(motion)
 
 
 def _hands_low(motion: Motion) -> bool:
@@ -167,12 +167,12 @@ def _hands_low(motion: Motion) -> bool:
 
 
 def dodges(motion: Motion) -> bool:
-    """Whether the head goes aside by 12 cm or more beside the pelvis within 0.6 seconds, and comes back."""
-    head = joint(motion, "head") - joint(motion, "pelvis")
-    ahead, few = motion.facing, max(1, round(0.6 * motion.fps))
-    across = head[:, 1] * ahead[:, 0] - head[:, 0] * ahead[:, 1]
-    away = (across - across.median()).abs()
+    """Whether the head goes aside or back by 11 cm or more beside the pelvis within 0.6 seconds, and comes back."""
+    head, few = joint(motion, "head") - joint(motion, "pelvis"), max(1, round(0.6 * motion.fps))
+    across, ahead = to_the_left(motion, head), (head * motion.facing).sum(dim=-1)
+    away = torch.maximum((across - across.median()).abs(), ahead.median() - ahead)
     peak = int(away.argmax())
-    quick = float(away[peak] - away[max(0, peak - few) : peak + 1].min())
+    far, quick = float(away[peak]), float(away[peak] - away[max(0, peak - few) : peak + 1].min())
     kicks = max(float(joint(motion, f"{side}_ankle")[:, 2].max()) for side in ("left", "right")) > 0.6
-    return float(away[peak]) > 0.12 and quick > 0.1 and float(away[peak:].min()) < 0.5 * float(away[peak]) and not kicks
+    comes_back = float(away[peak:].min()) < 0.5 * far
+    return far > 0.11 and quick > 0.09 and comes_back and not kicks and not jumps_with_both_feet(motion)

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.geometry import global_rotations
+from stmc.geometry import global_rotations, wrap
 from stmc.metrics.actions import stretches
 from stmc.metrics.kinematics import joint
 from stmc.motion import Motion
@@ -103,8 +103,16 @@ def hand_speed(motion: Motion, side: str) -> Float[Tensor, " _"]:
 
 
 def gaze(motion: Motion) -> Float[Tensor, "frames 2"]:
-    """Radians by which the head is turned to the left of the chest, and raised above the horizontal."""
+    """Radians by which the head is turned to the left of the chest, and raised above where the chest faces."""
     world = global_rotations(motion.rotations, PARENTS[:NUM_ROTATIONS])
-    head, chest = world[:, JOINTS.index("head")], world[:, JOINTS.index("spine3")]
-    ahead = (chest.mT @ head)[..., 2]
-    return torch.stack([torch.atan2(ahead[:, 0], ahead[:, 2]), torch.asin(head[:, 2, 2].clamp(-1, 1))], dim=1)
+    ahead = (world[:, JOINTS.index("spine3")].mT @ world[:, JOINTS.index("head")])[..., 2]
+    return torch.stack([torch.atan2(ahead[:, 0], ahead[:, 2]), torch.asin(ahead[:, 1].clamp(-1, 1))], dim=1)
+
+
+def looked_left(motion: Motion) -> Float[Tensor, " frames"]:
+    """Radians by which the head has turned to the left in the world since it looked furthest to the right before."""
+    ahead = global_rotations(motion.rotations, PARENTS[:NUM_ROTATIONS])[:, JOINTS.index("head"), :, 2]
+    angle = torch.atan2(ahead[:, 1], ahead[:, 0])
+    steps = wrap(angle.diff())
+    turned = torch.cat([steps.new_zeros(1), steps.cumsum(dim=0)])
+    return turned - turned.cummin(dim=0).values

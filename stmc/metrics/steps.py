@@ -25,7 +25,8 @@ TURNING = math.radians(12)
 
 
 class Jump(NamedTuple):
-    """Frames `[first, last)` in the air, and metres to the front and to the left by which the body is carried."""
+    """Frames `[first, last)` in the air, and metres to the front and to the left by which the body is carried, from
+    `TOGETHER` before the flight to as long after it."""
 
     first: int
     last: int
@@ -39,10 +40,16 @@ def turned(motion: Motion) -> Float[Tensor, " frames"]:
     return torch.cat([steps.new_zeros(1), steps.cumsum(dim=0)])
 
 
+def to_the_left(motion: Motion, vectors: Float[Tensor, "frames 3"]) -> Float[Tensor, " frames"]:
+    """How far vectors lead to the left of where the body faces."""
+    ahead = motion.facing.to(vectors)
+    return vectors[:, 1] * ahead[:, 0] - vectors[:, 0] * ahead[:, 1]
+
+
 def path_length(motion: Motion, name: str = "pelvis") -> float:
-    """Metres that a joint covers over the floor, tremors of less than a quarter second left out."""
+    """Metres that a joint covers over the floor, tremors of less than a tenth of a second left out."""
     place = joint(motion, name)[:, :2]
-    stride = max(1, round(motion.fps / 4))
+    stride = max(1, round(motion.fps / 10))
     marks = torch.cat([place[::stride], place[-1:]])
     return float(marks.diff(dim=0).norm(dim=-1).sum())
 
@@ -59,7 +66,7 @@ def jumps_with_both_feet(motion: Motion) -> list[Jump]:
     for first, last in flights(motion):
         before, after = down[max(0, first - slack) : first], down[last : last + slack + 1]
         if bool(before.any(dim=0).all()) and bool(after.any(dim=0).all()):
-            start, end = max(0, first - 1), min(last, len(motion) - 1)
+            start, end = max(0, first - slack), min(last + slack, len(motion) - 1)
             way, ahead = motion.translation[end] - motion.translation[start], motion.facing[start]
             across = torch.stack([-ahead[1], ahead[0]])
             jumps.append(Jump(first, last, float(way[:2] @ ahead[:2]), float(way[:2] @ across)))
@@ -76,16 +83,16 @@ def rests_after(motion: Motion, frame: int, seconds: float = 0.8, speed: float =
 
 def pivots(motion: Motion, side: str, still: float = 0.05, other_path: float = 0.5) -> bool:
     """Whether, while the body turns, the ball of one foot stays within `still` metres and the other foot covers
-    `other_path` metres at least."""
-    angle = turned(motion)
-    inside = (angle.abs() > TURNING) & ((angle[-1] - angle).abs() > TURNING)
-    if not bool(inside.any()):
+    `other_path` metres at least, from 0.3 seconds before the turn to as long after it."""
+    angle, slack = turned(motion), round(0.3 * motion.fps)
+    inside = ((angle.abs() > TURNING) & ((angle[-1] - angle).abs() > TURNING)).nonzero()[:, 0]
+    if not len(inside):
         return False
-    frames = inside.nonzero()[:, 0]
-    part = motion.trimmed(int(frames[0]), int(frames[-1]) + 1)
-    ball, other = joint(part, f"{side}_foot")[:, :2], "right" if side == "left" else "left"
+    first, last = int(inside[0]), int(inside[-1]) + 1
+    ball, other = joint(motion, f"{side}_foot")[first:last, :2], "right" if side == "left" else "left"
     drift = (ball - ball.median(dim=0).values).norm(dim=-1).max()
-    return bool(drift < still) and path_length(part, f"{other}_foot") > other_path
+    around = motion.trimmed(max(0, first - slack), min(last + slack, len(motion)))
+    return bool(drift < still) and path_length(around, f"{other}_foot") > other_path
 
 
 def kick_height(motion: Motion, side: str, speed: float = 3.0) -> float:
