@@ -1,9 +1,12 @@
-"""Ask a model for every action of its data that geometry can tell: `stmc actions model=RUN`."""
+"""Ask a model for every action of its data that geometry can tell: `stmc actions model=RUN`.
+
+With `texts=texts.txt`, ask for the 60 texts of MTT, each alone on its own body parts.
+"""
 
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -19,6 +22,8 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
+from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_texts
+from stmc.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words, same_meaning
 from stmc.benchmarks.questions import QUESTIONS, rates
 from stmc.commands import command
 from stmc.commands.shared import OnModel
@@ -31,6 +36,7 @@ from stmc.metrics.kinematics import foot_sliding, hand_step
 from stmc.metrics.retrieval import cosines, ranks
 from stmc.model import Precision
 from stmc.motion import Motion
+from stmc.representation import Representation, SmplRepresentation
 from stmc.settings import SettingError, setting
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing import film_strip
@@ -40,6 +46,12 @@ WINDOW = 4.0
 
 AMONG = 3
 """A content is found where the evaluator has it among its best so many."""
+
+SHOWN = 0.75
+"""The share of a text's samples that show it, where a model can do it: 6 of 8."""
+
+CONFUSED = 0.2
+"""The share of motions of one text that pass the check of another, from which on it is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,15 +68,26 @@ class Settings(OnModel):
     steps: int | None = setting(50, "of denoising, fast actions need many; null: as many as in training", at_least=1)
     clean_feet: bool = setting(False, "feet stay where they stand, and above the floor; false: as the model made them")
     noise_scale: str | None = setting(None, "of DDPM's noise; null: the model's own", choices=get_args(NoiseScale))
+    texts: str | None = setting(None, "MTT's texts.txt: ask for its 60 texts, not for the contents of the data")
+    paraphrases: str | None = setting(None, "JSON of other words for the texts, as in {text: words}")
+    recorded: bool = setting(False, "judge the recordings of the cache that show the texts, not a model")
+    seconds: float | int = setting(6.0, "that each text lasts", at_least=1)
+    batch: int = setting(64, "motions of texts that are sampled at once", at_least=1)
     output: str = setting("outputs/actions", "folder of pictures and numbers")
     precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
 
 
 @command("actions", Settings, ("model", "evaluator", "output"))
 def main(config: DictConfig) -> None:
+    if config.texts:
+        return calibrate(config) if config.recorded else ask_texts(config)
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
     finder = Finder(stmc.load_evaluator(config.evaluator, device=config.device))
-    real, results, console = recorded(read_caches(list(config.cache)), model, config.clips), {}, Console()
+    real, results, console = (
+        recorded(read_caches(list(config.cache)), model.representation, model.skeleton, config.clips),
+        {},
+        Console(),
+    )
     for name in track(chosen(config, set(real)), "Sampling", console=console):
         seconds = min(WINDOW, median(motion.duration for motion in real[name]))
         motions = {text: asked(config, model, name, text, seconds) for text in sentences(config, name)}
@@ -149,7 +172,9 @@ def draw(path: Path, motions: Mapping[str, Motion]) -> None:
     write_whole(path, partial(page.save, format="png"))
 
 
-def recorded(cache: Cache, model: stmc.Model, most: int) -> dict[str, list[Motion]]:
+def recorded(
+    cache: Cache, representation: Representation, skeleton: stmc.Skeleton, most: int
+) -> dict[str, list[Motion]]:
     """Up to `most` real motions of every content, spread over its clips; of cyclic clips, windows."""
     places: dict[str, list[tuple[int, int]]] = {}
     window = round(WINDOW * cache.fps)
@@ -161,7 +186,7 @@ def recorded(cache: Cache, model: stmc.Model, most: int) -> dict[str, list[Motio
             places.setdefault(clip.content, []).extend(ends)
     return {
         content: [
-            model.representation.decode(cache.features[start:end], cache.fps, model.skeleton)
+            representation.decode(cache.features[start:end], cache.fps, skeleton)
             for start, end in found[:: max(1, len(found) // most)][:most]
         ]
         for content, found in places.items()
@@ -184,6 +209,110 @@ def report(results: dict, console: Console) -> None:
         console.print(
             f"largest hand step, {whose}: {max(row[whose]['hand_step_cm'] for row in results.values()):.0f} cm"
         )
+
+
+def ask_texts(config: DictConfig) -> None:
+    """How many samples of each text of MTT show it, and their own side alone, and whether its prompt warns."""
+    model = stmc.load(config.model, device=config.device, precision=config.precision)
+    prompts = read_texts(config.texts)
+    if unknown := [prompt.text for prompt in prompts if prompt.text not in MTT_CHECKS]:
+        raise SettingError(f"texts={config.texts}: {unknown[0]!r} is none of MTT's {len(MTT_CHECKS)} texts")
+    words = reworded(config.paraphrases, prompts)
+    known = model.recognise(list(words.values())) if model.vocabulary else []
+    warned = {text: not each.known for text, each in zip(words, known, strict=False)}
+    results = {}
+    for prompt, motions in zip(prompts, sampled_texts(config, model, prompts, words), strict=True):
+        answers = [text_answers(prompt.text, motion) for motion in motions]
+        results[prompt.text] = {"words": words[prompt.text], "warned": warned.get(prompt.text)} | {
+            name: fmean(answer[name] for answer in answers) for name in answers[0]
+        }
+    write_text(Path(config.output) / "mtt_texts.json", json.dumps(results, indent=1) + "\n")
+    report_texts(results, config.samples)
+
+
+def reworded(path: str | None, prompts: Sequence[AtomicPrompt]) -> dict[str, str]:
+    """The words to ask with, by the text. Raises `SettingError` where a text has none."""
+    if path is None:
+        return {prompt.text: prompt.text for prompt in prompts}
+    table = json.loads(Path(path).read_text(encoding="utf-8"))
+    if missing := [prompt.text for prompt in prompts if not isinstance(table.get(prompt.text), str)]:
+        raise SettingError(f"paraphrases={path}: no words for {missing[0]!r}")
+    return {prompt.text: table[prompt.text] for prompt in prompts}
+
+
+def sampled_texts(
+    config: DictConfig, model: stmc.Model, prompts: Sequence[AtomicPrompt], words: Mapping[str, str]
+) -> Iterator[list[Motion]]:
+    """The samples of one text after the other; those of several are made at once."""
+    timelines = [Timeline((Prompt(words[each.text], 0.0, config.seconds, each.parts),)) for each in prompts]
+    requests = [(timeline, config.seed + number) for timeline in timelines for number in range(config.samples)]
+    motions: list[Motion] = []
+    for start in track(range(0, len(requests), config.batch), "Sampling"):
+        batch, seeds = zip(*requests[start : start + config.batch], strict=True)
+        motions += model.generate(
+            list(batch),
+            seed=list(seeds),
+            guidance=config.guidance,
+            steps=config.steps,
+            noise_scale=config.noise_scale,
+            clean_feet=config.clean_feet,
+        )
+        while len(motions) >= config.samples:
+            yield motions[: config.samples]
+            motions = motions[config.samples :]
+
+
+def text_answers(text: str, motion: Motion) -> dict[str, bool]:
+    """Whether a motion shows a text, and its side alone (its mirror image does not); and which others it passes."""
+    shown = MTT_CHECKS[text].shows(motion)
+    sided = shown and (mirror_words(text) == text or not MTT_CHECKS[text].shows(motion.mirrored()))
+    others = {other: check.shows(motion) for other, check in MTT_CHECKS.items() if other not in same_meaning(text)}
+    return {"shown": shown, "sided": sided} | others
+
+
+def report_texts(results: Mapping[str, Mapping], samples: int) -> None:
+    """Each text with its samples, whether it warns and which others they pass; then how many texts are shown."""
+    console, table = Console(), Table("text", "shown", "its side alone", "warns", "passes also")
+    for text, row in results.items():
+        counts = [f"{samples * row[name]:.0f}/{samples}" for name in ("shown", "sided")]
+        name = text if row["words"] == text else f"{text}: {row['words']}"
+        warns = {None: "?", True: "warns", False: ""}[row["warned"]]
+        table.add_row(name, counts[0], counts[1] if mirror_words(text) != text else "", warns, others_passed(row))
+    console.print(table)
+    shown = {text: row["sided"] >= SHOWN for text, row in results.items()}
+    silent = sum(not shown[text] and row["warned"] is False for text, row in results.items())
+    warned = sum(shown[text] and bool(row["warned"]) for text, row in results.items())
+    mean = fmean(row["shown"] for row in results.values())
+    console.print(
+        f"shown: {sum(shown.values())} of {len(results)} texts, in {SHOWN:.0%} of the samples or more; "
+        f"mean {mean:.2f}; missed without a warning: {silent}; shown although warned of: {warned}",
+        soft_wrap=True,
+    )
+
+
+def others_passed(row: Mapping) -> str:
+    """The other texts whose checks are passed most often, above `CONFUSED`."""
+    passed = sorted(((row[other], other) for other in MTT_CHECKS if row.get(other, 0) > CONFUSED), reverse=True)
+    return ", ".join(f"{other} {share:.0%}" for share, other in passed[:3])
+
+
+def calibrate(config: DictConfig) -> None:
+    """Of each text, how often recorded motions of its own pass its check, and those of all other texts. A text that
+    claims other body parts is not named: what its motions do with these is no part of it."""
+    cache, representation = read_caches(list(config.cache)), SmplRepresentation()
+    real = recorded(cache, representation, cache.skeleton or stmc.Skeleton.default(), config.clips)
+    parts = {prompt.text: prompt.parts for prompt in read_texts(config.texts)}
+    own = {text: [motion for action in MTT_CHECKS[text].actions for motion in real.get(action, [])] for text in parts}
+    shares = confusions({text: motions for text, motions in own.items() if motions})
+    write_text(Path(config.output) / "mtt_checks.json", json.dumps(shares, indent=1) + "\n")
+    table = Table("text", "own motions", "pass", "others pass (mean)", f"passed by, above {CONFUSED:.0%}")
+    for text in parts:
+        others = {other: share for other, share in shares[text].items() if text not in same_meaning(other)}
+        named = sorted(((share, other) for other, share in others.items() if parts[other] & parts[text]), reverse=True)
+        worst = ", ".join(f"{other} {share:.0%}" for share, other in named if share > CONFUSED)
+        passes = f"{shares[text][text]:.0%}" if own[text] else ""
+        table.add_row(text, str(len(own[text])), passes, f"{fmean(others.values()):.1%}", worst)
+    Console().print(table)
 
 
 if __name__ == "__main__":

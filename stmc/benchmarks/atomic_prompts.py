@@ -76,12 +76,28 @@ def read_atomic_prompts(path: str | Path, motions: str | Path | None = None) -> 
             )
             for (number, (text, *parts)), (at, motion) in zip(texts, shown, strict=True)
         ]
+    return _unique(atomic_prompts, path)
+
+
+def _unique(atomic_prompts: list[AtomicPrompt], path: Path) -> list[AtomicPrompt]:
     seen: set[str] = set()
     for prompt in atomic_prompts:
         if prompt.text in seen:
             raise TimelineError(f"{path}: {prompt.text!r} is duplicated")
         seen.add(prompt.text)
     return atomic_prompts
+
+
+def read_texts(path: str | Path) -> list[AtomicPrompt]:
+    """The texts and body parts of a file in the published form, `text # part # part`, without a motion that shows them
+    (`clip` is empty). Raises `TimelineError` as `read_atomic_prompts` does."""
+    return _unique(
+        [
+            replace(_atomic_prompt(text, parts, "", 0.0, SHORTEST, place=f"{path}, line {number}"), end=0.0)
+            for number, (text, *parts) in _fields(Path(path))
+        ],
+        Path(path),
+    )
 
 
 def write_atomic_prompts(atomic_prompts: Sequence[AtomicPrompt], path: str | Path) -> None:

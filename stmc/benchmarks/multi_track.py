@@ -18,25 +18,23 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stmc.benchmarks.atomic_prompts import LONGEST, AtomicPrompt, read_atomic_prompts
+from stmc.benchmarks.crops import asked_of, crop_spans, jerk_rows
 from stmc.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions, cache_reference_motions
 from stmc.benchmarks.protocol import Scores, TextEvaluator
 from stmc.benchmarks.questions import QUESTIONS, Question
 from stmc.benchmarks.resampling import Remembering, Rows, Units, resampled
 from stmc.data.cache import CacheError, Clip, read_caches
-from stmc.metrics.kinematics import hand_step, local_joints, window_jerk
+from stmc.metrics.kinematics import hand_step, local_joints
 from stmc.metrics.realism import fid
-from stmc.metrics.smoothness import pose_steps, quarter_points, transition_window
+from stmc.metrics.smoothness import pose_steps, quarter_points
 from stmc.metrics.timelines import DEFINED, PUBLISHED, Formulas, GroundTruth, Span, measured_points, semantics
 from stmc.motion import Motion
 from stmc.representation import JointsFrom, SmplRepresentation
 from stmc.sampling import INDEPENDENT
-from stmc.timeline import Prompt, Timeline, TimelineError
+from stmc.timeline import Timeline, TimelineError
 
 PER_TEXT = 12
 """Real clips of each text that FID compares with in the open benchmark."""
-
-JERKED_SECONDS = 1
-"""Of a transition whose jerk is measured, as of BABEL's (FlowMDM, section 4.1): prompts follow too soon for more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +91,7 @@ class MultiTrack:
 
     def timelines(self, method: str) -> list[Timeline]:
         """Those of the benchmark; for "independent" each of their prompts as a timeline."""
-        if method != INDEPENDENT:
-            return list(self.asked)
-        prompts = [prompt for timeline in self.asked for prompt in timeline.prompts]
-        return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
+        return asked_of(method, self.asked)
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
         """See `formulas`; "shown" is the share, in percent, of the crops with a question that answer it, "shown_chance"
@@ -140,14 +135,7 @@ class MultiTrack:
         return self._jerk_rows(motions, points, range(len(motions))).values
 
     def _jerk_rows(self, motions: Sequence[Motion], points: Sequence[Sequence[int]], units: Sequence[int]) -> Rows:
-        length, jerks, owners = round(JERKED_SECONDS * self.evaluator.fps), [], []
-        for motion, chosen, unit in zip(motions, points, units, strict=True):
-            for point in chosen:
-                start, end = transition_window(point, length)
-                if start >= 0 and end <= len(motion):
-                    jerks.append(window_jerk(motion.trimmed(start, end), length))
-                    owners.append(unit)
-        return Rows(torch.stack(jerks) if jerks else torch.zeros(0, length - 3), owners)
+        return jerk_rows(motions, points, units, self.evaluator.fps)
 
     def _with_jerk(self, scores: Scores, jerks: Float[Tensor, "windows frames"]) -> Scores:
         """As they are where all motions, or all real ones, are shorter than a window."""
@@ -226,14 +214,8 @@ class MultiTrack:
         return self._with_jerk(Scores(metrics), evidence.jerks.of(units)).metrics
 
     def _spans(self, method: str, lengths: Sequence[int]) -> list[list[Span]]:
-        """Of every motion, which frames should show which text; none goes on beyond its end."""
-        numbers, spans = {prompt.text: number for number, prompt in enumerate(self.atomic_prompts)}, []
-        for timeline, length in zip(self.timelines(method), lengths, strict=True):
-            whole = [(0, length)] * len(timeline.prompts)
-            asked = whole if method in ("one_text", INDEPENDENT) else timeline.spans(self.evaluator.fps)
-            named = zip(asked, timeline.prompts, strict=True)
-            spans.append([(start, min(end, length), numbers[prompt.text]) for (start, end), prompt in named])
-        return spans
+        numbers = {prompt.text: number for number, prompt in enumerate(self.atomic_prompts)}
+        return crop_spans(method, self.asked, lengths, self.evaluator.fps, numbers)
 
 
 def open_mtt(
@@ -261,10 +243,10 @@ def open_mtt(
         drawn = [clips[index] for index in rng.integers(len(clips), size=PER_TEXT)]
         others += [reference_motions(clip.name, 0.0, _seconds(clip, prepared.fps)) for clip in drawn]
     contents = {clip.name: clip.content for clip in prepared.clips}
-    asked_of = {
+    questions = {
         prompt.text: QUESTIONS[contents[prompt.clip]] for prompt in atomic_prompts if contents[prompt.clip] in QUESTIONS
     }
-    return MultiTrack.of(asked, atomic_prompts, evaluator, reference_motions, others, questions=asked_of)
+    return MultiTrack.of(asked, atomic_prompts, evaluator, reference_motions, others, questions=questions)
 
 
 def published_mtt(

@@ -45,6 +45,7 @@ class Measure:
 
 MEASURES = (
     Measure("shown", "Action success rate", "higher", 0, "%", chance="shown_chance"),
+    Measure("timelines_shown", "Timelines with all prompts shown", "higher", 0, "%"),
     Measure("recall_1", "R@1", "higher", 1, "%"),
     Measure("recall_3", "R@3", "higher", 1, "%"),
     Measure("m2t", "TMR-Score M2T", "higher", 3),
@@ -52,6 +53,7 @@ MEASURES = (
     Measure("fid", "FID (crops)", "lower", 3),
     Measure("fid_plus", "FID+", "lower", 3),
     Measure("transition", "Transition distance", "lower", 1, "cm"),
+    Measure("sliding", "Foot sliding", "lower", 2, "cm"),
     Measure("hand_step", "Largest hand step", "real", 1, "cm"),
     Measure("hand_step_99", "Hand step (99 % of motions)", "real", 1, "cm"),
     Measure("r_precision", "R-prec", "higher", 3),
