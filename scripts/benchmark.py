@@ -42,7 +42,7 @@ def main(config: DictConfig) -> None:
     chosen = timelines[: config.batch]
 
     def sampled(model: stmc.Model, asked: object, seed: int, method: str = config.method) -> list[stmc.Motion]:
-        return model.generate(asked, seed=seed, steps=config.steps, method=method)
+        return model.generate(asked, seed=seed, steps=config.steps, method=method, clean_feet=False)
 
     rows = []
     for _ in track(range(config.repeats), "Repeats"):
