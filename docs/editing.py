@@ -85,11 +85,11 @@ def constraints_on(pose: Motion) -> dict[str, list]:
 
 def edits(model: stmc.Model, steps: int) -> None:
     for number, (name, before, after, changes, shown) in enumerate(EDITS):
-        old = model.generate([before] * 3, seed=SEEDS, steps=steps)
+        old = model.generate([before] * 3, seed=SEEDS, steps=steps, clean_feet=False)
         if changes is None:
             changes = stmc.changed_prompts(stmc.Timeline.parse(before), stmc.Timeline.parse(after))
-        new = model.generate([after] * 3, seed=[10, 11, 12], keep=old, change=changes, steps=steps)
-        again = model.generate([after] * 3, seed=SEEDS, steps=steps)
+        new = model.generate([after] * 3, seed=[10, 11, 12], keep=old, change=changes, steps=steps, clean_feet=False)
+        again = model.generate([after] * 3, seed=SEEDS, steps=steps, clean_feet=False)
         for seed, first, second, same in zip(SEEDS, old, new, again, strict=True):
             told = f"{name}, seed {seed}: {_kept(first, second, changes)}, new text shown: {shown(second)}"
             sys.stdout.write(f"{told}; same seed alone: shown {shown(same)}, {_legs(first, same)}\n")
@@ -131,8 +131,8 @@ def _legs(old: Motion, new: Motion) -> str:
 
 def constraints(model: stmc.Model, steps: int) -> None:
     """Largest errors, and what they cost, as sampled and with clean feet: of each motion, and the means of three."""
-    asked = {"seed": SEEDS, "steps": steps, "sampler": "ddim"}
-    [bow] = model.generate("bow # 0 # 3", seed=0, steps=steps)
+    asked = {"seed": SEEDS, "steps": steps, "sampler": "ddim", "clean_feet": False}
+    [bow] = model.generate("bow # 0 # 3", seed=0, steps=steps, clean_feet=False)
     deepest = int(bow.joints[:, stmc.body.JOINTS.index("head"), 2].argmin())
     free = model.generate([WALK_AND_RAISE] * 3, **asked)
     sys.stdout.write(f"nothing demanded: {_cost(free)}; clean {_cost(cleaned(free, [], []))}\n")

@@ -17,7 +17,7 @@ def main(folders: list[str]) -> None:
     """Prints how far feet slide, and what cleaning changes: of sampled motions, and of a recording of each content."""
     model, cache = stmc.load(), read_caches(folders)
     timelines = [f"{text} # 0 # {SECONDS:g}" for text in ASKED for _ in SEEDS]
-    sampled = model.generate(timelines, seed=[seed for _ in ASKED for seed in SEEDS], steps=50)
+    sampled = model.generate(timelines, seed=[seed for _ in ASKED for seed in SEEDS], steps=50, clean_feet=False)
     first = {clip.content: clip for clip in reversed(cache.clips) if not clip.mirrored and cache.texts[clip.texts]}
     recorded = [
         model.representation.decode(cache.features[clip.start : clip.end], cache.fps, model.skeleton)

@@ -56,6 +56,7 @@ def main(config: DictConfig) -> None:
                     overlap=config.overlap,
                     steps=config.steps,
                     noise_scale=scale,
+                    clean_feet=False,
                 )
                 results.setdefault(ability.name, {})[scale] = measured(ability, motions)
                 figure = partial(film_strip(motions[0], ability.timeline).savefig, format="png", dpi=80)

@@ -79,7 +79,7 @@ def recorded(model: stmc.Model, config: DictConfig, console: Console) -> tuple[F
         return track(order, "Steps", total=total, console=console)
 
     with recorded_attention(model.denoiser, slice(frame, frame + 1)) as calls:
-        model.generate(timeline, seed=config.seed, method="flow_mdm", progress=watched, **given)
+        model.generate(timeline, seed=config.seed, method="flow_mdm", progress=watched, clean_feet=False, **given)
     if len(calls) != steps:
         raise SettingError(
             f"{len(calls)} calls of the network for {steps} steps: the timeline is too long for one each"

@@ -4,7 +4,7 @@ denoised frames."""
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, replace
+from dataclasses import MISSING, dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -17,7 +17,7 @@ from rich.table import Table
 import stmc
 from stmc.commands import command
 from stmc.commands.shared import OnModel
-from stmc.composing import Method, Run, find_method
+from stmc.composing import Run, find_method
 from stmc.results.naming import method_row
 from stmc.settings import setting
 
@@ -44,7 +44,7 @@ def main(config: DictConfig) -> None:
     chosen = timelines[: config.batch]
 
     def sampled(model: stmc.Model, asked: object, seed: int, method: str = config.method) -> list[stmc.Motion]:
-        return model.generate(asked, seed=seed, steps=config.steps, method=method)
+        return model.generate(asked, seed=seed, steps=config.steps, method=method, clean_feet=False)
 
     rows = []
     for _ in track(range(config.repeats), "Repeats"):
@@ -81,37 +81,23 @@ def clock(run) -> tuple[float, list[stmc.Motion]]:
     return time.perf_counter() - start, motions
 
 
-@dataclass
-class Count:
-    """A method that notes how many frames its predictors denoise, with and without texts, behind no row's end."""
-
-    method: Method
-    frames: int = field(default=0, init=False)
-
-    def sample(self, run: Run):
-        """The method's features."""
-        watched = replace(run, guided=self._watched(run.guided), guided_sequences=self._watched(run.guided_sequences))
-        return self.method.sample(watched)
-
-    def _watched(self, make):
-        def made(*given, **settings):
-            guided = make(*given, **settings)
-
-            def predict(x, t):
-                self.frames += guided.frames_denoised
-                return guided(x, t)
-
-            return predict
-
-        return made
-
-
 def poses_denoised(model: stmc.Model, timelines: list[stmc.Timeline], method: str, steps: int) -> float:
     """How often a frame of a motion is denoised in a step, on average: FlowMDM's measure of efficiency (section 4.2),
     which no machine changes. Crops that overlap, transitions, a second take, and guidance all add to it."""
-    count = Count(find_method(method))
-    motions = model.generate(timelines, steps=steps, method=replace(count.method, sample=count.sample))
-    return count.frames / (steps * sum(motion.frames for motion in motions))
+    chosen, predictors = find_method(method), []
+
+    def noted(make):
+        def made(*given, **settings):
+            predictors.append(make(*given, **settings))
+            return predictors[-1]
+
+        return made
+
+    def sample(run: Run):
+        return chosen.sample(replace(run, guided=noted(run.guided), guided_sequences=noted(run.guided_sequences)))
+
+    motions = model.generate(timelines, steps=steps, method=replace(chosen, sample=sample))
+    return sum(each.frames_denoised for each in predictors) / (steps * sum(motion.frames for motion in motions))
 
 
 def batched_padding(model: stmc.Model, plans: list[stmc.Plan], size: int) -> float:

@@ -210,6 +210,7 @@ def generated(run: Run, numbers: list[int], config: DictConfig) -> tuple[list[st
         seed=[run.seed * len(run.timelines) + number for number in numbers],
         method=find_method(run.setting.method, config.trusted),
         joints_from=run.benchmark.joints_from,
+        clean_feet=False,
         **run.setting.sampling.given,
     )
     return motions, None if run.model.device.type == "cpu" else (time.perf_counter() - began) / len(motions)

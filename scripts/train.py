@@ -232,7 +232,7 @@ def draw(config: DictConfig, model: Model, step: int) -> None:
     """Pictures of the timelines in `config.draw`, always of the same seed: how the model comes along."""
     folder = Path(config.run).expanduser() / "pictures"
     timelines = [stmc.Timeline.parse(text) for text in config.draw]
-    motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim)
+    motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim, clean_feet=False)
     for number, (timeline, motion) in enumerate(zip(timelines, motions, strict=True)):
         picture = partial(stmc.film_strip(motion, timeline).savefig, format="png", dpi=80)
         write_whole(folder / f"{number}_{step:07d}.png", picture)

@@ -235,7 +235,7 @@ class Model:
         keep: Motion | Sequence[Motion] | None = None,
         change: Changes = (),
         constraints: Sequence[Constraint] = (),
-        clean_feet: bool = False,
+        clean_feet: bool = True,
         **settings: Any,
     ) -> list[Motion]:
         """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
@@ -254,7 +254,8 @@ class Model:
                 behind its end; one for all timelines, or one for each.
             change: What is made anew of it: `Change`s (seconds, body parts), or prompts of the timeline.
             constraints: Paths, headings, keyframes, hands and feet, for all timelines: see `stmc.constraints`.
-            clean_feet: As `stmc.clean_feet`, but what is kept stays, and constraints hold.
+            clean_feet: Keep standing feet in place and above the floor, as `stmc.clean_feet` does; kept motion stays,
+                and constraints hold. False: the motion as sampled, which is what an evaluation measures.
             settings: Those of `Sampling`; what is not said is the method's or the model's own.
 
         Raises:

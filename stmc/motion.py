@@ -135,8 +135,8 @@ class Motion:
         )
 
     def resampled(self, fps: float | int) -> Motion:
-        """The same movement at another frame rate: rotations on the sphere, the pelvis on straight lines, and bones with
-        the rotations that turn them, so that they keep their lengths. At its own rate it is the motion itself.
+        """The same movement at another frame rate: rotations on the sphere, the pelvis on straight lines, and bones
+        with the rotations that turn them, so that they keep their lengths. At its own rate it is the motion itself.
 
         Raises `ValueError` where not one frame remains, or more than `bounds` allows.
 

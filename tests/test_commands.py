@@ -1,6 +1,7 @@
 """Commands: how settings are typed and checked, what help says, and how every script ends when something goes wrong."""
 
 import dataclasses
+import inspect
 import os
 import random
 import signal
@@ -21,6 +22,7 @@ from stmc.commands.arguments import quoted, read
 from stmc.commands.dispatch import scripts
 from stmc.commands.endings import EXTRAS, MOST, explained, guarded
 from stmc.settings import about, defaults
+from stmc.studio import jobs
 
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py"))
 NEEDED = {
@@ -121,6 +123,14 @@ def test_a_folder_of_one_s_own_is_forgotten_after_the_command(sample, tmp_path):
     for given, steps in ((["--config-dir", str(tmp_path)], 7), ([], None)):
         config = sample.composed(read(given, sample.settings, sample.parts, sample.positional))
         assert config.steps == steps
+
+
+def test_feet_are_cleaned_by_default_wherever_motions_are_generated_and_never_where_they_are_measured(found):
+    generate = inspect.signature(stmc.Model.generate).parameters["clean_feet"].default
+    assert generate is defaults(found["sample"].settings)["clean_feet"] is jobs.Asked.clean_feet is True
+    for name in ("abilities", "benchmark", "benchmark_length", "evaluate"):
+        calls = (ROOT / "scripts" / f"{name}.py").read_text("utf-8").split("model.generate(")[1:]
+        assert calls and all("clean_feet=False" in call for call in calls)
 
 
 # What is refused -----------------------------------------------------------------------------------------------------

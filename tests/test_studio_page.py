@@ -5,7 +5,7 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Thread
 
@@ -17,8 +17,9 @@ from helpers.studio import knowing
 from PIL import Image
 
 import stmc
-from stmc.studio import Sessions, application
+from stmc.studio import Documents, Sessions, application
 from stmc.studio.connections import server_of
+from stmc.studio.refusals import Refused
 
 pytestmark = [
     pytest.mark.browser,
@@ -38,7 +39,9 @@ BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria
 
 @contextmanager
 def serving(folder: Path, port: int = 0) -> Iterator[int]:
-    """The studio over a folder, at a port, until the end."""
+    """The studio over a folder, at a port, until the end. It is nobody's first visit: there is a document."""
+    with suppress(Refused):
+        Documents(folder / "documents").put("old", 0, {"name": "Of before"})
     with loaded("studio").listen(port) as listening:
         port = listening.getsockname()[1]
         server = server_of(application(knowing(), folder, SESSIONS.setdefault(port, Sessions()), port, steps=12))
@@ -58,10 +61,13 @@ def server(tmp_path_factory) -> Iterator[int]:
 
 
 @contextmanager
-def opened(port: int, folder: Path, width: int = 1280, height: int = 800) -> Iterator[browser.Tab]:
-    """A tab with a new, empty timeline."""
+def opened(port: int, folder: Path, width: int = 1280, height: int = 800, plays: bool = False) -> Iterator[browser.Tab]:
+    """A tab with a new, empty timeline; it plays nothing by itself."""
     with browser.tab(folder / "profile", max(width, 500), height) as tab:
         tab.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        if not plays:
+            still = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+            tab.call("Emulation.setEmulatedMedia", features=still)
         tab.open(f"http://127.0.0.1:{port}/#token={SESSIONS[port].invite()}")
         ready(tab)
         yield tab
@@ -543,6 +549,37 @@ def test_what_is_written_while_the_server_is_away_is_there_once_it_is_back(tmp_p
             )
             ready(tab)
             tab.wait(f"{BARS}[0] && {BARS}[0][1].startsWith('0 s to 3.1 s')")
+
+
+def test_who_comes_first_sees_an_example_that_plays_once(tmp_path):
+    with serving(tmp_path / "studio") as port:
+        (tmp_path / "studio" / "documents" / "old.json").unlink()
+        with opened(port, tmp_path, 1440, 900, plays=True) as tab:
+            tab.wait(f"{BARS}.length > 1")
+            tab.wait("document.getElementById('play').dataset.playing === 'true'")
+            shown(tab)
+            picture(tab, "13_first")
+            press(tab, " ")
+            stretch(tab)
+            shown(tab, tab.ask("document.body.dataset.shown"))
+            assert tab.ask("document.getElementById('play').dataset.playing") == "false"
+
+
+def test_a_document_without_a_name_is_found_by_its_first_prompt(tab):
+    automatic(tab, False)
+    write(tab, "walk in a circle")
+    saved(tab)
+    click(tab, "#open")
+    tab.wait("document.querySelector('#open-documents [aria-current]') !== null")
+    assert tab.ask("document.querySelector('#open-documents [aria-current]').textContent") == "walk in a circle"
+    assert tab.ask("document.getElementById('name').value") == "Untitled"
+
+
+def test_a_path_says_how_fast_it_is_walked(tab):
+    tab.ask("import('/assets/constraints.js').then((module) => { window.constraints = module; })")
+    tab.wait("window.constraints !== undefined")
+    pace = tab.ask("constraints.paceOf({ points: [[0, 0], [0, -3], [4, -3]], start: 1, end: null }, 6)")
+    assert pace.replace("\u00a0", " ") == "7.0 m in 5 s: 1.4 m/s"
 
 
 # ---- a phone --------------------------------------------------------------------------------------------------------

@@ -43,7 +43,8 @@ class Guided:
     Rows with a text are denoised with it and without it, the others once; a `guidance` of 1 or 0 needs one pass. Passes
     are grouped by length into as few calls as keep the share of padding within `padding` and the frames of one call
     within `budget`, but for a longer row alone. `supports_padding`: texts of different numbers of words share calls.
-    What stands beyond a row's `padded_frames` comes out as zero.
+    What stands beyond a row's `padded_frames` comes out as zero. `frames_denoised` counts those of all calls, with a
+    text and without, but no padding: pose-wise denoising steps (FlowMDM, section 4.2).
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Guided:
         alike = [passes] if supports_padding else _by_words(passes)
         batches = [_Batch.of(call) for group in alike for call in _calls(group, padding, budget)]
         conditional = torch.tensor([each.text is not None for each in requests])
+        self.frames_denoised = 0
         self._needed = sum(requests[each.row].frames for each in passes)
         self._denoised = sum(len(batch.rows) * batch.frames for batch in batches)
         self._batches = PerDevice(lambda x: ([batch.to(x) for batch in batches], conditional.to(x.device)))
@@ -74,12 +76,6 @@ class Guided:
         return f"Guided({rows} rows of up to {frames} frames, guidance {self._guidance}, {self.padding:.1%} padding)"
 
     @property
-    def frames_denoised(self) -> int:
-        """Frames that one step denoises, once with a text and once without, without padding: a pose-wise step each
-        (FlowMDM, section 4.2)."""
-        return self._needed
-
-    @property
     def padding(self) -> float:
         """Which share of the frames that a step denoises lies behind the ends of the rows."""
         return 1 - self._needed / self._denoised if self._denoised else 0.0
@@ -87,6 +83,7 @@ class Guided:
     def __call__(self, x: Float[Tensor, "rows frames features"], t: int) -> Float[Tensor, "rows frames features"]:
         assert x.shape[:2] == self._shape, f"rows of shape {tuple(x.shape[:2])}, but the plans have {self._shape}"
         batches, conditional = self._batches.at(x)
+        self.frames_denoised += self._needed
         both = x.new_zeros(2, *x.shape)
         for batch in batches:
             noisy = x[batch.rows, : batch.frames]

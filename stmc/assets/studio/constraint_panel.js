@@ -3,7 +3,7 @@
 import { button, fill, find, make, watch } from "./dom.js";
 import { heading, number } from "./panels.js";
 import { rounded } from "./state.js";
-import { NAMES, degrees, demandOf, errorOf, meets, said, titleOf } from "./constraints.js";
+import { NAMES, degrees, demandOf, errorOf, meets, paceOf, said, titleOf } from "./constraints.js";
 
 const LIMBS = ["left_hand", "right_hand", "left_foot", "right_foot", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "head", "pelvis"];
 const ABOUT = {
@@ -70,6 +70,8 @@ export function createConstraintPanel(studio, player, stage) {
 
   function paint({ model, history, samples, chosen, constraint, drawing }) {
     const sample = samples.find(({ key }) => key === chosen);
+    const { constraints } = history.present;
+    const missed = constraints.length > 1 && constraints.some((each) => demandOf(sample, each) && !meets(each, demandOf(sample, each)));
     const kinds = (model?.constraints ?? Object.keys(NAMES)).filter((kind) => ADD[kind]);
     fill(panel,
       heading("Constraints"),
@@ -79,7 +81,8 @@ export function createConstraintPanel(studio, player, stage) {
       }, kind))),
       drawing ? make("div", { class: "advice" }, make("p", {}, "Draw on the floor of the stage. Escape ends it."),
         make("div", { class: "actions" }, button("Type its points", () => drawn([[0, 0], [0, -3]]), { "data-key": "type-path" }))) : null,
-      make("ul", { class: "list constraints" }, history.present.constraints.map((each) => of(each, demandOf(sample, each), constraint))));
+      missed ? make("p", { class: "advice" }, "Constraints pull against each other: those in red are missed. Move one, give it more time, or delete one.") : null,
+      make("ul", { class: "list constraints" }, constraints.map((each) => of(each, demandOf(sample, each), constraint))));
   }
 
   function of(each, demand, chosen) {
@@ -108,7 +111,7 @@ export function createConstraintPanel(studio, player, stage) {
       number(`${axis}-${each.id}`, `${axis} (m)`, Math.round(each.point[index] * 100) / 100, (value) => adjust(each.id, { point: each.point.map((old, at) => (at === index ? value : old)) }), { step: "0.05", min: null })))],
     hold: (each) => [joints(each)],
     heading: (each) => [number(`angle-${each.id}`, "Degrees to the left of the start", degrees(each.angle), (value) => adjust(each.id, { angle: (value * Math.PI) / 180 }), { step: "15", min: null })],
-    path: (each) => [make("label", { class: "field" }, make("span", {}, "Points: x, y; x, y; … (m)"),
+    path: (each) => [make("p", { class: "faint" }, paceOf(each, studio.duration())), make("label", { class: "field" }, make("span", {}, "Points: x, y; x, y; … (m)"),
       make("textarea", { rows: "2", "data-key": `points-${each.id}`, value: each.points.map((point) => point.join(", ")).join("; "), onchange: ({ target }) => typed(each.id, target.value) }))],
   };
 

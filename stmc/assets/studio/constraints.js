@@ -28,6 +28,13 @@ export function titleOf({ kind, joint, angle, start, end, at }) {
   return `${what}, ${whole(start)} to ${until === null ? "the end" : whole(until)}`;
 }
 
+// How fast a path has to be walked: "2.4 m in 4 s: 0.6 m/s".
+export function paceOf({ points, start, end }, duration) {
+  const metres = points.slice(1).reduce((sum, [x, y], index) => sum + Math.hypot(x - points[index][0], y - points[index][1]), 0);
+  const seconds = Math.max(0.05, (end ?? duration) - start);
+  return `${metres.toFixed(1)} m in ${whole(seconds)}: ${(metres / seconds).toFixed(1)} m/s`;
+}
+
 // How far a sample is from a constraint as it is now: {error, unit, …}, or undefined where it was made for another one.
 export const demandOf = (sample, constraint) => sample?.demands.find(({ of }) => JSON.stringify(of) === JSON.stringify(constraint));
 export const meets = ({ kind }, { error }) => error <= FINE[kind];

@@ -57,6 +57,13 @@ player.listen((time, playing) => {
 });
 find("seek").oninput = ({ target }) => player.seek(target.valueAsNumber);
 find("play").onclick = () => player.play();
+// The first motion that is made plays once by itself; never into an edit, and not for those who want no motion.
+let played = matchMedia("(prefers-reduced-motion: reduce)").matches;
+watch(store, ({ samples }) => [samples], ({ samples, job, quality, draft, editing, history }) => {
+  if (played || !job || !samples.some(({ steps }) => steps === quality)) return;
+  played = true;
+  if (!draft && !editing && history.gesture === null) player.play(true);
+});
 find("speed").onchange = ({ target }) => (player.speed = Number(target.value));
 find("loop").onclick = ({ currentTarget }) => {
   player.loops = !player.loops;
@@ -230,6 +237,14 @@ listenToKeys(studio, player, work, tracks, {
   },
 });
 
+// Who comes for the first time sees a person who does something.
+async function first() {
+  const documents = await server.listDocuments().catch(() => null);
+  const [example] = store.get().model.examples;
+  if (documents?.length === 0 && example) begin.timeline({ ...example.timeline, name: example.name });
+  else saving.create();
+}
+
 async function start() {
   for (;;) {
     try {
@@ -244,7 +259,7 @@ async function start() {
   }
   const wanted = location.hash.slice(1) || saving.last();
   if (/^[\w-]{1,64}$/.test(wanted ?? "")) await saving.open(wanted);
-  else saving.create();
+  else await first();
   document.body.dataset.ready = "true";
 }
 addEventListener("hashchange", () => {

@@ -2,7 +2,7 @@
 // tab has changed the same document. Knows contents and versions; knows no elements.
 
 import * as server from "./server.js";
-import { emptyDocument, restored } from "./state.js";
+import { emptyDocument, restored, titleOf } from "./state.js";
 
 const SAVE_AFTER = 600; // milliseconds
 const AGAIN_AFTER = 3000;
@@ -38,7 +38,7 @@ export function createSaving(studio, conflict) {
   let loading = false;
 
   const contentOf = ({ history, samples, chosen, favourites, auto, quality }) => ({
-    format: 1, writer, name: history.present.name, document: history.present, samples, chosen, favourites, settings: { auto, quality },
+    format: 1, writer, name: titleOf(history.present), document: history.present, samples, chosen, favourites, settings: { auto, quality },
   });
   const written = () => JSON.stringify(contentOf(store.get()));
 

@@ -8,7 +8,12 @@ export const PARTS = ["left arm", "right arm", "legs", "head", "spine"];
 
 export const rounded = (seconds) => Math.round(seconds * 1000) / 1000;
 
-export function emptyDocument(name = "Untitled") {
+const UNTITLED = "Untitled";
+
+// By which a document is found again: its own name, or else its first prompt.
+export const titleOf = ({ name, prompts }) => (name === UNTITLED && prompts.length ? prompts[0].text.slice(0, 60) : name);
+
+export function emptyDocument(name = UNTITLED) {
   return {
     name,
     next: 1, // of the ids that are still to be given
@@ -174,7 +179,7 @@ export function merged(spans) {
 
 // A timeline on tracks: each prompt beneath all the earlier ones that it overlaps, since lower tracks come later.
 export function documentOfTimeline({ name, prompts }) {
-  let document = emptyDocument(name || "Untitled");
+  let document = emptyDocument(name || UNTITLED);
   for (const prompt of prompts) {
     const above = document.prompts.filter((other) => together(other, prompt)).map(({ track }) => track);
     document = edited(document, { ...prompt, kind: "add", track: Math.max(-1, ...above) + 1 });
