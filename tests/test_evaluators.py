@@ -298,6 +298,8 @@ def test_rows_without_texts_make_no_pairs():
     dataset = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
     with pytest.raises(ValueError, match=r"uncond_crop_prob \(0.12\) and text_dropout \(0.1\) must be 0"):
         PairBatches(ClipBatches(dataset, "train", Sampling()))
+    with pytest.raises(ValueError, match=r"joined_prob \(0.2\) must be 0"):
+        PairBatches(ClipBatches(dataset, "train", Sampling(uncond_crop_prob=0.0, text_dropout=0.0, joined_prob=0.2)))
 
 
 @pytest.fixture(scope="module")
