@@ -96,7 +96,7 @@ def poses_denoised(model: stmc.Model, timelines: list[stmc.Timeline], method: st
     def sample(run: Run):
         return chosen.sample(replace(run, guided=noted(run.guided), guided_sequences=noted(run.guided_sequences)))
 
-    motions = model.generate(timelines, steps=steps, method=replace(chosen, sample=sample))
+    motions = model.generate(timelines, steps=steps, method=replace(chosen, sample=sample), clean_feet=False)
     return sum(each.frames_denoised for each in predictors) / (steps * sum(motion.frames for motion in motions))
 
 

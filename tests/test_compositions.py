@@ -105,7 +105,8 @@ def test_motions_that_show_what_is_asked_match_their_texts_and_the_real_clips(tw
     assert two.real(0).metrics["r_precision"] == 1
 
 
-def test_draws_of_compositions_average_what_each_has_by_itself(two):
+def test_draws_of_compositions_average_what_each_has_by_itself(two, monkeypatch):
+    monkeypatch.setattr(resampling, "FEWEST", 2)
     first, *others = two.timelines("stmc")
     motions = [shown(first, {"left": "right", "right": "left"}), *map(shown, others)]
     scores = two.measured("stmc", motions, seed=0)

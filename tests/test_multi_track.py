@@ -153,8 +153,9 @@ def test_what_geometry_can_tell_is_asked_of_the_crops_that_should_show_it():
 
 
 @pytest.mark.parametrize("method", ["stmc", "one_text", "independent"])
-def test_draws_of_timelines_are_measured_like_a_benchmark_of_the_drawn_ones(method):
+def test_draws_of_timelines_are_measured_like_a_benchmark_of_the_drawn_ones(method, monkeypatch):
     """The oracle: a benchmark that asks for the drawn timelines, measured as a whole."""
+    monkeypatch.setattr(resampling, "FEWEST", 2)
     questions = {"raise the left arm": lambda motion: len(motion) == 60, "bow": lambda motion: len(motion) == 40}
     whole = benchmark(questions=questions)
     frames = [[int(each.duration * FPS) for each in MultiTrack.timelines(whole, method)]]

@@ -99,7 +99,7 @@ def test_what_is_skipped_is_counted_on_the_screen_and_named_in_the_report(tmp_pa
     ("overrides", "message"),
     [
         (["data=humanml3d", "source={0}", "annotations={0}"], r"annotations=.*expected annotations\.json"),
-        (["data=humanml3d", "source={0}"], "annotations= is missing; .*see configs/data"),
+        (["data=humanml3d", "source={0}"], "annotations= is missing; .*--help lists"),
         (["data=humanml3d_processed", "source={0}"], "new_joint_vecs/, texts/, Mean.npy.* missing"),
         (["data=humanml3d_processed", "source={0}", "body={0}"], "body= does not belong to it"),
         (["source={0}/nowhere"], "nowhere does not exist; it should be the dataset's .tar.xz"),

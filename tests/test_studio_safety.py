@@ -254,9 +254,9 @@ def test_what_cannot_be_written_to_a_file_is_no_document(client, text):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"mocap_framerate": 1e-308}, "frame"),
-        ({"mocap_framerate": 1e-3}, "frame"),
-        ({"mocap_framerate": 1e6}, "frame"),
+        ({"mocap_framerate": 1e-308}, "fps must be"),
+        ({"mocap_framerate": 1e-3}, "fps must be"),
+        ({"mocap_framerate": 1e6}, "fps must be"),
         ({"joints": 1e30}, "origin"),
     ],
 )

@@ -31,6 +31,8 @@ MOST_SENTENCES, LONGEST_NAME = 20_000, 100
 TABLE, EMBEDDINGS = "vocabulary", "embeddings"
 _WRITTEN, _WRITTEN_BEFORE = torch.float8_e4m3fn, torch.float16
 """Types of embeddings in files. Eight bits move cosines by a hundredth at most."""
+_ROUNDING = 2**-4
+"""Eight bits round each number by at most this share of it, so a vector's length by no more."""
 
 _KEYS = ("contents", "known", "others", "threshold")
 
@@ -82,7 +84,7 @@ def _vocabulary(table: Any, embeddings: torch.Tensor) -> Vocabulary:
     if not known or not others or embeddings.shape[:1] != (rows,) or embeddings.ndim != 2:
         raise VocabularyError(f"embeddings of {len(known)} known sentences and {len(others)} others needed")
     typed = embeddings.dtype in (_WRITTEN, _WRITTEN_BEFORE)
-    if not typed or not ((embeddings.float().norm(dim=1) - 1).abs() < 0.01).all():
+    if not typed or not ((embeddings.float().norm(dim=1) - 1).abs() < _ROUNDING).all():
         raise VocabularyError("embeddings must be of length 1, in eight bits (float8_e4m3fn) or in half precision")
     return Vocabulary(tuple(known), tuple(others), F.normalize(embeddings.float(), dim=1).half(), threshold)
 
