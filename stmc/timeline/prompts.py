@@ -327,23 +327,19 @@ PAIRS_TOLD, PAIRS_COUNTED = 3, 50
 
 def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
     """Which prompts claim a part at once, when first, and who gets it; one that lists none yields without a word."""
-    shared: dict[tuple[int, int], set[BodyPart]] = {}
-    first: dict[tuple[int, int], float] = {}
+    shared: dict[tuple[int, int], tuple[float, set[BodyPart]]] = {}
     precedence = Precedence([prompt.parts for prompt in prompts])
     for start, _, ended, started in sweep((prompt.start, prompt.end) for prompt in prompts):
         precedence.update(ended, started)
         for part in BodyPart:
             for rival in precedence.rivals(part):
-                pair = (rival, precedence.owner(part))
-                shared.setdefault(pair, set()).add(part)
-                first.setdefault(pair, start)
+                shared.setdefault((rival, precedence.owner(part)), (start, set()))[1].add(part)
         if len(shared) > PAIRS_COUNTED:
             break
     names = [f"{shown(prompt.text)} ({place})" for prompt, place in zip(prompts, places, strict=True)]
     told = [
-        f"{names[loser]} and {names[winner]} both claim {_listed(parts)} at {first[loser, winner]:g} s; "
-        f"{names[winner]} gets it"
-        for (loser, winner), parts in list(shared.items())[:PAIRS_TOLD]
+        f"{names[loser]} and {names[winner]} both claim {_listed(parts)} at {start:g} s; {names[winner]} gets it"
+        for (loser, winner), (start, parts) in list(shared.items())[:PAIRS_TOLD]
     ]
     if len(shared) > PAIRS_TOLD:
         most = f"more than {PAIRS_COUNTED}" if len(shared) > PAIRS_COUNTED else str(len(shared))
