@@ -19,6 +19,7 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
+from stmc.benchmarks.novelty import success_by_distance
 from stmc.benchmarks.questions import QUESTIONS, rates
 from stmc.commands import command
 from stmc.commands.shared import OnModel
@@ -32,6 +33,7 @@ from stmc.metrics.retrieval import cosines, ranks
 from stmc.model import Precision
 from stmc.motion import Motion
 from stmc.settings import SettingError, setting
+from stmc.text import MiniLM
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing import film_strip
 
@@ -78,6 +80,7 @@ def main(config: DictConfig) -> None:
         draw(folder / f"{name}.png", {f"{name}, recorded": real[name][0]} | {t: m[0] for t, m in motions.items()})
         write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
     report(results, console)
+    report_by_distance(results, console)
 
 
 def chosen(config: DictConfig, recorded: set[str]) -> list[str]:
@@ -184,6 +187,16 @@ def report(results: dict, console: Console) -> None:
         console.print(
             f"largest hand step, {whose}: {max(row[whose]['hand_step_cm'] for row in results.values()):.0f} cm"
         )
+
+
+def report_by_distance(results: dict, console: Console) -> None:
+    """How often the samples show sentences that are near to one of the training on these contents, and far from all."""
+    shares = {text: share for row in results.values() for text, share in row["sentences"].items()}
+    training = [text for name in results for text in CONTENTS[name].sentences]
+    table = Table("cosine to the nearest training sentence", "sentences", "success")
+    for name, count, success in success_by_distance(shares, training, MiniLM()):
+        table.add_row(name, str(count), "" if success is None else f"{success:.0%}")
+    console.print(table)
 
 
 if __name__ == "__main__":
