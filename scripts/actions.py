@@ -24,6 +24,7 @@ from rich.table import Table
 import stmc
 from stmc.benchmarks.atomic_prompts import AtomicPrompt, read_texts
 from stmc.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words, same_meaning
+from stmc.benchmarks.novelty import success_by_distance
 from stmc.benchmarks.questions import QUESTIONS, rates
 from stmc.commands import command
 from stmc.commands.shared import OnModel
@@ -38,6 +39,7 @@ from stmc.model import Precision
 from stmc.motion import Motion
 from stmc.representation import Representation, SmplRepresentation
 from stmc.settings import SettingError, setting
+from stmc.text import MiniLM
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing import film_strip
 
@@ -101,6 +103,7 @@ def main(config: DictConfig) -> None:
         draw(folder / f"{name}.png", {f"{name}, recorded": real[name][0]} | {t: m[0] for t, m in motions.items()})
         write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
     report(results, console)
+    report_by_distance(results, console)
 
 
 def chosen(config: DictConfig, recorded: set[str]) -> list[str]:
@@ -313,6 +316,14 @@ def calibrate(config: DictConfig) -> None:
         passes = f"{shares[text][text]:.0%}" if own[text] else ""
         table.add_row(text, str(len(own[text])), passes, f"{fmean(others.values()):.1%}", worst)
     Console().print(table)
+def report_by_distance(results: dict, console: Console) -> None:
+    """How often the samples show sentences that are near to one of the training on these contents, and far from all."""
+    shares = {text: share for row in results.values() for text, share in row["sentences"].items()}
+    training = [text for name in results for text in CONTENTS[name].sentences]
+    table = Table("cosine to the nearest training sentence", "sentences", "success")
+    for name, count, success in success_by_distance(shares, training, MiniLM()):
+        table.add_row(name, str(count), "" if success is None else f"{success:.0%}")
+    console.print(table)
 
 
 if __name__ == "__main__":

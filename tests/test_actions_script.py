@@ -48,7 +48,8 @@ def test_unseen_sentences_are_asked_beside_what_real_motion_and_chance_reach(cac
     assert set(row["sentences"]) == {CONTENTS["sit"].unseen[0]} and row["shown"] in (0.0, 0.5, 1.0)
     assert row["real"]["hand_step_cm"] == pytest.approx(0, abs=1e-4) and row["sampled"]["hand_step_cm"] > 0
     assert [picture.name for picture in (tmp_path / "out").glob("*.png")] == ["sit.png"]
-    assert "sit" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "sit" in printed and "cosine to the nearest training sentence" in printed
     with pytest.raises(SettingError, match="contents=dance: choose from stand, sit"):
         run("actions", "actions", *settings[:-1], "contents=[dance]")
 

@@ -158,3 +158,13 @@ def test_epochs_are_not_sorted_by_length():
 def test_unknown_orders_and_trims_are_refused(setting):
     with pytest.raises((ValueError, TypeCheckError)):
         Sampling(**setting)
+
+
+@pytest.mark.parametrize(("rows", "whole", "batches"), [(8, 6, 7), (10, 5, 5), (50, 1, 1), (60, 1, 1)])
+def test_the_last_batch_is_left_out_where_it_is_smaller_and_not_the_only_one(rows, whole, batches):
+    """Of 50 entries; the published loaders of FlowMDM drop it."""
+    clips = [Clip(f"{n}", f"{n}", "", f"{n}", (), False, False, "train", 0, 9) for n in range(50)]
+    dropping, keeping = (Epochs(clips, np.arange(50), rows, [0], drop) for drop in (True, False))
+    assert (dropping.batches, keeping.batches) == (whole, batches)
+    sizes = {len(dropping(step)) for step in range(2 * whole)}
+    assert sizes == {min(rows, 50)}

@@ -34,8 +34,8 @@ def source(made, tmp_path):
     return shutil.copytree(made, tmp_path / "HumanML3D")
 
 
-def prepared(source) -> Cache:
-    preparing = ProcessedHumanML3D(source)
+def prepared(source, **choices) -> Cache:
+    preparing = ProcessedHumanML3D(source, **choices)
     preparing.check()
     return preparing.prepared(source.parent / "pieces", 2, lambda pieces, total: pieces)
 
@@ -68,6 +68,15 @@ def test_clips_are_the_folder_s_features_with_its_captions_splits_and_statistics
     back = Cache.read(source.parent / "cache")
     assert_close(back.statistics.std, torch.from_numpy(np.load(source / "Std.npy")))
     assert back.skeleton is None
+
+
+def test_a_caption_of_a_part_is_an_entry_of_its_own_where_it_is_asked_for(source):
+    together, apart = prepared(source), prepared(source, part_entries=True)
+    assert {clip.content for clip in together.clips if clip.name.startswith("000001")} == {"000001"}
+    own = {clip.name: clip for clip in apart.clips if clip.name.startswith("000001")}
+    assert sorted(own) == ["000001", "000001-0"] and own["000001-0"].content == "000001-0"
+    assert apart.texts["000001-0"] == (("raises an arm", 1.0),)
+    assert own["000001-0"].end - own["000001-0"].start == 45 and len(apart.clips) == len(together.clips)
 
 
 def test_a_caption_s_line_has_four_parts_and_times_that_are_no_numbers_mean_the_whole_clip(tmp_path):

@@ -110,7 +110,6 @@ def test_one_file_and_statistics_elsewhere_do(tmp_path):
         ({"dataset": "kit"}, "dataset must be humanml or babel, not 'kit'"),
         ({"rpe_horizon": -1}, "rpe_horizon must be a positive whole number up to 10000, not -1"),
         ({"noise_schedule": "sigmoid"}, "noise_schedule must be cosine or linear"),
-        ({"diffusion_steps": 50}, "diffusion_steps must be at least 60, not 50"),
         ({"extra": {"embed_action.weight": torch.zeros(1)}}, r"not known: embed_action\.weight"),
         ({"extra": {"embed_text.bias": torch.full((16,), torch.nan)}}, r"not finite: embed_text\.bias"),
         ({"extra": {"sequence_pos_encoder.pe": torch.zeros(5000, 1, 16)}}, "another table of positions"),
@@ -152,3 +151,10 @@ def every_name_has_its_place(tmp_path, dataset):
     network = read(tmp_path).model.denoiser
     assert len(network.seqTransEncoder.attn_layers.layers) == 16
     assert {key: tuple(value.shape) for key, value in network.state_dict().items()} == shapes
+
+
+def test_of_fewer_steps_than_are_absolute_all_are(tmp_path):
+    """In the published code every step is then above the number of steps less the absolute ones."""
+    write(tmp_path / "theirs", "babel", steps=50)
+    model = read(tmp_path / "theirs").model
+    assert model.schedule.steps == 50 and model.denoiser.absolute_from == 0

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import re
 import warnings
 from itertools import pairwise
 from pathlib import Path
@@ -474,3 +475,32 @@ def test_baselines_of_the_published_timelines_are_the_published_ones(folder):
             start, end, _, parts, text = case["singletrack"][n]
             assert record(prompt)[2:] == (parts, text)
             assert len(lasting) < len(case["singletrack"]) or (prompt.start, prompt.end) == (start, end)
+
+
+def test_a_composition_of_flowmdm_is_a_track_of_its_texts(tmp_path):
+    """As its authors' lists and instructions are: frames of HumanML3D's 20 a second, or of the rate that is said."""
+    listed = [{"id": 7, "text": ["walk", "turn left"], "lengths": [57, 43], "scenario": "short"}]
+    listed.append({"text": ["sit"], "lengths": [45], "fps": 30})
+    (tmp_path / "list.json").write_text(json.dumps(listed))
+    first, second = Timeline.read_all(tmp_path / "list.json")
+    assert first.name == "7" and [prompt.text for prompt in first.prompts] == ["walk", "turn left"]
+    assert first.spans(20) == ((0, 57), (57, 100)) and first.rows == (0, 0)
+    assert second.spans(30) == ((0, 45),) and second.prompts[0].end == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"lengths": [40]}, "text: 2 texts, but 1 lengths"),
+        ({"lengths": [40, 1.5]}, "lengths[1]: 1.5 is not whole frames"),
+        ({"lengths": [40, 0]}, "end"),
+        ({"text": ["walk", 3]}, "text[1]: 3 is not a string"),
+        ({"text": "walk"}, "text: 'walk' is not a list"),
+        ({"fps": 0}, "fps: 0 is not above 0"),
+        ({"tracks": []}, "unknown key 'tracks'; choose from text, lengths, id"),
+    ],
+)
+def test_what_is_wrong_with_a_composition_is_named(changes, words):
+    document = json.dumps({"text": ["walk", "sit"], "lengths": [40, 20]} | changes)
+    with pytest.raises(TimelineError, match=re.escape(words)):
+        Timeline.parse(document, ".json")

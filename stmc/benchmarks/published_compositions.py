@@ -7,7 +7,6 @@ and no network.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -28,6 +27,7 @@ from stmc.metrics.realism import frechet_distance
 from stmc.motion import Motion
 from stmc.representation import JointsFrom, Representation
 from stmc.timeline import Prompt, Timeline
+from stmc.timeline.files import moment
 
 
 @runtime_checkable
@@ -101,7 +101,7 @@ class PublishedCompositions:
     def _timelines(self) -> list[Timeline]:
         timelines = []
         for each in self.compositions:
-            edges = [_moment(frame, self.evaluator.fps) for frame in accumulate(each.lengths, initial=0)]
+            edges = [moment(frame, self.evaluator.fps) for frame in accumulate(each.lengths, initial=0)]
             prompts = [Prompt(text, *span) for text, span in zip(each.texts, pairwise(edges), strict=True)]
             timelines.append(Timeline(prompts, each.name))
         return timelines
@@ -140,9 +140,3 @@ class PublishedCompositions:
         embedded = self.evaluator.texts(self._tags(list(distinct)))[[distinct[text] for text in texts]]
         found = r_precision_of_distinct(embedded, motions, texts)
         return {"r_precision": found[-1], "mm_dist": matching_score(embedded, motions)}
-
-
-def _moment(frame: int, fps: float | int) -> float:
-    """The second of a frame: `int(fps * second)` is the frame, also where a quotient falls just below it."""
-    second = frame / fps
-    return second if int(fps * second) == frame else math.nextafter(second, math.inf)

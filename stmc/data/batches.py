@@ -53,8 +53,10 @@ class Sampling:
     With `trimmed` "in_all" the others lose at most `trim` at both ends together. With `order` "epochs" every content
     comes once an epoch, in shuffled batches (see `Epochs`), and a transition is cut out of the whole recording of the
     very clip that was drawn: for data sets whose every entry is a content of its own, as these are published.
+    `drop_last`: an epoch's last batch is left out where it is smaller than the others.
     With `order` "rows" the contents come as in epochs, and a row is all clips of one whole, as they were recorded, each
-    with its text, for denoisers that know a text for every frame; nothing but `rows` and `text_dropout` is then asked.
+    with its text, for denoisers that know a text for every frame; nothing else but `rows`, `drop_last` and
+    `text_dropout` is then asked.
     `slowest` and `fastest` bound the change of speed. `pool` batches are drawn at once and sorted by length into pieces
     of about as many frames each, `pieces` to a batch: more of either means less padding; more pieces also mean more
     lengths, so more contents, in every batch.
@@ -71,6 +73,7 @@ class Sampling:
     trim: float = 0.12
     trimmed: Trimmed = "either_end"
     order: Order = "balanced"
+    drop_last: bool = False
     uncond_crop_prob: float = 0.12
     crop_shortest: float = 0.5
     crop_longest: float = 3.0
@@ -142,7 +145,9 @@ class ClipBatches:
         self._from_start = np.array([clip.from_start for clip in dataset.clips])
         around = np.array([clip.whole or (clip.start, clip.end) for clip in dataset.clips])
         self._recording = around[:, 0], around[:, 1] - around[:, 0]
-        self._epochs = Epochs(dataset.clips, self._described, sampling.rows, [seed, sum(split.encode())])
+        self._epochs = Epochs(
+            dataset.clips, self._described, sampling.rows, [seed, sum(split.encode())], sampling.drop_last
+        )
         self.shares = self._balance()
         self._sequences = self._in_sequence(chosen & dataset.described)
         self._pool: tuple[tuple[int, int], list[BatchPlan]] | None = None

@@ -15,11 +15,14 @@ from stmc.data.cache import Clip
 class Epochs:
     """`epochs(step, process)`: the clips, by their places in `clips`, of one step's batch of `rows`.
 
-    Each process goes through epochs of its own. The last batch of an epoch is as small as what is left; of a content
-    with several clips one is drawn, each in proportion to its annotations. Only the `chosen` clips are drawn.
+    Each process goes through epochs of its own. The last batch of an epoch is as small as what is left, or with
+    `drop_last` is left out unless it is the only one; of a content with several clips one is drawn, each in proportion
+    to its annotations. Only the `chosen` clips are drawn.
     """
 
-    def __init__(self, clips: Sequence[Clip], chosen: np.ndarray, rows: int, seed: Sequence[int]) -> None:
+    def __init__(
+        self, clips: Sequence[Clip], chosen: np.ndarray, rows: int, seed: Sequence[int], drop_last: bool = False
+    ) -> None:
         self.rows, self._seed = rows, tuple(seed)
         names = np.array([clips[index].content for index in chosen])
         contents, inverse = np.unique(names, return_inverse=True)
@@ -29,7 +32,7 @@ class Epochs:
         self._last = np.cumsum(weights)  # the number of annotations up to and with each clip's, content by content
         self._annotations = np.bincount(inverse[order], weights).astype(int)
         self._first = np.cumsum(self._annotations) - self._annotations
-        self.batches = -(-len(contents) // rows)
+        self.batches = max(1, len(contents) // rows) if drop_last else -(-len(contents) // rows)
         self._shuffled: tuple[tuple[int, int], np.ndarray] | None = None
 
     def __call__(self, step: int, process: int = 0) -> np.ndarray:

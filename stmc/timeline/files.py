@@ -6,8 +6,9 @@ Knows syntax: lines, fields, keys, and where in a document each prompt stands. W
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,6 +51,9 @@ MOST_FIELDS = 32
 
 LINE = "text # start # end # part # part"
 KEYS = {"text": str, "start": float, "end": float, "body_parts": list}
+
+COMPOSITION, COMPOSITION_FPS = ("text", "lengths", "id", "scenario", "fps"), 20
+"""Keys of FlowMDM's form of a timeline, and the frames a second of its lengths unless it says so: HumanML3D's."""
 
 
 def parse_text(document: str) -> list[Draft]:
@@ -109,6 +113,8 @@ def parse_json(document: str) -> list[Draft]:
 def _draft(data: Any, path: str) -> Draft:
     inside = f"{path}." if path else ""
     _expect(data, dict, path or "the document", 'a timeline, {"name": "…", "tracks": [[…], …]}')
+    if "lengths" in data:
+        return _composition(data, path, inside)
     _refuse_others(data, ("name", "tracks"), path or "the document")
     name = _expect(data.get("name", ""), str, f"{inside}name", "a string")
     if "tracks" not in data:
@@ -120,6 +126,32 @@ def _draft(data: Any, path: str) -> Draft:
         _expect(prompts, list, place, "a list of prompts")
         entries += [_entry_of_object(prompt, f"{place}[{index}]", track) for index, prompt in enumerate(prompts)]
     return Draft(path, name, entries)
+
+
+def moment(frame: int, fps: float | int) -> float:
+    """The second of a frame: `int(fps * second)` is the frame, also where a quotient falls just below it."""
+    second = frame / fps
+    return second if int(fps * second) == frame else math.nextafter(second, math.inf)
+
+
+def _composition(data: dict[str, Any], path: str, inside: str) -> Draft:
+    """FlowMDM's form: texts one after the other on one track, and how many frames each lasts."""
+    _refuse_others(data, COMPOSITION, path or "the document")
+    fps = _expect(data.get("fps", COMPOSITION_FPS), float, f"{inside}fps", "frames a second")
+    if not 0 < fps <= 1000:
+        raise TimelineError(f"{inside}fps: {shown(fps)} is not above 0 and at most 1000 frames a second")
+    texts, lengths = (_expect(data.get(key), list, f"{inside}{key}", "a list") for key in ("text", "lengths"))
+    if len(texts) != len(lengths):
+        raise TimelineError(f"{inside}text: {len(texts)} texts, but {len(lengths)} lengths; each text needs one")
+    for key, values, kind, meaning in (("text", texts, str, "a string"), ("lengths", lengths, int, "whole frames")):
+        for index, value in enumerate(values):
+            _expect(value, kind, f"{inside}{key}[{index}]", meaning)
+    edges = pairwise(moment(frame, fps) for frame in accumulate(lengths, initial=0))
+    entries = [
+        Entry(f"{inside}text[{index}]", 0, text, *span, ())
+        for index, (text, span) in enumerate(zip(texts, edges, strict=True))
+    ]
+    return Draft(path, str(data.get("id", "")), entries)
 
 
 def _entry_of_object(data: Any, path: str, track: int) -> Entry:

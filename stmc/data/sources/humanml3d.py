@@ -28,6 +28,9 @@ from stmc.untrusted import UnreadableError, read_lines
 
 FPS = 20
 
+Span = tuple[int, int]
+"""Frames [start, end) of a clip."""
+
 SHORTEST, LONGEST = 40, 199
 """Frames of the clips that are used, both included: as all published training on HumanML3D."""
 
@@ -43,11 +46,13 @@ _FOLDERS, _FILES = ("new_joint_vecs", "texts"), ("Mean.npy", "Std.npy", "train.t
 @dataclass(frozen=True)
 class ProcessedHumanML3D:
     """`source` is the folder `HumanML3D/`; a `Preparation`. Its own mean and std go with the cache. Clips have
-    `shortest` to `longest` frames."""
+    `shortest` to `longest` frames. `part_entries`: a caption of a part of a clip makes an entry of its own, which comes
+    once an epoch, as in the published loaders; else it is one of the clip's."""
 
     source: str | Path
     shortest: int = SHORTEST
     longest: int = LONGEST
+    part_entries: bool = False
 
     @property
     def _folder(self) -> Path:
@@ -115,11 +120,11 @@ class ProcessedHumanML3D:
     def fingerprint(self) -> str:
         """Of every clip in the lists, its captions, the statistics, the lists and the code."""
         files = [path for name in self._splits for path in self._inputs(name)]
-        return fingerprint([*(self._folder / name for name in _FILES), *files], [self._code, *self._lengths])
+        return fingerprint([*(self._folder / name for name in _FILES), *files], [self._code, *self._choices])
 
     @property
-    def _lengths(self) -> tuple[int, int]:
-        return self.shortest, self.longest
+    def _choices(self) -> tuple[int, int, bool]:
+        return self.shortest, self.longest, self.part_entries
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`."""
@@ -129,15 +134,21 @@ class ProcessedHumanML3D:
         for start in range(0, len(names), AT_ONCE):
             batch = {name: self._splits[name] for name in names[start : start + AT_ONCE]}
             inputs = [path for name in batch for path in self._inputs(name)]
-            convert = partial(convert_clips, self._folder, batch, *self._lengths)
-            name = fingerprint(inputs, [self._code, batch, *self._lengths])
+            convert = partial(convert_clips, self._folder, batch, *self._choices)
+            name = fingerprint(inputs, [self._code, batch, *self._choices])
             pieces.append(Piece(f"{names[start]} ...", name, convert))
         return replace(converted(pieces, len(pieces), scratch, workers, watch, unsafe), statistics=self._statistics)
 
 
-def convert_clips(folder: Path, splits: Mapping[str, str], shortest: int = SHORTEST, longest: int = LONGEST) -> Cache:
+def convert_clips(
+    folder: Path,
+    splits: Mapping[str, str],
+    shortest: int = SHORTEST,
+    longest: int = LONGEST,
+    part_entries: bool = False,
+) -> Cache:
     """The clips of these names with `shortest` to `longest` frames, each in its split; those that cannot be used are
-    left out, with the reason."""
+    left out, with the reason. `part_entries`: see `ProcessedHumanML3D`."""
     builder = CacheBuilder(HUMANML3D_LAYOUT.width)
     for name, split in splits.items():
         try:
@@ -158,8 +169,16 @@ def convert_clips(folder: Path, splits: Mapping[str, str], shortest: int = SHORT
             else:
                 kind = "too long" if end - begin > longest else "too short"
                 builder.skipped.append((name, f"{kind}: {end - begin} frames, not {shortest} to {longest}"))
-        builder.add(features, AnnotatedSpans(name, split, name[:1] == "M", spans))
+        entries = _entries(name, spans, len(features)) if part_entries else {name: spans}
+        builder.add(features, *(AnnotatedSpans(each, split, name[:1] == "M", own) for each, own in entries.items()))
     return builder.cache(FPS, "humanml3d")
+
+
+def _entries(name: str, spans: Mapping[Span, list[str]], frames: int) -> dict[str, dict[Span, list[str]]]:
+    """The whole clip with all of its captions, and each caption of a part of it."""
+    parts = [(span, text) for span, said in spans.items() if span != (0, frames) for text in said]
+    whole = {name: {(0, frames): spans[0, frames]}} if (0, frames) in spans else {}
+    return whole | {f"{name}-{number}": {span: [text]} for number, (span, text) in enumerate(parts)}
 
 
 def read_clip(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], list[Caption | str]]:
