@@ -5,12 +5,19 @@ is imported when it is first used: a command's help needs none of it.
 """
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # for editors and the reference
+    from stmc.viewing.film import render_film
+    from stmc.viewing.plans import plot_plan
+    from stmc.viewing.strip import film_strip
+    from stmc.viewing.tracks import plot_timeline
+    from stmc.viewing.web import html_frame, render_html, view
 
 _LATER = {"render_film": "film", "plot_plan": "plans", "film_strip": "strip", "plot_timeline": "tracks"}
 _LATER |= dict.fromkeys(("html_frame", "render_html", "view"), "web")
 
-__all__ = [*_LATER]
+__all__ = ["film_strip", "html_frame", "plot_plan", "plot_timeline", "render_film", "render_html", "view"]
 
 
 def __getattr__(name: str) -> Any:
