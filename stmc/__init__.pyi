@@ -50,7 +50,18 @@ from .composing import Method, collage, find_method, guided_crops, sinc, smooth_
 from .constraints import Heading, Hold, Keyframe, Path, Target, read_constraints
 from .denoisers import Denoiser
 from .diffusion import Noise, Schedule, ddim, ddpm, dpm_solver, guide
-from .editing import Change, changed_prompt, changed_prompts
+from .editing import (
+    Change,
+    add_rest,
+    bend_path,
+    change_pace,
+    changed_prompt,
+    changed_prompts,
+    follow,
+    reverse,
+    shift_sideways,
+    turn_on_spot,
+)
 from .export import read, write
 from .feet import clean_feet
 from .inverse_kinematics import motion_of_joints
@@ -86,7 +97,10 @@ __all__ = [
     "Target",
     "Timeline",
     "Vocabulary",
+    "add_rest",
     "assign",
+    "bend_path",
+    "change_pace",
     "changed_prompt",
     "changed_prompts",
     "clean_feet",
@@ -96,6 +110,7 @@ __all__ = [
     "dpm_solver",
     "film_strip",
     "find_method",
+    "follow",
     "guide",
     "guided_crops",
     "load",
@@ -110,12 +125,15 @@ __all__ = [
     "read_constraints",
     "render_film",
     "render_html",
+    "reverse",
     "save",
+    "shift_sideways",
     "sinc",
     "single_track",
     "smooth_seams",
     "stitched",
     "suggest_parts",
+    "turn_on_spot",
     "view",
     "with_suggested_parts",
     "write",
