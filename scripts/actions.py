@@ -316,6 +316,8 @@ def calibrate(config: DictConfig) -> None:
         passes = f"{shares[text][text]:.0%}" if own[text] else ""
         table.add_row(text, str(len(own[text])), passes, f"{fmean(others.values()):.1%}", worst)
     Console().print(table)
+
+
 def report_by_distance(results: dict, console: Console) -> None:
     """How often the samples show sentences that are near to one of the training on these contents, and far from all."""
     shares = {text: share for row in results.values() for text, share in row["sentences"].items()}

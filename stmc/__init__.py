@@ -24,6 +24,8 @@ _HOMES = {
     "Denoiser": "denoisers", "Shard": "shards", "suggest_parts": "run", "with_suggested_parts": "run",
     "Vocabulary": "vocabulary",
     "clean_feet": "feet", "looped": "loops", "render_film": "viewing",
+    "add_rest": "editing", "bend_path": "editing", "change_pace": "editing", "follow": "editing",
+    "reverse": "editing", "shift_sideways": "editing", "turn_on_spot": "editing",
     "Change": "editing", "changed_prompt": "editing", "changed_prompts": "editing", "Path": "constraints",
     "Heading": "constraints", "Keyframe": "constraints", "Target": "constraints", "Hold": "constraints",
     "read_constraints": "constraints", "FootKey": "editing", "Oscillation": "editing", "PelvisKey": "editing",

@@ -251,7 +251,14 @@ def test_the_published_table_is_the_one_that_the_published_formulas_give(work, m
     slow, model = Slow(stmc.load_evaluator(work / "tmr")), stmc.load(work / "model")
     expected = {"ground_truth": slow.real()}
     for method in ("one_text", "stmc"):
-        settings = {"seed": [2, 3], "steps": 2, "stitch_from": 0.0, "method": method, "joints_from": "features", "clean_feet": False}
+        settings = {
+            "seed": [2, 3],
+            "steps": 2,
+            "stitch_from": 0.0,
+            "method": method,
+            "joints_from": "features",
+            "clean_feet": False,
+        }
         motions = model.generate(stmc.Timeline.read_all(work / "MTT.txt"), **settings)
         joints = [motion.joints.double().numpy() for motion in motions]
         expected[method] = slow.generated(joints, one_text=method == "one_text")

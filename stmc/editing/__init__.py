@@ -1,11 +1,15 @@
-"""Editing motions: partial regeneration (`changes`), and new motions made from recorded ones.
+"""Editing motions: partial regeneration (`changes`), and new motions made from recorded ones: on other paths, at
+another pace, turned on the spot, one behind the other.
 
 Knows timelines, motions and the body; knows no features and no sampling.
 """
 
 from stmc.editing.changes import BORDER, Change, Kept, changed_prompt, changed_prompts, on_body
+from stmc.editing.paths import bend_path, change_pace, reverse, shift_sideways
 from stmc.editing.posture import FootKey, PelvisKey, TurnKey, bend_down, shift_pelvis, step, turn_head, turn_trunk
 from stmc.editing.reaching import Oscillation, WristKey, body_frame, copy_arm, reach
+from stmc.editing.resting import add_rest, follow
+from stmc.editing.turning import turn_on_spot
 
 __all__ = [
     "BORDER",
@@ -16,15 +20,22 @@ __all__ = [
     "PelvisKey",
     "TurnKey",
     "WristKey",
+    "add_rest",
     "bend_down",
+    "bend_path",
     "body_frame",
+    "change_pace",
     "changed_prompt",
     "changed_prompts",
     "copy_arm",
+    "follow",
     "on_body",
     "reach",
+    "reverse",
     "shift_pelvis",
+    "shift_sideways",
     "step",
     "turn_head",
+    "turn_on_spot",
     "turn_trunk",
 ]

@@ -64,7 +64,7 @@ def reach_with_legs(
 def turn_joint(
     rotations: Float[Tensor, "frames 22 3 3"], name: str, angle: Float[Tensor, " frames"]
 ) -> Float[Tensor, "frames 22 3 3"]:
-    """Local rotations with one joint, and all that it carries, turned by `angle` (radians) about the world's up axis."""
+    """Local rotations with a joint, and all that it carries, turned by `angle` (radians) about the world's up axis."""
     index = JOINTS.index(name)
     above = global_rotations(rotations, PARENTS)[:, PARENTS[index]]
     rotations = rotations.clone()

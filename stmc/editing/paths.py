@@ -1,4 +1,4 @@
-"""Motions on another path, at another pace, in another direction: the ground is bent and stretched, and the body follows.
+"""Motions on another path, at another pace, in another direction: the ground is bent or stretched, the body follows.
 
 Points of the ground have two coordinates, along the straight line from the pelvis' first place to its last and to the
 left of it. An edit moves the points of the ground; pelvis and ankles move with the ground below them, each for itself,
@@ -13,17 +13,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import roma
 import torch
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from torch import Tensor
 
-from stmc.body import PARENTS
+from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.editing.legs import exact, like, of_legs, reach_with_legs, smooth, turn_joint
 from stmc.geometry import (
     axis_angle_to_matrix,
     global_rotations,
+    matrix_to_axis_angle,
     matrix_to_quaternion,
     quaternion_to_matrix,
     rotation_z,
@@ -45,6 +47,7 @@ _LEAN = 0.7
 """The share of the lean into a curve with which the weight would point along the body: people lean less."""
 _AHEAD = 0.15
 """Seconds by which the head looks ahead in a curve."""
+_ARMS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("collar", "shoulder", "elbow")]
 _TURN, _SLOW = 2.0, 6.0
 """Frames, at 20 a second, over which the pelvis' turn, and the lean, are averaged (Gaussian)."""
 
@@ -89,10 +92,11 @@ def change_pace(motion: Motion, tempo: float | int = 1.0, stride: float | int = 
     both.
 
     Slow walkers make fewer and shorter steps; a motion that is slowed in time alone looks like slow motion. Steps are
-    those along the straight line from the motion's beginning to its end. Bones keep their lengths.
+    those along the straight line from the motion's beginning to its end. With shorter steps, arms swing less: about
+    their mean, by as much. Bones keep their lengths.
 
-    Raises `SettingError` for numbers that are not above zero, and for a `stride` other than 1 of a motion that ends less
-    than 5 cm from its beginning.
+    Raises `SettingError` for numbers that are not above zero, and for a `stride` other than 1 of a motion that ends
+    less than 5 cm from its beginning.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 2", steps=1)
@@ -104,6 +108,8 @@ def change_pace(motion: Motion, tempo: float | int = 1.0, stride: float | int = 
     body, skeleton = exact(motion)
     if stride != 1:
         body = _on_ground(body, skeleton, _Line.of(body).map(forward=stride, sideways=0.0))
+    if stride < 1:
+        body = _with_smaller_swing(body, stride, skeleton)
     return like(body if tempo == 1 else _retimed(body, tempo, skeleton), motion)
 
 
@@ -244,6 +250,15 @@ def _leaning(
         rotations = turn_joint(rotations, name, _AHEAD / 2 * turning)
     posed = Motion.posed(rotations, motion.translation, motion.fps, skeleton)
     return reach_with_legs(posed, ankles, feet, skeleton)
+
+
+def _with_smaller_swing(motion: Motion, share: float, skeleton: Skeleton) -> Motion:
+    """The arms' rotations nearer to their mean over time."""
+    rotations = motion.rotations.clone()
+    arms = rotations[:, _ARMS]
+    mean = roma.special_procrustes(arms.mean(dim=0))
+    rotations[:, _ARMS] = mean @ axis_angle_to_matrix(share * matrix_to_axis_angle(mean.mT @ arms))
+    return Motion.posed(rotations, motion.translation, motion.fps, skeleton)
 
 
 def _retimed(motion: Motion, tempo: float, skeleton: Skeleton) -> Motion:

@@ -1,6 +1,6 @@
 """Motions that no open recording shows, made by editing recordings: one recipe per action."""
 
-from stmc.data.sources.edited import gestures, idling, jumps, kicks, locomotion
+from stmc.data.sources.edited import gestures, idling, jumping, kicking, locomotion
 
-RECIPES = (*locomotion.RECIPES, *jumps.RECIPES, *kicks.RECIPES, *idling.RECIPES, *gestures.RECIPES)
+RECIPES = (*locomotion.RECIPES, *jumping.RECIPES, *kicking.RECIPES, *idling.RECIPES, *gestures.RECIPES)
 """All recipes, in the order of the data set."""

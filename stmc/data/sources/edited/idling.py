@@ -7,21 +7,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from stmc.data.sources.edited.measuring import standing
+from stmc.data.sources.edited.measuring import both_stand
 from stmc.data.sources.edited.recipe import Bases, Draft, Recipe
 from stmc.data.sources.edited.standing import draw_standing
+from stmc.editing.resting import follow
 from stmc.motion import Motion
 
 
 def idle(bases: Bases, rng: np.random.Generator) -> Draft:
-    """Somebody who stands for four seconds to seven."""
-    base = draw_standing(bases, rng, rng.uniform(4.0, 6.9))
-    return Draft(base.motion, base.recording)
+    """Two or three recordings of people who stand, one behind the other with the feet in their places: who waits
+    breathes, shifts the weight, looks about and changes the posture now and then."""
+    first = draw_standing(bases, rng, rng.uniform(2.4, 3.8), busy=0.7)
+    motion = first.motion
+    for _ in range(int(rng.integers(1, 3))):
+        motion = follow(motion, draw_standing(bases, rng, rng.uniform(2.2, 3.4), busy=0.7).motion)
+    return Draft(motion, first.recording)
 
 
 def _is_idle(motion: Motion) -> bool:
-    return bool(standing(motion).all())
+    return bool(both_stand(motion).all())
 
 
-RECIPES = (Recipe("idle", "recorded", idle, _is_idle, clips=80, once=False),)
+RECIPES = (Recipe("idle", "edited", idle, _is_idle, clips=80, once=False),)
 """In the order of the data set."""

@@ -10,7 +10,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from stmc.data.sources.edited.measuring import distance, foot_speed, forward, joint, speed, steady, turned
+from stmc.data.sources.edited.measuring import distance, foot_speed, forward, joint, pace, steady, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.paths import bend_path, change_pace, reverse
@@ -54,17 +54,17 @@ def _is_straight(motion: Motion) -> bool:
 def circle(bases: Bases, rng: np.random.Generator) -> Draft:
     """A walk bent by 48 to 72 degrees a second."""
     base = _draw(bases, rng, ("walk",), _EVEN, 5.5)
-    pace, wanted = speed(base.motion), rng.uniform(0.85, 1.3)
-    tempo = float(np.clip(wanted / pace, 0.8, 1.05))
-    motion = change_pace(base.motion, tempo, float(np.clip(wanted / pace / tempo, 0.8, 1.0)))
+    change = rng.uniform(0.85, 1.3) / pace(base.motion)
+    tempo = float(np.clip(change, 0.8, 1.05))
+    motion = change_pace(base.motion, tempo, float(np.clip(change / tempo, 0.8, 1.0)))
     rate = math.radians(rng.uniform(48, 72))
     motion = _part(motion, rng, _LONGEST)
-    return Draft(bend_path(motion, radius=speed(motion) / rate), base.recording)
+    return Draft(bend_path(motion, radius=pace(motion) / rate), base.recording)
 
 
 def _circles(motion: Motion) -> bool:
     way = turned(motion)
-    return way[-1] > 340 and 0.75 < speed(motion) < 1.5
+    return way[-1] > 340 and 0.75 < pace(motion) < 1.5
 
 
 def quarter(bases: Bases, rng: np.random.Generator) -> Draft:
@@ -116,7 +116,7 @@ def _backwards(bases: Bases, rng: np.random.Generator) -> tuple[Motion, str]:
 
 def _at_speed(motion: Motion, rng: np.random.Generator, wanted: float, tempos: tuple[float, float]) -> Motion:
     """The motion at a speed in metres a second; about half of the change is in its tempo, the rest in its stride."""
-    change = wanted / speed(motion)
+    change = wanted / pace(motion)
     tempo = float(np.clip(change ** rng.uniform(0.4, 0.6), *tempos))
     stride = change / tempo
     if not 0.35 < stride < 1.2:
@@ -165,8 +165,7 @@ def _walks(slowest: float, fastest: float, backwards: bool = False):
 
     def accept(motion: Motion) -> bool:
         ahead = forward(motion) * (-1 if backwards else 1)
-        pace = ahead / motion.duration
-        return _is_straight(motion) and slowest < pace < fastest and ahead > 0.9 * distance(motion)
+        return _is_straight(motion) and slowest < ahead / motion.duration < fastest and ahead > 0.9 * distance(motion)
 
     return accept
 

@@ -27,7 +27,7 @@ def distance(motion: Motion) -> float:
     return float((motion.translation[-1] - motion.translation[0])[:2].norm())
 
 
-def speed(motion: Motion) -> float:
+def pace(motion: Motion) -> float:
     """Mean speed of the pelvis' way on the ground, averaged over half a second, in metres a second."""
     step = max(1, round(motion.fps / 2))
     ground = motion.translation[::step, :2]
@@ -57,7 +57,7 @@ def foot_speed(motion: Motion, side: str) -> Float[Tensor, " steps"]:
     return joint(motion, f"{side}_foot").diff(dim=0).norm(dim=-1) * motion.fps
 
 
-def standing(motion: Motion) -> Bool[Tensor, " steps"]:
+def both_stand(motion: Motion) -> Bool[Tensor, " steps"]:
     """Whether both feet stand, from each frame to the next."""
     low = torch.stack([joint(motion, f"{side}_foot")[1:, 2] < 0.08 for side in ("left", "right")])
     still = torch.stack([foot_speed(motion, side) < STILL for side in ("left", "right")])
@@ -76,7 +76,7 @@ def rests(motion: Motion, seconds: float) -> bool:
     """Whether both feet stand at the end for so long, and the body is upright."""
     frames = round(seconds * motion.fps)
     upright = joint(motion, "pelvis")[-1, 2] > 0.8
-    return bool(standing(motion)[-frames:].all() and upright)
+    return bool(both_stand(motion)[-frames:].all() and upright)
 
 
 def steady(motion: Motion, share: float = 0.6) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Recipes of kicks with the left foot: recorded single kicks, sided by their geometry, and low kicks of a standing body.
+"""Recipes of kicks with the left foot: single recorded ones, sided by geometry, and low kicks of bodies that stand.
 
 Knows bases and editing; knows no caches and no texts.
 """
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.body import JOINTS, PARENTS
-from stmc.data.sources.edited.jumps import rested
+from stmc.data.sources.edited.jumping import rested
 from stmc.data.sources.edited.measuring import foot_speed, joint, rests, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.standing import draw_standing
@@ -130,7 +130,7 @@ class LowKick:
         return reach_with_legs(posed, targets, feet, skeleton)
 
     def _course(self, motion: Motion) -> tuple[Tensor, Tensor, Tensor]:
-        """Over time: the leg's angle (forward positive), its length as a share, and the share of weight on the right."""
+        """Over time: the leg's angle (forward positive), the share of its length, and of the weight on the right."""
         times = torch.arange(motion.frames, dtype=torch.float64) / motion.fps
         ends = np.cumsum([self.start, self.windup, self.swing, self.hold, self.recovery])
         swing, reach = torch.zeros_like(times), torch.ones_like(times)
@@ -175,8 +175,8 @@ def _eased(share: Tensor) -> Tensor:
 
 
 RECIPES = (
-    Recipe("high-kick-left", "recorded", high_kick, _is_high, clips=80),
-    Recipe("low-kick-left", "recorded", kicked_ball, _is_low, clips=20),
+    Recipe("high-kick-left", "edited", high_kick, _is_high, clips=80),
+    Recipe("low-kick-left", "edited", kicked_ball, _is_low, clips=20),
     Recipe("low-kick-left", "authored", low_kick, _is_low, clips=70),
 )
 """In the order of the data set."""

@@ -1,0 +1,101 @@
+"""Recipes of jumps backwards and hops to the side: recorded jumps forward, played backwards or sheared.
+
+Knows bases and editing; knows no caches and no texts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from stmc.body import PARENTS
+from stmc.data.sources.edited.measuring import both_stand, distance, flights, forward, leftward, rests, turned
+from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
+from stmc.data.sources.edited.standing import draw_standing
+from stmc.editing.legs import exact, of_legs, reach_with_legs, smooth
+from stmc.editing.paths import change_pace, reverse, shift_sideways
+from stmc.editing.resting import add_rest, follow
+from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
+from stmc.motion import Motion
+
+
+def _draw(bases: Bases, rng: np.random.Generator, shortest: float, longest: float) -> Base:
+    """A recorded jump forward of such a length in metres, mirrored as often as not."""
+    found = bases["jump-forward"]
+    base = found[rng.integers(len(found))]
+    if not shortest < distance(base.motion) < longest:
+        raise Unusable(f"{base.name} goes {distance(base.motion):.2f} m")
+    return Base(base.name, base.recording, base.style, base.motion.mirrored() if rng.random() < 0.5 else base.motion)
+
+
+def rested(motion: Motion, bases: Bases, rng: np.random.Generator) -> Motion:
+    """The motion with rest before and after it."""
+    before, after = rng.uniform(0.35, 1.0), rng.uniform(1.1, 2.3)
+    return add_rest(motion, draw_standing(bases, rng, after + 0.2).motion, before, after)
+
+
+def soften(motion: Motion, share: float) -> Motion:
+    """A jump whose crouches before and after are less deep: while the feet stand, the pose is so much nearer to that of
+    the first frame, or of the last."""
+    body, skeleton = exact(motion)
+    stands = torch.nn.functional.pad(both_stand(body).double()[None], (1, 0), mode="replicate")[0]
+    weight = share * smooth(stands, 1.5)
+    apex = int(body.translation[:, 2].argmax())
+    late = torch.arange(body.frames) >= apex
+    goal = torch.where(late[:, None, None, None], body.rotations[-1], body.rotations[0])
+    place = torch.where(late[:, None], body.translation[-1], body.translation[0])
+    rotations = body.rotations @ axis_angle_to_matrix(
+        weight[:, None, None] * matrix_to_axis_angle(body.rotations.mT @ goal)
+    )
+    posed = Motion.posed(rotations, torch.lerp(body.translation, place, weight[:, None]), body.fps, skeleton)
+    feet = of_legs(global_rotations(body.rotations, PARENTS), "ankle")
+    return reach_with_legs(posed, of_legs(body.joints, "ankle"), feet, skeleton)
+
+
+def jump_back(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A jump forward played backwards, shorter; it lands less deep than the other one took off."""
+    base = _draw(bases, rng, 0.5, 1.3)
+    stride = rng.uniform(0.4, 0.8) / distance(base.motion)
+    motion = change_pace(reverse(base.motion), tempo=rng.uniform(0.95, 1.1), stride=min(1.0, stride))
+    return Draft(rested(soften(motion, rng.uniform(0.3, 0.6)), bases, rng), base.recording)
+
+
+def _is_jump_back(motion: Motion) -> bool:
+    straight = abs(turned(motion)).max() < 40
+    return flights(motion) == 1 and -1.0 < forward(motion) < -0.3 and straight and rests(motion, 0.6)
+
+
+def hop(bases: Bases, rng: np.random.Generator) -> Draft:
+    """A jump forward sheared to the left, in a third of the draws twice or three times."""
+    base = _draw(bases, rng, 0.4, 1.3)
+    times = int(rng.choice([1, 2, 3], p=[0.66, 0.22, 0.12]))
+    way = rng.uniform(0.18, 0.35) if rng.random() < 0.4 or times > 1 else rng.uniform(0.35, 0.7)
+    motion = change_pace(_lively(base.motion) if times > 1 else base.motion, tempo=rng.uniform(0.95, 1.2))
+    motion = soften(shift_sideways(motion, way, forward=rng.uniform(0.0, 0.1)), rng.uniform(0.35, 0.65))
+    hops = motion
+    for _ in range(times - 1):
+        hops = follow(hops, motion)
+    return Draft(rested(hops, bases, rng), base.recording)
+
+
+def _lively(motion: Motion) -> Motion:
+    """Without the standing before and after: from when the pelvis begins to sink to when it has come up."""
+    height = motion.translation[:, 2]
+    sinks = (height[0] - height > 0.02).nonzero()[:, 0]
+    rises = (abs(height - height[-1]) > 0.02).nonzero()[:, 0]
+    if not len(sinks) or not len(rises):
+        raise Unusable("the jump has no crouch")
+    return motion.trimmed(max(0, int(sinks[0]) - 2), min(motion.frames, int(rises[-1]) + 3))
+
+
+def _is_hop(motion: Motion) -> bool:
+    aside, straight = leftward(motion), abs(turned(motion)).max() < 40
+    side = aside > 0.12 and abs(forward(motion)) < 0.5 * aside
+    return 1 <= flights(motion) <= 3 and side and straight and rests(motion, 0.6)
+
+
+RECIPES = (
+    Recipe("jump-back", "edited", jump_back, _is_jump_back, clips=80),
+    Recipe("hop-left", "edited", hop, _is_hop, clips=100),
+)
+"""In the order of the data set."""
