@@ -5,16 +5,14 @@ Hips and weight go first, the trunk follows, the hand comes last. Feet stand whe
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from stmc.data.sources.edited.script import Script, Spot, shifted, turned
 from stmc.editing import FootKey, Oscillation, WristKey
 
-GUARD = Spot((0.05, -0.08, 0.15), (0.11, 0.02, 0.21), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
+GUARD = Spot((0.09, -0.08, 0.15), (0.13, 0.02, 0.20), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
 JAB = Spot((0.0, -0.02, 0.452), (0.05, 0.04, 0.462), pole=((0.6, -1, 0), (0.8, -0.8, 0)), shrug=(4, 9))
-COCKED = Spot((0.26, 0.10, -0.16), (0.32, 0.20, -0.10), pole=((1, 0, -0.4), (1, 0, -0.4)), shrug=(4, 8))
+COCKED = Spot((0.26, 0.05, -0.16), (0.32, 0.14, -0.10), pole=((1, 0, -0.4), (1, 0, -0.4)), shrug=(4, 8))
 RELEASE = Spot((0.06, 0.12, 0.38), (0.14, 0.20, 0.42), pole=((1, -0.3, 0), (1, -0.3, 0)), shrug=(6, 10))
 FOLLOW = Spot((-0.16, -0.36, 0.22), (-0.05, -0.28, 0.30), pole=((0.8, -0.6, -0.2), (0.8, -0.6, -0.2)))
 BALANCE = Spot((0.08, -0.16, 0.36), (0.14, -0.02, 0.42), pole=((1, -1, 0), (1, -1, 0)))
@@ -179,11 +177,11 @@ def dodge(rng: np.random.Generator) -> Script:
     out, stays, back = rng.uniform(0.26, 0.36), rng.uniform(0.2, 0.5), rng.uniform(0.5, 0.75)
     away = rng.uniform(0.5, 1.1) + out
     ends, side = away + stays + back, float(rng.choice([-1, 1]))
-    lean, duck = rng.uniform(20, 30), rng.uniform(0.06, 0.15)
+    lean, duck = rng.uniform(26, 38), rng.uniform(0.05, 0.13)
     aside = (side * rng.uniform(0.06, 0.11), -duck, 0.0)
     pitch, yaw = rng.uniform(6, 22), -side * rng.uniform(0, 12)
     if rng.uniform() < 0.25:
-        lean, pitch, aside = 0.4 * lean, -rng.uniform(16, 24), (0.3 * aside[0], -0.6 * duck, -0.07)
+        lean, pitch, aside = 0.4 * lean, -rng.uniform(24, 32), (0.3 * aside[0], -0.6 * duck, -0.07)
     hips = (shifted(away, out + 0.04, aside, 0, 0.3 * pitch, side * 0.15 * lean, 1.3), shifted(ends, back))
     trunk = (turned(away, out, yaw, pitch, side * lean, 1.3), turned(ends, back))
     head = (turned(away - 0.03, out, 0.5 * yaw, 0.2 * pitch, side * rng.uniform(2, 12), 1.3), turned(ends, back))
@@ -192,4 +190,4 @@ def dodge(rng: np.random.Generator) -> Script:
         hands = [SHIELD.drawn(rng).near(rng, 0.03) for _ in arms]
         arms = [(hand.key(away + 0.05, out, 1.4), WristKey(ends + 0.1, back)) for hand in hands]
     seconds = max(3.0, ends + rng.uniform(0.6, 1.2))
-    return Script(seconds, *arms, head, trunk, hips, gaze=0.3 + 0.2 * math.sin(lean))
+    return Script(seconds, *arms, head, trunk, hips, gaze=rng.uniform(0.1, 0.5))

@@ -194,8 +194,8 @@ def looks(motion: Motion) -> bool:
 
 
 def dodges(motion: Motion) -> bool:
-    """The head gets out of the way within half a second, and comes back."""
-    head = motion.joints[:, JOINTS.index("head")]
+    """The head gets out of the way within half a second, beside the pelvis, and comes back."""
+    head = motion.joints[:, JOINTS.index("head")] - motion.translation
     away, half = (head - head[0]).norm(dim=-1), round(motion.fps / 2)
     quick = (head[half:] - head[:-half]).norm(dim=-1).max()
-    return bool(quick > 0.18) and bool(away[-1] < 0.12) and _feet_stay(motion)
+    return bool(quick > 0.14) and bool(away[-1] < 0.1) and _feet_stay(motion)

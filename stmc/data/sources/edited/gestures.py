@@ -28,8 +28,8 @@ BESIDE_HEAD = Spot(
     (0.22, 0.02, 0.06), (0.26, 0.06, 0.10), "head", ((1, -0.2, 0.5), (1, -0.2, 0.5)), (4, 8), (0, 0, 0.08)
 )
 NAPE = Spot((0.13, 0.02, -0.12), (0.165, 0.07, -0.08), "head", ((1, 0.2, 0.1), (1, 0.6, 0.5)), (8, 16))
-TABLE = Spot((0.04, -0.26, 0.32), (0.12, -0.20, 0.36), pole=((0.5, -1, 0), (1, -1, 0)))
-PANE = Spot((0.05, -0.10, 0.31), (0.13, 0.04, 0.36), pole=((0.5, -1, 0), (1, -1, 0)), shrug=(0, 5))
+TABLE = Spot((0.09, -0.26, 0.31), (0.16, -0.20, 0.35), pole=((0.5, -1, 0), (1, -1, 0)))
+PANE = Spot((0.08, -0.18, 0.34), (0.14, -0.07, 0.38), pole=((0.5, -1, 0), (1, -1, 0)), shrug=(0, 5))
 CLAP = Spot((0.098, -0.16, 0.24), (0.106, -0.06, 0.29), pole=((1, -1, -0.1), (1, -1, -0.1)))
 NECK = Spot((0.30, -0.19, 0.20), (0.34, -0.14, 0.25), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
 STRINGS = Spot((0.0, -0.26, 0.20), (0.05, -0.22, 0.23), pole=((1, -0.6, -0.5), (1, -0.6, -0.3)))
@@ -44,6 +44,7 @@ SHORTEST, LONGEST = 3.5, 7.5
 
 STANDING: dict[Kind, float] = {"stand": 1.0}
 ANYWHERE: dict[Kind, float] = {"stand": 0.7, "walk": 0.18, "sit": 0.12}
+ON_FEET: dict[Kind, float] = {"stand": 0.82, "walk": 0.18}
 STANDING_OR_SEATED: dict[Kind, float] = {"stand": 0.85, "sit": 0.15}
 
 
@@ -89,7 +90,7 @@ def phone(rng: np.random.Generator) -> Script:
     time = there + rng.uniform(0.2, 0.6)
     while time < there + stays - 0.9:
         time += rng.uniform(0.7, 1.2)
-        nods.append(turned(time, rng.uniform(0.5, 0.7), rng.uniform(-12, 12), rng.uniform(-3, 7), roll))
+        nods.append(turned(time, rng.uniform(0.5, 0.7), rng.uniform(-12, 8), rng.uniform(-3, 7), roll))
     ends = [turned(max(back[0].time, time), 0.6)] if back else []
     drift = Oscillation(0.4, (0.002, 0.003, 0.002), (0.002, 0, 0.003))
     return Script(seconds, left=(ear.key(there, takes, rng.uniform(1.1, 1.5), drift), *back), head=(*nods, *ends))
@@ -101,7 +102,7 @@ def eat(rng: np.random.Generator) -> Script:
     pace, plate, mouth = (1.0 if count < 4 else 0.75) * rng.uniform(0.85, 1.1), PLATE.drawn(rng), MOUTH.drawn(rng)
     keys, nods, pitch = [plate.key(time, 0.6)], [], rng.uniform(6, 14)
     for _ in range(count):
-        up, stay, down = pace * rng.uniform(0.45, 0.6), pace * rng.uniform(0.2, 0.4), pace * rng.uniform(0.45, 0.6)
+        up, stay, down = pace * rng.uniform(0.45, 0.6), pace * rng.uniform(0.15, 0.3), pace * rng.uniform(0.45, 0.6)
         at = time + pace * rng.uniform(0.15, 0.3) + up
         keys.append(mouth.near(rng, 0.005).key(at, up, rng.uniform(1.0, 1.3)))
         nods += [turned(at, up, pitch=pitch), turned(at + stay + down, down, pitch=0.3 * pitch)]
@@ -230,7 +231,7 @@ def guitar(rng: np.random.Generator) -> Script:
         x, y, z = neck.low
         goal = (x - 0.09 * inner, y - 0.03 * inner, z)
         left.append(Spot(goal, goal, pole=neck.pole).key(change, 0.3))
-    head = turned(there, takes, float(rng.uniform(5, 20)), float(rng.uniform(10, 20)))
+    head = turned(there, takes, float(rng.uniform(2, 14)), float(rng.uniform(10, 20)))
     ends = (turned(back[0].time, 0.7),) if back else ()
     right = (STRINGS.drawn(rng).key(there, takes, 1.25, strum), *back)
     return Script(seconds, left=(*left, *back), right=right, head=(head, *ends))
@@ -243,7 +244,7 @@ def violin(rng: np.random.Generator) -> Script:
     back, seconds = _ended(rng, there + rng.uniform(3.8, 5.0), 0.35)
     bow = Oscillation(hertz, (0.8 * size, -0.15 * size, 0.45 * size), (0.0, 0.008, 0.0))
     vibrato = Oscillation(hertz, (0.006, 0.0, 0.004))
-    head = turned(there, takes, float(rng.uniform(18, 30)), float(rng.uniform(6, 12)), float(rng.uniform(10, 18)))
+    head = turned(there, takes, float(rng.uniform(12, 22)), float(rng.uniform(6, 12)), float(rng.uniform(10, 18)))
     ends = (turned(back[0].time, 0.7),) if back else ()
     left = (SCROLL.drawn(rng).key(there, takes, 1.2, vibrato), *back)
     right = (BOW.drawn(rng).key(there, takes, 1.2, bow), *back)
@@ -265,7 +266,7 @@ RECIPES: tuple[Recipe, ...] = (
     _recipe("throw-left", throw, gates.throws),
     _recipe("pick-up-left", pick_up, gates.picks_up),
     _recipe("point-left", point, gates.points, ANYWHERE),
-    _recipe("wipe-left", wipe, gates.wipes, ANYWHERE),
+    _recipe("wipe-left", wipe, gates.wipes, ON_FEET),
     _recipe("eat-left", eat, gates.eats, ANYWHERE),
     _recipe("drink-left", drink, gates.drinks, ANYWHERE),
     _recipe("phone-left", phone, gates.phones, ANYWHERE),
