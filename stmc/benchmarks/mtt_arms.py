@@ -42,10 +42,11 @@ def raises(motion: Motion) -> bool:
 
 
 def waves(motion: Motion) -> bool:
-    """Whether the left forearm swings sideways four times or more while it points up all along."""
+    """Whether the left forearm swings sideways four times or more while it points up all along, and
+    hands do not clap."""
     steep = elevation(motion, "left_elbow", "left_wrist") > math.radians(20)
     stays = visits(steep, motion.fps, 0.5, 0.15)
-    return max((swings(motion.trimmed(*stay), "left", 0.07) for stay in stays), default=0) >= 4
+    return max((swings(motion.trimmed(*stay), "left", 0.07) for stay in stays), default=0) >= 4 and not claps(motion)
 
 
 def eats(motion: Motion) -> bool:
@@ -64,8 +65,9 @@ def drinks(motion: Motion) -> bool:
     near = within(motion, MOUTH)
     holds = visits(near, motion.fps, 0.6, 0.25)
     pitch = gaze(motion)[:, 1]
+    otherwise = pitch[~near] if bool((~near).any()) else pitch
     tips = max((float(pitch[first:last].max()) for first, last in holds), default=-math.inf)
-    return 1 <= len(holds) <= 2 and tips > float(pitch.min()) + math.radians(8)
+    return 1 <= len(holds) <= 2 and tips > float(otherwise.median()) + math.radians(6)
 
 
 def phones(motion: Motion) -> bool:
@@ -79,10 +81,12 @@ def touches_back_of_head(motion: Motion) -> bool:
 
 
 def points(motion: Motion) -> bool:
-    """Whether the left arm is held out straight, forwards or outwards, about level and still, and never overhead."""
+    """Whether the left arm is held out straight, forwards or outwards, about level and still, without the
+    other hand and never overhead."""
     angle, place = elevation(motion, "left_shoulder", "left_wrist"), seen_from(motion, "left_wrist", "chest")
     level = (angle > math.radians(-25)) & (angle < math.radians(35)) & (place[:, 2] > 0.1)
     still = torch.nn.functional.pad(hand_speed(motion, "left") < 0.35, (0, 1))
+    level = level & (hand_gap(motion) > 0.25)
     held = longest(level & still & (extension(motion, "left") > 0.9), motion.fps)
     return held > 0.7 and float(angle.max()) < math.radians(50)
 

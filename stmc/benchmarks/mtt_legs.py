@@ -42,7 +42,7 @@ def straight(motion: Motion) -> bool:
     return float(turned(motion).abs().max()) < math.radians(60)
 
 
-def walks(motion: Motion, slowest: float, fastest: float) -> bool:
+def walks(motion: Motion, slowest: float | int, fastest: float | int) -> bool:
     """Whether a body goes straight ahead, by its heading, at a mean speed in between (metres per second, negative
     backwards), a foot on the floor."""
     most = RUNNING if fastest < 0 else 2.5 * RUNNING  # the toes of some actors and recordings float in every walk
@@ -50,7 +50,7 @@ def walks(motion: Motion, slowest: float, fastest: float) -> bool:
     return paced and straight(motion) and not jumps_with_both_feet(motion)
 
 
-def jogs(motion: Motion, slowest: float, fastest: float) -> bool:
+def jogs(motion: Motion, slowest: float | int, fastest: float | int) -> bool:
     """Whether a body runs straight ahead at a mean speed in between, both feet off the floor now and then, or faster
     than anybody walks, and not in jumps with both feet."""
     speed = mean_speed(motion)
@@ -72,10 +72,10 @@ def circles(motion: Motion) -> bool:
     )
 
 
-def turns(motion: Motion, least: float, most: float) -> bool:
+def turns(motion: Motion, least: float | int, most: float | int) -> bool:
     """Whether an upright body has turned to the left by `least` to `most` degrees in the end, and never by 25 more."""
     angle, upright = torch.rad2deg(turned(motion)), float(pelvis_height(motion).min()) > SEATED
-    kicks = max(kick_height(motion, side) for side in ("left", "right")) > 0.5
+    kicks = max(kick_height(motion, side) for side in ("left", "right")) > 0.3
     return least <= float(angle[-1]) <= most and float(angle.max()) < most + 25 and upright and not kicks
 
 
@@ -153,13 +153,13 @@ def golfs(motion: Motion) -> bool:
 
 
 def bows(motion: Motion) -> bool:
-    """Whether an upright body bends forward by 28 degrees or more, for 0.9 seconds, and comes up again."""
+    """Whether an upright body bends forward by 24 degrees or more, for 0.9 seconds, and comes up again."""
     bent, height = lean(motion)[:, 0], pelvis_height(motion)
     deepest = int(bent.argmax())
     most = float(bent[deepest])
     rises = max(float(bent[: deepest + 1].min()), float(bent[deepest:].min())) < 0.6 * most
     slow = longest(bent > math.radians(20), motion.fps) >= 0.9
-    return most > math.radians(28) and rises and slow and float(height[deepest]) > 0.7 and not _hands_low(motion)
+    return most > math.radians(24) and rises and slow and float(height[deepest]) > 0.7 and not _hands_low(motion)
 
 
 def _hands_low(motion: Motion) -> bool:
@@ -167,7 +167,7 @@ def _hands_low(motion: Motion) -> bool:
 
 
 def dodges(motion: Motion) -> bool:
-    """Whether the head goes aside or back by 11 cm or more beside the pelvis within 0.6 seconds, and comes back."""
+    """Whether the head goes aside or back by 10 cm or more beside the pelvis within 0.6 seconds, and comes back."""
     head, few = joint(motion, "head") - joint(motion, "pelvis"), max(1, round(0.6 * motion.fps))
     across, ahead = to_the_left(motion, head), (head * motion.facing).sum(dim=-1)
     away = torch.maximum((across - across.median()).abs(), ahead.median() - ahead)
@@ -175,4 +175,4 @@ def dodges(motion: Motion) -> bool:
     far, quick = float(away[peak]), float(away[peak] - away[max(0, peak - few) : peak + 1].min())
     kicks = max(float(joint(motion, f"{side}_ankle")[:, 2].max()) for side in ("left", "right")) > 0.6
     comes_back = float(away[peak:].min()) < 0.5 * far
-    return far > 0.11 and quick > 0.09 and comes_back and not kicks and not jumps_with_both_feet(motion)
+    return far > 0.1 and quick > 0.07 and comes_back and not kicks and not jumps_with_both_feet(motion)

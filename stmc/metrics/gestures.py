@@ -51,7 +51,9 @@ def within(motion: Motion, box: Box) -> Bool[Tensor, " frames"]:
     return ((wrist > low) & (wrist < high)).all(dim=1)
 
 
-def visits(near: Bool[Tensor, " frames"], fps: float | int, least: float, apart: float) -> list[tuple[int, int]]:
+def visits(
+    near: Bool[Tensor, " frames"], fps: float | int, least: float | int, apart: float | int
+) -> list[tuple[int, int]]:
     """First and last frame (exclusive) of each stay of at least `least` seconds; stays that are less than `apart`
     seconds from each other are one."""
     joined: list[tuple[int, int]] = []
@@ -68,14 +70,15 @@ def longest(mask: Bool[Tensor, " frames"], fps: float | int) -> float:
     return max((last - first for first, last in stretches(mask)), default=0) / fps
 
 
-def reversals(values: Float[Tensor, " frames"], extent: float) -> int:
+def reversals(values: Float[Tensor, " frames"], extent: float | int) -> int:
     """How often `values` move by at least `extent` one way or the other since they turned: to and fro are two."""
-    count, direction, extreme = 0, 0, math.nan
+    count, direction, low, high = 0, 0, math.inf, -math.inf
     for value in values.tolist():
-        if math.isnan(extreme) or (direction and direction * (value - extreme) >= 0):
-            extreme = value
-        elif abs(value - extreme) >= extent:
-            count, direction, extreme = count + 1, 1 if value > extreme else -1, value
+        low, high = min(low, value), max(high, value)
+        if direction <= 0 and value - low >= extent:
+            count, direction, high = count + 1, 1, value
+        elif direction >= 0 and high - value >= extent:
+            count, direction, low = count + 1, -1, value
     return count
 
 

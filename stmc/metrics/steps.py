@@ -73,7 +73,7 @@ def jumps_with_both_feet(motion: Motion) -> list[Jump]:
     return jumps
 
 
-def rests_after(motion: Motion, frame: int, seconds: float = 0.8, speed: float = 0.6) -> bool:
+def rests_after(motion: Motion, frame: int, seconds: float | int = 0.8, speed: float | int = 0.6) -> bool:
     """Whether the pelvis moves over the floor more slowly than `speed` on average, from 0.3 seconds after a frame on;
     true where the motion ends before."""
     first = frame + round(0.3 * motion.fps)
@@ -81,9 +81,10 @@ def rests_after(motion: Motion, frame: int, seconds: float = 0.8, speed: float =
     return len(after) < 3 or float(after.mean()) < speed
 
 
-def pivots(motion: Motion, side: str, still: float = 0.05, other_path: float = 0.5) -> bool:
+def pivots(motion: Motion, side: str, still: float | int = 0.05, other_path: float | int = 0.35) -> bool:
     """Whether, while the body turns, the ball of one foot stays within `still` metres and the other foot covers
-    `other_path` metres at least, from 0.3 seconds before the turn to as long after it."""
+    `other_path` metres at least, from 0.3 seconds before the turn to as long after it. Half a circle about the ball of
+    a foot is 0.4 metres for the other one, where the feet are as far apart as the hips."""
     angle, slack = turned(motion), round(0.3 * motion.fps)
     inside = ((angle.abs() > TURNING) & ((angle[-1] - angle).abs() > TURNING)).nonzero()[:, 0]
     if not len(inside):
@@ -95,7 +96,7 @@ def pivots(motion: Motion, side: str, still: float = 0.05, other_path: float = 0
     return bool(drift < still) and path_length(around, f"{other}_foot") > other_path
 
 
-def kick_height(motion: Motion, side: str, speed: float = 3.0) -> float:
+def kick_height(motion: Motion, side: str, speed: float | int = 3.0) -> float:
     """Metres above the lowest point of both feet that an ankle reaches in front of the body or beside it, stretched
     out, about the time when it is faster than `speed` beside the pelvis; 0 where it never is.
 
