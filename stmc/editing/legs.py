@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from stmc.body import JOINTS, PARENTS
@@ -72,8 +71,10 @@ def turn_joint(
     return rotations
 
 
-def smooth(values: Float[Tensor, frames * width], sigma: float) -> Float[Tensor, frames * width]:
+def smooth(values: Float[Tensor, " frames *width"], sigma: float) -> Float[Tensor, " frames *width"]:
     """A Gaussian mean over time; `sigma` in frames."""
+    from scipy.ndimage import gaussian_filter1d  # not above: it is slow to import
+
     return torch.from_numpy(gaussian_filter1d(values.numpy(), sigma, axis=0, mode="nearest"))
 
 

@@ -13,10 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import roma
 import torch
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from stmc.body import JOINTS, PARENTS
@@ -254,6 +252,8 @@ def _leaning(
 
 def _with_smaller_swing(motion: Motion, share: float, skeleton: Skeleton) -> Motion:
     """The arms' rotations nearer to their mean over time."""
+    import roma  # not above: it takes as long to import as torch
+
     rotations = motion.rotations.clone()
     arms = rotations[:, _ARMS]
     mean = roma.special_procrustes(arms.mean(dim=0))
@@ -263,6 +263,8 @@ def _with_smaller_swing(motion: Motion, share: float, skeleton: Skeleton) -> Mot
 
 def _retimed(motion: Motion, tempo: float, skeleton: Skeleton) -> Motion:
     """`tempo` times as fast, on cubic splines of positions and quaternions."""
+    from scipy.interpolate import CubicSpline  # not above: it is slow to import
+
     times = np.arange(motion.frames)
     wanted = np.arange(max(1, round(motion.frames / tempo))) * (
         (motion.frames - 1) / max(1, round(motion.frames / tempo) - 1)

@@ -103,14 +103,14 @@ def _feet(first: Motion, second: Motion) -> tuple[Float[Tensor, "frames 2 3 3"],
     return turned, ankles + share[..., None] * (last[1] - ankles[:1])
 
 
-def _last(values: Float[Tensor, frames * width]) -> Float[Tensor, 2 * width]:
+def _last(values: Float[Tensor, " frames *width"]) -> Float[Tensor, " 2 *width"]:
     """Where places, or rotations, are in the last frame, and where they would be in the next."""
     if values.ndim == 2:
         return torch.stack([values[-1], 2 * values[-1] - values[-2]])
     return torch.stack([values[-1], values[-1] @ values[-2].mT @ values[-1]])
 
 
-def _sprung(offset: Float[Tensor, 2 * width], frames: int, fps: float | int) -> Float[Tensor, frames * width]:
+def _sprung(offset: Float[Tensor, " 2 *width"], frames: int, fps: float | int) -> Float[Tensor, " frames *width"]:
     """How an offset goes on after its first of two frames, drawn to zero by a critically damped spring."""
     times = torch.arange(1, frames + 1, dtype=offset.dtype).reshape(-1, *[1] * (offset.ndim - 1)) / fps
     speed = (offset[1] - offset[0]) * fps
