@@ -474,3 +474,11 @@ def test_baselines_of_the_published_timelines_are_the_published_ones(folder):
             start, end, _, parts, text = case["singletrack"][n]
             assert record(prompt)[2:] == (parts, text)
             assert len(lasting) < len(case["singletrack"]) or (prompt.start, prompt.end) == (start, end)
+
+
+def test_a_repr_is_short_and_what_one_would_type():
+    timeline = Timeline.parse("walk # 0 # 4\nraise # 1.25 # 3 # right arm # left arm")
+    told = repr(timeline)
+    prompts = "(Prompt('walk', 0, 4), Prompt('raise', 1.25, 3, ['left arm', 'right arm']))"
+    assert told == f"Timeline(prompts={prompts}, name='')"
+    assert eval(told, {"Timeline": Timeline, "Prompt": Prompt}) == timeline
