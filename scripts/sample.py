@@ -126,10 +126,17 @@ def main(config: DictConfig) -> None:
             paths = save(motion, job, config, made_by, unknown)
             tell(job, motion, paths, f"{number} of {len(missing)}", config.json, progress.console)
             progress.advance(task)
-    console.print(
-        f"motions{of_share(shard)} in {folder.resolve()}: open an .html in a browser, a .bvh or .glb in Blender",
-        markup=False,
-    )
+    console.print(f"motions{of_share(shard)} in {folder.resolve()}{hint(config.formats)}", markup=False)
+
+
+def hint(formats: Sequence[str]) -> str:
+    """The programs for those of the formats that a newcomer may not know."""
+    blender = " or ".join(f".{kind}" for kind in ("bvh", "glb") if kind in formats)
+    told = [
+        *(["an .html in a browser"] if "html" in formats else []),
+        *([f"a {blender} in Blender"] if blender else []),
+    ]
+    return f": open {', '.join(told)}" if told else ""
 
 
 def of_share(shard: Shard) -> str:

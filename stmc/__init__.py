@@ -49,4 +49,5 @@ def __getattr__(name: str):
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *_ROOMS, *(name for name in globals() if name.startswith("__"))})
+    """The public names, for completion; packages are there too, for those who know them."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from numbers import Integral
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import torch
 from jaxtyping import Float
@@ -29,7 +29,7 @@ from stmc.editing import Kept
 from stmc.motion import Motion
 from stmc.planning import Plan, plan
 from stmc.representation import JointsFrom, Representation
-from stmc.sampling import DEFAULT, Sampling
+from stmc.sampling import DEFAULT, Sampling, SamplingArguments
 from stmc.settings import SettingError, record_of, shown, takes
 from stmc.statistics import Statistics
 from stmc.text import TextEncoder
@@ -206,7 +206,7 @@ class Model:
         return guided_sequences(*self._asked(plans, guidance, ape_steps))
 
     @takes(Sampling)
-    def settings(self, method: str | Method | Rule = "stmc", **settings: Any) -> Sampling:
+    def settings(self, method: str | Method | Rule = "stmc", **settings: Unpack[SamplingArguments]) -> Sampling:
         """What `generate` samples with when it is given these: the method's and the model's own where they are open,
         None for what does not apply. Raises `SettingError` as `generate` does.
 
@@ -236,7 +236,7 @@ class Model:
         change: Changes = (),
         constraints: Sequence[Constraint] = (),
         clean_feet: bool = True,
-        **settings: Any,
+        **settings: Unpack[SamplingArguments],
     ) -> list[Motion]:
         """One motion for each timeline, of its duration, at the model's frame rate, on the model's skeleton.
 

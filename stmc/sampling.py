@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, get_args
+from typing import Any, TypedDict, get_args
 
 from stmc.diffusion import SAMPLERS, NoiseScale
 from stmc.settings import check, setting
@@ -64,6 +64,19 @@ class Sampling:
         """What is not left open, by name."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
+
+
+class SamplingArguments(TypedDict, total=False):
+    """The fields of `Sampling` as keyword arguments, for editors and type checkers."""
+
+    steps: int | None
+    sampler: str | Callable[..., Any] | None
+    noise_scale: NoiseScale | None
+    guidance: float | int | None
+    guidance_from: float | int | None
+    overlap: float | int | None
+    stitch_from: float | int | None
+    ape_steps: float | int | None
 
 
 INDEPENDENT = "independent"

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.source_folders import PUBLISHED, Threads, amass, babel, published, recorded, smplh_arrays
+from helpers.source_folders import PUBLISHED, Serial, amass, babel, published, recorded, smplh_arrays
 from test_body_model import write_body
 from torch.testing import assert_close
 
@@ -28,7 +28,7 @@ SKELETON = Skeleton.default()
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
-    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Threads)
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Serial)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def prepared(source, annotations, folder, **settings) -> Cache:
 def cache(source, tmp_path_factory):
     folder = tmp_path_factory.mktemp("once")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        patch.setattr(preparation, "ProcessPoolExecutor", Serial)
         return prepared(source, published(folder / "texts"), folder)
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from helpers.joblib_files import joblib_bytes
 from helpers.scripts import configured, run
-from helpers.source_folders import Threads, amass, babel, recorded, smplh_arrays
+from helpers.source_folders import Serial, amass, babel, recorded, smplh_arrays
 from helpers.toy_data import LetterCounts
 from hydra.utils import instantiate
 from torch.testing import assert_close
@@ -121,7 +121,7 @@ def folder(source, tmp_path_factory):
     (place / "texts" / "val.json").write_text(json.dumps({"2": labels["1"]}))
     config = configured("prepare", "data=babel_flow")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        patch.setattr(preparation, "ProcessPoolExecutor", Serial)
         preparing = instantiate(config.data.preparation, source=source, annotations=place / "texts")
         preparing.check()
         made = preparing.prepared(place / "pieces", 1, lambda pieces, total: pieces)
@@ -176,7 +176,7 @@ def processed(folder, name: str = "KIT/KIT/3/kick_high_left02_poses.npz", **chan
 
 def prepared(source, texts, scratch, config: str = "babel_flow_processed") -> Cache:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        patch.setattr(preparation, "ProcessPoolExecutor", Serial)
         preparing = instantiate(configured("prepare", f"data={config}").data.preparation, source, texts)
         preparing.check()
         return preparing.prepared(scratch, 1, lambda pieces, total: pieces)

@@ -13,7 +13,7 @@ import pytest
 import torch
 from conftest import data_file
 from helpers.bandai_files import UP, bvh_text, posed, skeleton, standing, tumbling
-from helpers.source_folders import Threads
+from helpers.source_folders import Serial
 
 from stmc.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
@@ -258,7 +258,7 @@ def source(tmp_path_factory):
 @pytest.fixture(scope="module")
 def cache(source) -> Cache:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        patch.setattr(preparation, "ProcessPoolExecutor", Serial)
         return bandai.gather(bandai.read_clips(source, FPS, workers=1), FPS)
 
 

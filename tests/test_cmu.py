@@ -9,7 +9,7 @@ import pytest
 import torch
 from conftest import data_file
 from helpers.acclaim_files import Actor, moving
-from helpers.source_folders import Threads
+from helpers.source_folders import Serial
 
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
@@ -226,7 +226,7 @@ def test_a_place_without_recordings_is_an_error(tmp_path):
 @pytest.fixture(scope="module")
 def cache(folder, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(preparation, "ProcessPoolExecutor", Threads)
+        patched.setattr(preparation, "ProcessPoolExecutor", Serial)
         clips = cmu_clips.CmuClips(folder, 20)
         clips.check()
         return clips.prepared(tmp_path_factory.mktemp("scratch"), 1, lambda items, total: items)

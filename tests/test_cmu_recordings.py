@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from helpers.source_folders import PUBLISHED, Threads, babel, published
+from helpers.source_folders import PUBLISHED, Serial, babel, published
 from test_cmu import actor
 
 from stmc.body_model import Skeleton
@@ -52,7 +52,7 @@ def shared(folder: Path, index: str = INDEX, captions: dict[str, str] = CAPTIONS
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
-    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Threads)
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Serial)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.scripts import configured
-from helpers.source_folders import Threads, amass, published
+from helpers.source_folders import Serial, amass, published
 from helpers.toy_data import FPS, LAYOUT, LetterCounts
 from hydra.utils import instantiate
 from jaxtyping import TypeCheckError
@@ -36,7 +36,7 @@ ENTRIES = {
 def dataset(tmp_path_factory) -> Dataset:
     folder, patch = tmp_path_factory.mktemp("humanml3d"), pytest.MonkeyPatch()
     annotations, settings = published(folder / "annotations", ENTRIES), configured("train_humanml3d", "run=x").data
-    patch.setattr(preparation, "ProcessPoolExecutor", lambda workers, **_: Threads(workers))
+    patch.setattr(preparation, "ProcessPoolExecutor", lambda workers, **_: Serial(workers))
     source = AnnotatedAmass(amass(folder / "AMASS"), annotations, 20, SmplRepresentation())
     cache = source.prepared(folder / "pieces", 1, lambda pieces, total: pieces)
     patch.undo()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.smpl_pickles import run_code
-from helpers.source_folders import Threads, humanml3d
+from helpers.source_folders import Serial, humanml3d
 from torch.testing import assert_close
 
 from stmc.data import preparation
@@ -20,7 +20,7 @@ from stmc.data.sources.humanml3d_texts import Caption, read_captions
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
-    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Threads)
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Serial)
     monkeypatch.setattr(module, "AT_ONCE", 5)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.scripts import configured, loaded, run
-from helpers.source_folders import Threads, amass, babel, humanml3d, published
+from helpers.source_folders import Serial, amass, babel, humanml3d, published
 from helpers.tiny_model import tiny
 from test_body_model import write_body
 
@@ -32,7 +32,7 @@ TINY = (
 @pytest.fixture
 def in_this_process(monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Threads)
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Serial)
 
 
 def sampled(folder: Path, model: Path) -> stmc.Motion:

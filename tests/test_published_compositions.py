@@ -15,7 +15,7 @@ from helpers.guo_formulas import slow_fid, slow_motions, slow_pairs, slow_texts
 from helpers.joblib_files import joblib_bytes
 from helpers.motions import walking
 from helpers.scripts import configured, loaded, run
-from helpers.source_folders import Threads, smplh_arrays
+from helpers.source_folders import Serial, smplh_arrays
 from helpers.tiny_model import CONFIG, WIDTH, tiny
 from hydra.utils import instantiate
 from torch import Tensor
@@ -430,7 +430,7 @@ def files_of_babel(folder) -> dict[str, Path]:
 @pytest.mark.slow
 def test_table_1_comes_out_of_the_files_that_the_authors_share(files, tmp_path, monkeypatch, capsys):
     """From TEACH's processed recordings by way of the cache to the table: each command as the page has it."""
-    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Threads)
+    monkeypatch.setattr(preparation, "ProcessPoolExecutor", Serial)
     shared, cache = files_of_babel(tmp_path), tmp_path / "cache"
     run("prepare", "prepare", "data=babel_flow_processed", f"source={shared['teach']}",
         f"annotations={shared['labels']}", f"folder={cache}", "workers=1")  # fmt: skip

@@ -1,11 +1,13 @@
 """The one list of sampling settings: what fits, what is left open, and who decides then."""
 
 import dataclasses
+import inspect
+from typing import Unpack, get_type_hints
 
 import pytest
 
 import stmc
-from stmc.sampling import DEFAULT, Sampling
+from stmc.sampling import DEFAULT, Sampling, SamplingArguments
 from stmc.settings import SettingError, about, record_of
 
 
@@ -54,3 +56,14 @@ def test_what_is_left_open_is_the_others_and_nothing_else():
     assert Sampling(stitch_from=0.0).over(own).over(DEFAULT) == dataclasses.replace(
         DEFAULT, guidance=1.5, stitch_from=0.0
     )
+
+
+def test_editors_complete_and_check_the_settings_of_generate():
+    """Their arguments are typed one by one, as the record of settings has them."""
+    arguments = get_type_hints(SamplingArguments)
+    record = get_type_hints(Sampling)
+    assert arguments == {each.name: record[each.name] for each in dataclasses.fields(Sampling)}
+    assert not SamplingArguments.__required_keys__
+    for function in (stmc.Model.generate, stmc.Model.settings):
+        hints = get_type_hints(inspect.unwrap(function))
+        assert hints["settings"] == Unpack[SamplingArguments]

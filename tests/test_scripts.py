@@ -16,7 +16,7 @@ import torch
 from helpers.bandai_files import about, bvh_text, posed
 from helpers.scripts import configured, loaded, script
 from helpers.scripts import run as in_this_process
-from helpers.source_folders import Threads
+from helpers.source_folders import Serial
 from helpers.tiny_model import tiny
 
 import stmc
@@ -73,7 +73,7 @@ def prepared(work, source) -> tuple[Path, str]:
     """The folder of the cache, and what was said meanwhile."""
     said = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
-        patch.setattr(preparation, "ProcessPoolExecutor", Threads)
+        patch.setattr(preparation, "ProcessPoolExecutor", Serial)
         in_this_process("prepare", "prepare", *preparing(work, source))
     return work / "cache", " ".join(said.getvalue().split())
 
@@ -541,6 +541,18 @@ def test_sampling_runs_with_a_folder_of_one_s_own_configurations(sample, run, tm
     given = [f"model={run}", "--config-dir", str(tmp_path / "configs"), "steps=1", "formats=bvh"]
     assert sample.main(["nod # 0 # 1 # head", str(tmp_path / "out"), *given]) == 0
     assert (tmp_path / "out" / "nod_0.bvh").exists()
+
+
+@pytest.mark.parametrize(
+    ("formats", "told"),
+    [
+        (["npz"], ""),
+        (["npz", "bvh"], ": open a .bvh in Blender"),
+        (["npz", "glb", "bvh", "html"], ": open an .html in a browser, a .bvh or .glb in Blender"),
+    ],
+)
+def test_the_last_line_names_programs_for_the_formats_that_were_written(sample, formats, told):
+    assert sample.hint(formats) == told
 
 
 def test_a_text_without_seconds_is_answered_with_the_form_of_a_timeline(sample, tmp_path, capsys):

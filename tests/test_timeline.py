@@ -504,3 +504,11 @@ def test_what_is_wrong_with_a_composition_is_named(changes, words):
     document = json.dumps({"text": ["walk", "sit"], "lengths": [40, 20]} | changes)
     with pytest.raises(TimelineError, match=re.escape(words)):
         Timeline.parse(document, ".json")
+
+
+def test_a_repr_is_short_and_what_one_would_type():
+    timeline = Timeline.parse("walk # 0 # 4\nraise # 1.25 # 3 # right arm # left arm")
+    told = repr(timeline)
+    prompts = "(Prompt('walk', 0, 4), Prompt('raise', 1.25, 3, ['left arm', 'right arm']))"
+    assert told == f"Timeline(prompts={prompts}, name='')"
+    assert eval(told, {"Timeline": Timeline, "Prompt": Prompt}) == timeline

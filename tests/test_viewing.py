@@ -301,3 +301,13 @@ def test_a_plan_is_drawn_as_its_crops_and_as_the_weights_of_every_part_that_diff
     assert arm.get_ylabel() == "right arm"
     tops = [np.abs(steps.get_data().values).max() for steps in arm.patches]
     assert tops == [1, 2, 1, 1]  # the walk, the raise on top of it while both count, and the two transitions subtracted
+
+
+def test_a_figure_is_shown_in_a_notebook_that_never_imported_pyplot():
+    timeline = Timeline.parse("walk # 0 # 2")
+    for figure in (
+        plot_timeline(timeline),
+        plot_plan(plan(timeline, fps=20, overlap=0), fps=20),
+        film_strip(walking(1.0)),
+    ):
+        assert figure._repr_png_().startswith(b"\x89PNG")

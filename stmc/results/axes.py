@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from stmc.results.intervals import Estimate, estimates
 from stmc.results.naming import REAL, Measure, measures, method_row
 from stmc.results.records import Result, ResultError, Setting
 from stmc.viewing.colours import palette
+from stmc.viewing.figure import Figure
 from stmc.viewing.tracks import FAINT, INK
 
 GRID = "#e6e8ec"

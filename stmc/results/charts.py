@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from stmc.results.axes import Groups, dress, grid, legend, lines, real_line, shown, title, who
@@ -16,6 +15,7 @@ from stmc.results.intervals import estimate, estimates
 from stmc.results.naming import REAL, SETTINGS, Measure, place, variant
 from stmc.results.records import Result, ResultError, Setting, by_setting, refuse_other_differences
 from stmc.viewing.colours import palette
+from stmc.viewing.figure import Figure
 from stmc.viewing.tracks import INK
 
 SECONDS = "seconds"

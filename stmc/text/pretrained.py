@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -49,12 +50,19 @@ def encode(
 
 
 def load(
-    source: str, build: Callable[..., Any], device: str, remedy: str, **settings: bool
+    source: str,
+    build: Callable[..., Any],
+    device: str,
+    remedy: str,
+    sha256: str | None = None,
+    revision: str | None = None,
+    **settings: bool,
 ) -> tuple[Any, torch.nn.Module]:
     """Tokenizer and float32 model of a folder or of the hub (its local cache first).
 
     From safetensors, or where there are none from a checkpoint that holds nothing but tensors. Raises `WeightsNotFound`
-    where there is no model, or one that lacks weights.
+    where there is no model, one that lacks weights, or, with `sha256`, one whose model.safetensors has another digest.
+    `revision`: of the hub's.
     """
     from transformers import AutoTokenizer
 
@@ -62,16 +70,23 @@ def load(
     for local in attempts:
         try:
             with _quiet():
+                if sha256:
+                    _check_digest(source, sha256, revision, local)
                 model, report = build(
                     source,
                     local_files_only=local,
                     weights_only=True,
                     output_loading_info=True,
                     trust_remote_code=False,  # else a hub's model may ask to run its own code
+                    revision=revision,
                     **settings,
                 )
-                tokenizer = AutoTokenizer.from_pretrained(source, local_files_only=local, trust_remote_code=False)
+                tokenizer = AutoTokenizer.from_pretrained(
+                    source, local_files_only=local, trust_remote_code=False, revision=revision
+                )
             break
+        except WeightsNotFound:
+            raise
         except (OSError, ValueError, SafetensorError, pickle.UnpicklingError) as error:
             if local is attempts[-1]:
                 raise WeightsNotFound(
@@ -83,6 +98,20 @@ def load(
         missing = ", ".join(sorted(report["missing_keys"]))
         raise WeightsNotFound(f"the weights at {source!r} are those of another model, or incomplete: no {missing}")
     return tokenizer, model.float().eval().requires_grad_(False).to(device)
+
+
+def _check_digest(source: str, expected: str, revision: str | None, local: bool) -> None:
+    """Raises `WeightsNotFound` where the weights at `source` are not those of the SHA-256 `expected`."""
+    from transformers.utils import cached_file
+
+    path = cached_file(source, "model.safetensors", local_files_only=local, revision=revision)
+    with open(path, "rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest != expected:
+        raise WeightsNotFound(
+            f"{path} holds other weights than this encoder's: its SHA-256 is {digest}, not {expected}. Give `source` a "
+            "folder with the right ones, or `revision` the hub's commit that has them"
+        )
 
 
 def check_width(source: str, found: int, expected: int) -> None:

@@ -55,3 +55,9 @@ def _list(entries: Sequence[Entry]) -> list[str]:
     wide, wide_times = max(map(len, texts)), max(map(len, times))
     parts = [", ".join(entry.parts) or "whole body" for entry in entries]
     return [f"{t:<{wide}}  {s:<{wide_times}}  {p}" for t, s, p in zip(texts, times, parts, strict=True)]
+
+
+def typed(text: str, start: float, end: float, parts: list[str]) -> str:
+    """A prompt as one would type it in Python: 4 and not 4.0."""
+    seconds = [str(int(each)) if each.is_integer() else repr(each) for each in (start, end)]
+    return f"Prompt({', '.join([repr(text), *seconds, *([repr(parts)] if parts else [])])})"

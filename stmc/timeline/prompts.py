@@ -18,7 +18,7 @@ from stmc.body import BodyPart
 from stmc.bounds import MOST_SECONDS
 from stmc.timeline import files
 from stmc.timeline.advice import advise
-from stmc.timeline.drawing import draw
+from stmc.timeline.drawing import draw, typed
 from stmc.timeline.files import Draft, Entry, TimelineError
 from stmc.timeline.overlaps import Precedence, sweep
 from stmc.timeline.rows import crowded, first_fit, renumbered
@@ -82,6 +82,9 @@ class Prompt:
         except ValueError:
             unknown = next(part for part in listed if not _is_part(part))
             raise TimelineError(f"unknown body part {shown(unknown)}; choose from {', '.join(BodyPart)}") from None
+
+    def __repr__(self) -> str:
+        return typed(self.text, self.start, self.end, [str(part) for part in BodyPart if part in self.parts])
 
     @property
     def claims(self) -> frozenset[BodyPart]:

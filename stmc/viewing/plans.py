@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from stmc.body import BodyPart
 from stmc.planning import Plan
 from stmc.viewing.colours import NEUTRAL, ink, palette
+from stmc.viewing.figure import Figure
 from stmc.viewing.tracks import FAINT, INK
 
 _ROW_INCHES, _PANEL_INCHES = 0.26, 0.62

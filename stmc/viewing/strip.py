@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from stmc.body_model import Body
@@ -17,6 +16,7 @@ from stmc.motion import Motion
 from stmc.skins import PARTS, Skin, skin_of
 from stmc.timeline import Timeline
 from stmc.viewing.colours import as_rgb, mix, part_colours, transition_seconds
+from stmc.viewing.figure import Figure
 from stmc.viewing.tracks import FAINT, INK, draw_tracks
 
 _ELEVATION = math.radians(14.0)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import textwrap
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from stmc.body import BodyPart
 from stmc.timeline import Timeline
 from stmc.viewing.colours import NEUTRAL, ink, owners, palette, transitions
+from stmc.viewing.figure import Figure
 
 INK, FAINT = "#1d2330", "#8a919e"
 _TRACK, _PART = 1.0, 0.46
@@ -20,16 +20,17 @@ _ROW_INCHES = 0.42
 
 
 def plot_timeline(
-    timeline: Timeline, fps: int | float, overlap: int | float = 0.0, width: int | float = 10.0
+    timeline: Timeline, fps: int | float = 20, overlap: int | float = 0.0, width: int | float = 10.0
 ) -> Figure:
     """The timeline's tracks, prompts as bars that bear their texts, and below them the five body parts.
 
-    `fps` decides where frames cut the spans; `overlap` (seconds) is how long transitions will be, which are hatched;
+    `fps` decides where frames cut the spans (the bundled model has 20); `overlap` (seconds) is how long transitions
+    will be, which are hatched;
     `width` in inches. The figure is not known to pyplot: save it, or show it in a notebook.
 
     Examples:
         >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
-        >>> stmc.plot_timeline(timeline, fps=20, overlap=0.5).savefig("timeline.svg")
+        >>> stmc.plot_timeline(timeline, overlap=0.5).savefig("timeline.svg")
     """
     rows = len(timeline.tracks) * _TRACK + 5 * _PART + 0.35
     plot = Figure(figsize=(width, _ROW_INCHES * rows + 0.85), layout="constrained")

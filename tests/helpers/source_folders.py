@@ -2,7 +2,7 @@
 
 import json
 import pickle
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import numpy as np
@@ -26,14 +26,21 @@ PUBLISHED = {
 """HumanML3D's entries: id → AMASS's path, split, texts with seconds."""
 
 
-class Threads(ThreadPoolExecutor):
-    """Workers in this process, for speed; what they get has been pickled, as on its way to another."""
+class Serial(Executor):
+    """Workers in this process and thread, for speed; their arguments are pickled, as on the way to another process.
 
-    def __init__(self, workers: int, **_: object) -> None:
-        super().__init__(workers)
+    No threads: production has processes, and CPython's `ast`, which NumPy reads headers with, is not safe in threads.
+    """
+
+    def __init__(self, workers: int, **_: object) -> None: ...
 
     def submit(self, call, /, *given) -> Future:
-        return super().submit(call, *pickle.loads(pickle.dumps(given)))
+        future = Future()
+        try:
+            future.set_result(call(*pickle.loads(pickle.dumps(given))))
+        except Exception as error:
+            future.set_exception(error)
+        return future
 
 
 def recorded(number: int = 0, fps: float = 120.0, seconds: float = 3.2) -> Motion:
