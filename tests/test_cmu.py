@@ -208,9 +208,11 @@ def test_what_cannot_be_read_is_named_with_the_reason_and_skeletons_are_few_and_
         next(cmu.read_sources(tmp_path))
 
 
-def test_a_cache_depends_on_the_files_the_frame_rate_and_the_code(folder):
+def test_a_cache_depends_on_the_files_the_frame_rate_and_the_version(folder, monkeypatch):
     first, second = (cmu_clips.CmuClips(folder, fps).fingerprint() for fps in (20, 30))
     assert first != second == cmu_clips.CmuClips(str(folder), 30).fingerprint()
+    monkeypatch.setattr(cmu_clips, "CACHE_VERSION", cmu_clips.CACHE_VERSION + 1)
+    assert cmu_clips.CmuClips(folder, 20).fingerprint() != first
 
 
 def test_a_place_without_recordings_is_an_error(tmp_path):

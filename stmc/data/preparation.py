@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import torch
 
-from stmc.data.cache import Cache, fingerprint, fresh, merged
+from stmc.data.cache import Cache, fresh, merged
 
 Watch = Callable[[Iterable, int], Iterable]
 """Shows progress: (what there is to do, how much) → the same, watched."""
@@ -56,16 +56,6 @@ def find_source(source: str | Path, expected: str) -> Path:
     if not path.exists():
         raise LayoutError(f"source={source} does not exist; it should be {expected}")
     return path
-
-
-def code(*places: str) -> str:
-    """A name for the state of these modules and packages of the library, on which a cache depends as on its inputs."""
-    library, found = Path(__file__).parents[1], []
-    for place in places:
-        files = sorted([*library.glob(f"{place}.py"), *library.glob(f"{place}/*.py")])
-        assert files, f"{place} is no module of the library"
-        found += files
-    return fingerprint(found, places)
 
 
 @dataclass(frozen=True)

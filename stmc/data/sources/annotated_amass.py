@@ -19,7 +19,7 @@ from torch import Tensor
 
 from stmc.body_model import Skeleton, load_body
 from stmc.data.cache import Cache, fingerprint
-from stmc.data.preparation import LayoutError, Piece, Watch, code, converted
+from stmc.data.preparation import LayoutError, Piece, Watch, converted
 from stmc.data.sources.amass import Recordings, reposed
 from stmc.data.sources.annotations import Annotated, Annotations, Segment, read_annotations, with_mirror_images
 from stmc.data.spans import AnnotatedSpans, CacheBuilder
@@ -29,29 +29,9 @@ from stmc.representation import Representation
 TOLERANCE = 0.5
 """Seconds that an annotation may go on after its recording has ended: clocks and roundings differ."""
 
-_CODE = (
-    "arrays",
-    "representation",
-    "body",
-    "body_model",
-    "bvh",
-    "geometry",
-    "inverse_kinematics",
-    "motion",
-    "untrusted",
-)
-_SOURCES = (
-    "amass",
-    "annotat*",
-    "babel_rows",
-    "archives",
-    "asf",
-    "contents",
-    "cmu*",
-    "humanml3d_texts",
-    "segments",
-    "teach_recordings",
-)
+CACHE_VERSION = 1
+"""Of what this module makes of the same files. Raise it by one with every change that makes other features, clips or
+texts of them: caches that were prepared before are then made again."""
 
 
 @runtime_checkable
@@ -212,14 +192,13 @@ class AnnotatedAmass:
     @cached_property
     def _settings(self) -> tuple[object, ...]:
         """All that a piece depends on beside its recording."""
-        state = code(*_CODE, "data/cache", "data/spans", *(f"data/sources/{name}" for name in _SOURCES))
         kind = type(self.representation).__qualname__
         kind_of_clips = getattr(self.conversion, "func", self.conversion).__qualname__  # of a partial one, or itself
         bones = self._skeleton.offsets.tolist()
-        return state, self.fps, kind, bones, self.shortest, self.longest, kind_of_clips
+        return CACHE_VERSION, self.fps, kind, bones, self.shortest, self.longest, kind_of_clips
 
     def fingerprint(self) -> str:
-        """Of every recording that is annotated, all annotations, the skeleton, the code and the settings."""
+        """Of every annotated recording, all annotations, the skeleton, the version of the cache and the settings."""
         return fingerprint(self._recordings.inputs(self._jobs), [*self._settings, self._annotated])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:

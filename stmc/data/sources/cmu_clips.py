@@ -16,7 +16,7 @@ from torch import Tensor
 
 from stmc.body_model import Skeleton
 from stmc.data.cache import TOUCHING, Cache, Clip, fingerprint
-from stmc.data.preparation import Job, Watch, code, find_source, in_parallel
+from stmc.data.preparation import Job, Watch, find_source, in_parallel
 from stmc.data.sources import cmu
 from stmc.data.sources.contents import CONTENTS, describe, mirrored_content
 from stmc.data.sources.segments import Segment, read_segments, splits
@@ -26,9 +26,9 @@ from stmc.representation.smpl import SmplRepresentation
 STYLE = "normal"
 """Of all clips: CMU labels none."""
 
-_CODE = tuple(f"data/sources/{name}" for name in ("archives", "asf", "contents", "segments"))
-_CODE += ("data/sources/cmu*", "data/cache", "body", "body_model", "bvh", "geometry", "inverse_kinematics", "motion")
-_CODE += ("representation/layout", "representation/smpl", "untrusted")
+CACHE_VERSION = 1
+"""Of what this module makes of the same files. Raise it by one with every change that makes other features, clips or
+texts of them: caches that were prepared before are then made again."""
 
 Rows = list[tuple[list[Clip], Float[Tensor, "frames features"]]]
 """Parts of recordings, each with its clips, which may touch and overlap."""
@@ -47,10 +47,10 @@ class CmuClips:
         return find_source(self.source, "a folder of recordings or a .tar.xz")
 
     def fingerprint(self) -> str:
-        """Of the archive or every file of the folder, the code, the segments and the frame rate."""
+        """Of the archive or every file of the folder, the version of the cache, the segments and the frame rate."""
         assets = Path(__file__).parents[2] / "assets"
         inputs = [self.check(), *(assets / f"{name}.json" for name in ("contents", "segments", "skeleton"))]
-        return fingerprint(inputs, [self.fps, code(*_CODE)])
+        return fingerprint(inputs, [self.fps, CACHE_VERSION])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`. Recordings without segments are left alone; others that cannot be used are named."""

@@ -18,13 +18,17 @@ from torch import Tensor
 
 from stmc.arrays import ArraysError, read_npy
 from stmc.data.cache import Cache, fingerprint
-from stmc.data.preparation import LayoutError, Piece, Watch, code, converted
+from stmc.data.preparation import LayoutError, Piece, Watch, converted
 from stmc.data.sources.annotations import SPLITS
 from stmc.data.sources.humanml3d_texts import WHOLE, Caption, read_captions
 from stmc.data.spans import AnnotatedSpans, CacheBuilder
 from stmc.representation.layout import HUMANML3D_LAYOUT
 from stmc.statistics import Statistics
 from stmc.untrusted import UnreadableError, read_lines
+
+CACHE_VERSION = 1
+"""Of what this module makes of the same files. Raise it by one with every change that makes other features, clips or
+texts of them: caches that were prepared before are then made again."""
 
 FPS = 20
 
@@ -113,14 +117,10 @@ class ProcessedHumanML3D:
         ]
         return [path for path in places if path.is_file()]
 
-    @cached_property
-    def _code(self) -> str:
-        return code("arrays", "representation/layout", "data/sources/humanml3d*", "data/cache", "data/spans")
-
     def fingerprint(self) -> str:
-        """Of every clip in the lists, its captions, the statistics, the lists and the code."""
+        """Of every clip in the lists, its captions, the statistics, the lists and the version of the cache."""
         files = [path for name in self._splits for path in self._inputs(name)]
-        return fingerprint([*(self._folder / name for name in _FILES), *files], [self._code, *self._choices])
+        return fingerprint([*(self._folder / name for name in _FILES), *files], [CACHE_VERSION, *self._choices])
 
     @property
     def _choices(self) -> tuple[int, int, bool]:
@@ -135,7 +135,7 @@ class ProcessedHumanML3D:
             batch = {name: self._splits[name] for name in names[start : start + AT_ONCE]}
             inputs = [path for name in batch for path in self._inputs(name)]
             convert = partial(convert_clips, self._folder, batch, *self._choices)
-            name = fingerprint(inputs, [self._code, batch, *self._choices])
+            name = fingerprint(inputs, [CACHE_VERSION, batch, *self._choices])
             pieces.append(Piece(f"{names[start]} ...", name, convert))
         return replace(converted(pieces, len(pieces), scratch, workers, watch, unsafe), statistics=self._statistics)
 
