@@ -28,6 +28,15 @@ def test_a_cache_comes_back_as_it_was_written(tmp_path):
     assert sorted(os.listdir(tmp_path / "deep" / "down")) == [TABLE, FEATURES]
 
 
+def test_a_table_from_before_clips_had_a_start_is_read(tmp_path):
+    made = written(tmp_path)
+    table = json.loads((tmp_path / TABLE).read_text("utf-8"))
+    for row in table["clips"]:
+        del row["from_start"]
+    (tmp_path / TABLE).write_text(json.dumps(table), encoding="utf-8")
+    assert Cache.read(tmp_path).clips == made.clips
+
+
 def test_a_cache_is_fresh_for_the_inputs_it_was_made_from_and_for_no_others(tmp_path):
     written(tmp_path)
     assert fresh(tmp_path, "inputs")

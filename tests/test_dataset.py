@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections import Counter
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -38,13 +39,13 @@ def same(one, other) -> bool:
     return all((a is None and b is None) or torch.equal(a, b) for a, b in tensors)
 
 
-def one_content(lengths: list[int], cyclic: bool) -> Dataset:
+def one_content(lengths: list[int], cyclic: bool, from_start: bool = False) -> Dataset:
     starts = np.cumsum([0, *lengths])
     clips = tuple(
         Clip(
-            f"clip-{i}", "walk", "normal", "walk", ("legs",), cyclic, False, "train", int(starts[i]), int(starts[i + 1])
+            f"clip-{i}", "walk", "normal", "walk", ("legs",), cyclic, False, "train", start, end, from_start=from_start
         )
-        for i in range(len(lengths))
+        for i, (start, end) in enumerate(pairwise(starts.tolist()))
     )
     motion = torch.arange(float(starts[-1]))[:, None].expand(-1, LAYOUT.width)  # every frame knows its place
     texts = {"walk": (("walk", 1.0),)}
@@ -180,6 +181,15 @@ def test_a_share_of_the_cyclic_crops_begins_where_the_clip_does():
     assert shares[0.0] < 0.15
     assert 0.4 < shares[0.5] < 0.65
     assert shares[1.0] == 1.0
+
+
+@pytest.mark.parametrize("cyclic", [True, False])
+def test_a_clip_from_its_start_loses_nothing_there_and_unless_it_is_cyclic_nothing_at_its_end(cyclic):
+    dataset = one_content([200, 80], cyclic, from_start=True)
+    plan, clips = draw(dataset, 300, uncond_crop_prob=0.0, shortest=1.5, longest=30.0, trim=0.2)
+    assert (plan.body.start == [clip.start for clip in clips]).all()
+    whole = plan.body.frames == [clip.end - clip.start for clip in clips]
+    assert whole.all() if not cyclic else not whole.all()
 
 
 def test_transitions_are_cut_anywhere_also_where_crops_begin_with_their_clip():

@@ -70,8 +70,11 @@ def bend_path(
         >>> stmc.bend_path(motion, angle=1.57)
         Motion(40 frames at 20 fps, 2.00 s)
     """
-    if (angle is None) == (radius is None) or radius == 0 or not 0 <= ramp <= 0.5:
-        raise SettingError(f"angle={angle}, radius={radius}, ramp={ramp}: one of the first two, ramp from 0 to 0.5")
+    asked = [value for value in (angle, radius) if value is not None]
+    if len(asked) != 1 or not math.isfinite(asked[0]) or radius == 0 or not 0 <= ramp <= 0.5:
+        raise SettingError(
+            f"angle={angle}, radius={radius}, ramp={ramp}: one of the first two, finite; ramp from 0 to 0.5"
+        )
     body, skeleton = exact(motion)
     line = _Line.of(body)
     curvature = 1 / radius if radius is not None else angle / (line.length * (1 - ramp))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -36,7 +35,7 @@ _HEAD, _CHEST = 0.18, 0.05
 def turn_on_spot(
     motion: Motion,
     angle: float | int,
-    pivot: Literal["left", "right"] = "left",
+    pivot: str = "left",
     steps: int = 2,
     start: float | int = 0.5,
     seconds: float | int = 0.65,
@@ -54,9 +53,12 @@ def turn_on_spot(
         >>> stmc.turn_on_spot(motion, 3.14, pivot="left")
         Motion(60 frames at 20 fps, 3.00 s)
     """
-    if pivot not in SIDES or steps < 1 or min(start, lift) < 0 or seconds <= 0:
-        raise SettingError(f"pivot={pivot}, steps={steps}, start={start}, seconds={seconds}, lift={lift}: a side, "
-                           "at least one step, times and heights from 0 on")  # fmt: skip
+    numbers = math.isfinite(angle + start + seconds + lift) and min(start, lift) >= 0 and seconds > 0
+    if pivot not in SIDES or steps < 1 or not numbers:
+        raise SettingError(
+            f"angle={angle}, pivot={pivot}, steps={steps}, start={start}, seconds={seconds}, lift={lift}: "
+            "left or right, at least one step, finite times and heights from 0 on"
+        )
     if start + steps * seconds > motion.duration:
         raise SettingError(f"{steps} steps of {seconds:g} s from {start:g} s on do not fit in {motion.duration:g} s")
     body, skeleton = exact(motion)

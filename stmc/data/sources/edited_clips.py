@@ -37,7 +37,7 @@ _CODE = tuple(f"data/sources/{name}" for name in ("cmu_clips", "contents", "edit
 _CODE += ("data/cache", "body", "body_model", "editing", "feet", "geometry", "inverse_kinematics", "loops", "motion")
 _CODE += ("representation/layout", "representation/smpl")
 
-Rows = list[tuple[Clip, Float[Tensor, "frames features"]]]
+Rows = list[tuple[Clip, Float[Tensor, "_ features"]]]
 
 
 @dataclass(frozen=True)
