@@ -30,8 +30,9 @@ from stmc.metrics.steps import (
 )
 from stmc.motion import Motion
 
-RUNNING = 0.12
-"""Share of the frames in the air from which on a gait is a run or a jog."""
+RUNNING, FLOATING = 0.06, 0.3
+"""Shares of the frames in the air: from the first on a gait is a run or a jog, if it is as fast; the toes of some
+actors and recordings float in the second of a walk."""
 
 FASTER_THAN_A_WALK = 2.2
 """Metres per second."""
@@ -45,8 +46,7 @@ def straight(motion: Motion) -> bool:
 def walks(motion: Motion, slowest: float | int, fastest: float | int) -> bool:
     """Whether a body goes straight ahead, by its heading, at a mean speed in between (metres per second, negative
     backwards), a foot on the floor."""
-    most = RUNNING if fastest < 0 else 2.5 * RUNNING  # the toes of some actors and recordings float in every walk
-    paced = slowest <= mean_speed(motion) <= fastest and airborne(motion) < most
+    paced = slowest <= mean_speed(motion) <= fastest and airborne(motion) < (RUNNING if fastest < 0 else FLOATING)
     return paced and straight(motion) and not jumps_with_both_feet(motion)
 
 
