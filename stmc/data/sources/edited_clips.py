@@ -17,7 +17,7 @@ from torch import Tensor
 
 from stmc.body_model import Skeleton
 from stmc.data.cache import FEATURES, TABLE, Cache, Clip, assemble, fingerprint, read_caches
-from stmc.data.preparation import Job, LayoutError, Watch, code, find_source, in_parallel
+from stmc.data.preparation import Job, LayoutError, Watch, find_source, in_parallel
 from stmc.data.sources.cmu_clips import encoded
 from stmc.data.sources.contents import CONTENTS, describe, mirrored_content
 from stmc.data.sources.edited import RECIPES
@@ -33,9 +33,9 @@ MAX_DRAWS = 40
 SHORTEST = 1.5
 """Seconds of the shortest clip."""
 
-_CODE = tuple(f"data/sources/{name}" for name in ("cmu_clips", "contents", "edited", "edited_clips"))
-_CODE += ("data/cache", "body", "body_model", "editing", "feet", "geometry", "inverse_kinematics", "loops", "motion")
-_CODE += ("representation/layout", "representation/smpl")
+CACHE_VERSION = 1
+"""Version of the clips that the same caches give. Raise it by one with every change that gives other clips, features or
+texts: caches that were prepared before are then made again."""
 
 Rows = list[tuple[Clip, Float[Tensor, "_ features"]]]
 
@@ -57,10 +57,10 @@ class EditedClips:
         return [find_source(name, expected) for name in ([names] if isinstance(names, Path) else names)]
 
     def fingerprint(self) -> str:
-        """Of the caches, the code and the sentences."""
+        """Of the caches, the version and the sentences."""
         assets = Path(__file__).parents[2] / "assets"
         inputs = [folder / name for folder in self.check() for name in (FEATURES, TABLE)]
-        return fingerprint([*inputs, *(assets / f"{name}.json" for name in ("contents", "skeleton"))], [code(*_CODE)])
+        return fingerprint([*inputs, *(assets / f"{name}.json" for name in ("contents", "skeleton"))], [CACHE_VERSION])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
         """See `Preparation`. One job makes all clips of one recipe; a clip that no draw makes usable is skipped."""
