@@ -210,7 +210,7 @@ def test_standing_still_shows_nothing(text):
     assert not MTT_CHECKS[text].shows(moved())
 
 
-@pytest.mark.parametrize("text", SYMMETRIC.keys() | LEFT.keys())
+@pytest.mark.parametrize("text", SYMMETRIC | LEFT)
 def test_a_motion_shows_no_text_that_means_something_else(text):
     motion = (SYMMETRIC | LEFT)[text]()
     shown = {other for other in MTT_CHECKS if MTT_CHECKS[other].shows(motion)}
