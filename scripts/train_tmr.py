@@ -9,13 +9,14 @@ from pathlib import Path
 
 import torch
 from accelerate import Accelerator
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from stmc.commands import command
+from stmc.commands.building import build_part
 from stmc.commands.shared import Trained
 from stmc.commands.training_data import read_training_data
 from stmc.data.batches import ClipBatches
+from stmc.data.batches import Sampling as ClipSampling
 from stmc.data.dataset import Dataset
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
@@ -23,8 +24,9 @@ from stmc.files import write_text
 from stmc.metrics.retrieval import Retrieval, cosines, small_batches, t2m_m2t
 from stmc.run import EVALUATOR_PARTS, build, check, load_evaluator, save_evaluator
 from stmc.settings import setting
-from stmc.text import Cached
-from stmc.training import Callback, Trainer, begin
+from stmc.text import Cached, TextEncoder
+from stmc.training import Callback, Objective, Trainer, begin
+from stmc.training import Settings as TrainingSettings
 from stmc.training.logs import Table
 
 
@@ -49,13 +51,18 @@ def main(config: DictConfig) -> None:
 
 def train(config: DictConfig, accelerator: Accelerator) -> None:
     """All of it, from the data to the run directory."""
-    settings = instantiate(config.training)
-    sampling = instantiate(config.data.sampling)
+    settings, sampling = (
+        build_part(config, "training", TrainingSettings),
+        build_part(config, "data.sampling", ClipSampling),
+    )
+    objective = build_part(config, "objective", Objective)
+    sentences = (
+        Cached(build_part(config, "false_negative_encoder", TextEncoder), config.text_cache)
+        if config.false_negative_encoder
+        else None
+    )
     started = load_evaluator(config.init_from, trusted=config.trusted) if config.init_from else None
     cache, dataset = read_training_data(config, started.text_statistics if started else None, accelerator.device)
-    sentences = (
-        Cached(instantiate(config.false_negative_encoder), config.text_cache) if config.false_negative_encoder else None
-    )
     training, held_out = (
         PairBatches(ClipBatches(dataset, split, sampling, settings.seed), sentences, config.false_negative_threshold)
         for split in ("train", "val")
@@ -71,7 +78,7 @@ def train(config: DictConfig, accelerator: Accelerator) -> None:
     check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = Trainer(
         evaluator.network,
-        instantiate(config.objective),
+        objective,
         training,
         folder,
         settings,

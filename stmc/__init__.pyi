@@ -4,6 +4,7 @@ from . import arrays as arrays
 from . import benchmarks as benchmarks
 from . import body as body
 from . import body_model as body_model
+from . import bounds as bounds
 from . import bvh as bvh
 from . import commands as commands
 from . import composing as composing
