@@ -7,25 +7,26 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Any
 
-from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 
 from stmc.commands import command
+from stmc.commands.building import build_part
 from stmc.settings import setting
-from stmc.text import Cached
+from stmc.text import Cached, TextEncoder
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     texts: str = setting(MISSING, "timelines or annotations (.json), a text a line (.txt), or a folder of such files")
     folder: str = setting("cache/text", "folder of the embeddings: what training calls text_cache")
+    trusted: tuple[str, ...] = setting((), "packages of your own that the encoder may be a class of")
 
 
 @command("embed", Settings, ("texts",))
 def main(config: DictConfig) -> None:
     texts = list(dict.fromkeys(["", *texts_in(Path(config.texts).expanduser())]))
-    encoder = Cached(instantiate(config.text_encoder), config.folder)
+    encoder = Cached(build_part(config, "text_encoder", TextEncoder), config.folder)
     missing = encoder.missing(texts)
     if missing:
         encoder.encode(missing)

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import get_args
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -28,6 +27,7 @@ import stmc
 from stmc.benchmarks import Benchmark
 from stmc.benchmarks.samples import Samples
 from stmc.commands import command
+from stmc.commands.building import build_part
 from stmc.commands.shared import OnDevice, Sharded, Threaded
 from stmc.composing import find_method, settled
 from stmc.files import locked, write_text, write_whole
@@ -72,6 +72,8 @@ def main(config: DictConfig) -> None:
         for name, place in config.models.items()
     }
     settings = list(dict.fromkeys(chosen(config.experiment, models, tuple(config.trusted))))
+    for part in ("table", *(["figure"] if config.experiment.figure else [])):
+        build_part(config, f"experiment.{part}")  # what cannot be drawn fails now
     benchmark = prepared(config)
     with locked(folder, PATIENCE):
         begin(folder, about(config))
@@ -92,7 +94,7 @@ def main(config: DictConfig) -> None:
 
 def prepared(config: DictConfig) -> Benchmark:
     """The benchmark, judged by `config.evaluator` unless it brings an evaluator of its own."""
-    benchmark = instantiate(config.benchmark)
+    benchmark = build_part(config, "benchmark")
     if "evaluator" in config.benchmark:
         return benchmark()
     return benchmark(evaluator=stmc.load_evaluator(config.evaluator, device=config.device, trusted=config.trusted))
@@ -261,12 +263,12 @@ def conclude(runs: list[Run], shard: Shard, config: DictConfig, console: Console
 def report(results: list[Result], config: DictConfig, console: Console) -> None:
     """The table as text and LaTeX, and the figure, beside the records."""
     folder = Path(config.output).expanduser()
-    table = instantiate(config.experiment.table)(results)
+    table = build_part(config, "experiment.table")(results)
     name = config.experiment.name
     for kind, content in (("txt", table.text()), ("tex", table.latex())):
         write_text(folder / f"{name}.{kind}", content)
     if config.experiment.figure:
-        figure = instantiate(config.experiment.figure)(results)
+        figure = build_part(config, "experiment.figure")(results)
         write_whole(folder / f"{name}.png", partial(figure.savefig, format="png", dpi=150))
     console.print(table.text(), highlight=False, markup=False, soft_wrap=True)
     console.print(f"records, table and figure in {folder.resolve()}")

@@ -8,15 +8,15 @@ import os
 import shutil
 import sys
 from dataclasses import dataclass, replace
-from inspect import Parameter, signature
+from inspect import Parameter
 from pathlib import Path
 
-from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
 
 from stmc.commands import command
+from stmc.commands.building import build_part, signature_of_part
 from stmc.data.cache import fresh
 from stmc.data.preparation import Preparation
 from stmc.data.report import TEXT, lines, write_report
@@ -36,6 +36,7 @@ class Settings:
     annotations: str | None = setting(None, "folder of the texts of AMASS's recordings")
     body: str | None = setting(None, "SMPL-H's folder, for the joints as published; null: the default skeleton's")
     folder: str = setting("${data.folder}", "where the prepared data goes")
+    trusted: tuple[str, ...] = setting((), "packages of your own that prepare a data set")
     workers: int | None = setting(None, "processes; null: one per core", at_least=1, at_most=1024)
 
 
@@ -73,7 +74,7 @@ def described(config: DictConfig) -> Preparation:
     """The data set with the places that were given. Raises `SettingError` for one that is missing or does
     not belong to it."""
     given = {name: config[name] for name in PLACES if config[name] is not None}
-    known = signature(get_class(config.data.preparation._target_)).parameters
+    known = signature_of_part(config, "data.preparation").parameters
     missing = [
         name for name in PLACES if name in known and known[name].default is Parameter.empty and name not in given
     ]
@@ -81,7 +82,7 @@ def described(config: DictConfig) -> Preparation:
     if missing or foreign:
         told = [f"{name}= is missing" for name in missing] + [f"{name}= does not belong to it" for name in foreign]
         raise SettingError(f"{', '.join(told)}; --help lists the settings that name the parts of a data set")
-    return instantiate(config.data.preparation, **given)
+    return build_part(config, "data.preparation", **given)
 
 
 if __name__ == "__main__":

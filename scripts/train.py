@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 import stmc
 from stmc import tensors, training
 from stmc.commands import command
+from stmc.commands.building import build_part
 from stmc.commands.shared import Trained
 from stmc.commands.training_data import read_training_data
 from stmc.data.batches import ClipBatches
+from stmc.data.batches import Sampling as ClipSampling
 from stmc.data.cache import Cache
 from stmc.data.dataset import Dataset
 from stmc.data.vocabularies import vocabulary_of
@@ -24,8 +25,9 @@ from stmc.diffusion import NoiseScale
 from stmc.files import write_whole
 from stmc.model import Model
 from stmc.run import PARTS, build, check
+from stmc.run.configs import PARTIAL, TARGET
 from stmc.sampling import Sampling
-from stmc.settings import SettingError, record_of, setting
+from stmc.settings import SettingError, check_value, record_of, setting, shown
 from stmc.text import Cached
 from stmc.training import Denoising, GuidedTeacher
 from stmc.vocabulary import sentence_encoder
@@ -69,8 +71,11 @@ def main(config: DictConfig) -> None:
 
 def train(config: DictConfig, accelerator: "accelerate.Accelerator") -> None:
     """All of it, from the data to the run directory."""
-    settings = instantiate(config.training)
-    sampling = instantiate(config.data.sampling)
+    settings, sampling = (
+        build_part(config, "training", training.Settings),
+        build_part(config, "data.sampling", ClipSampling),
+    )
+    check_parts(config)
     started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
     distilled = to_distil(config, stmc.load(config.teacher, trusted=config.trusted) if config.teacher else started)
     cache, dataset = read_training_data(
@@ -121,6 +126,23 @@ def train(config: DictConfig, accelerator: "accelerate.Accelerator") -> None:
     trainer.run()
 
 
+def check_parts(config: DictConfig) -> None:
+    """Refuse a denoiser, a schedule and an objective that cannot be built, before the data are read."""
+    described = OmegaConf.to_container(config, resolve=True)
+    reading = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
+    widths = {"features": reading["representation"].width, "text_width": reading["text_encoder"].width}
+    if not isinstance(described["denoiser"], dict):
+        raise SettingError(f"denoiser={shown(described['denoiser'])}: a table with `_target_` needed")
+    described["denoiser"] |= widths
+    with torch.random.fork_rng(devices=[]):
+        built = build(described, {part: PARTS[part] for part in ("denoiser", "schedule")}, config.trusted)
+    settings = dict(config.objective)
+    check_value("objective.distilled_guidance", settings.pop("distilled_guidance", None), float | int | None)
+    settings.pop("weights", None)  # of fields that the data may add
+    checked = OmegaConf.create({"objective": {TARGET: "stmc.training.Denoising", PARTIAL: True} | settings})
+    build_part(checked, "objective")(schedule=built["schedule"])
+
+
 def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
     """The model whose guided predictions are what is learned; None where the data are.
 
@@ -162,7 +184,7 @@ def objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Mod
     """What `model` learns: the data or, where there is a model to be distilled, its guided predictions."""
     auxiliary, settings = config.data.auxiliary_loss, dict(config.objective)
     guidance = settings.pop("distilled_guidance", None)
-    auxiliary_loss = instantiate(auxiliary, _partial_=True)(dataset) if auxiliary else None
+    auxiliary_loss = build_part(config, "data.auxiliary_loss", dataset=dataset) if auxiliary else None
     fields = dict(dataset.layout.slices)
     if auxiliary_loss:
         fields[auxiliary_loss.name] = slice(dataset.features_width, None)
@@ -204,7 +226,7 @@ def record(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Samplin
         text_statistics=dataset.text.to("cpu"),
         skeleton=dataset.skeleton or representation.skeleton,
         fps=dataset.fps,
-        longest=int(instantiate(config.data.sampling).longest * dataset.fps),
+        longest=int(build_part(config, "data.sampling", ClipSampling).longest * dataset.fps),
         prediction=config.objective.prediction,
         sampling=sampling,
         vocabulary=vocabulary_of(cache, dataset.min_clips, sentence_encoder(encoder)),

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from stmc import training
 from stmc.commands import command
+from stmc.commands.building import build_part
 from stmc.commands.shared import Trained
 from stmc.commands.training_data import read_training_data
 from stmc.data.batches import ClipBatches
+from stmc.data.batches import Sampling as ClipSampling
 from stmc.data.dataset import Dataset
 from stmc.data.pairs import PairBatches
 from stmc.evaluators import Evaluator
@@ -24,7 +25,8 @@ from stmc.files import write_text
 from stmc.metrics.retrieval import Retrieval, cosines, small_batches, t2m_m2t
 from stmc.run import EVALUATOR_PARTS, build, check, load_evaluator, save_evaluator
 from stmc.settings import setting
-from stmc.text import Cached
+from stmc.text import Cached, TextEncoder
+from stmc.training import Objective
 from stmc.training.logs import Table
 
 if TYPE_CHECKING:  # an extra, which the help does without
@@ -52,14 +54,19 @@ def main(config: DictConfig) -> None:
 
 def train(config: DictConfig, accelerator: "accelerate.Accelerator") -> None:
     """All of it, from the data to the run directory."""
-    settings = instantiate(config.training)
-    sampling = instantiate(config.data.sampling)
+    settings, sampling = (
+        build_part(config, "training", training.Settings),
+        build_part(config, "data.sampling", ClipSampling),
+    )
+    objective = build_part(config, "objective", Objective)
+    sentences = (
+        Cached(build_part(config, "false_negative_encoder", TextEncoder), config.text_cache)
+        if config.false_negative_encoder
+        else None
+    )
     started = load_evaluator(config.init_from, trusted=config.trusted) if config.init_from else None
     cache, dataset = read_training_data(config, started.text_statistics if started else None, accelerator.device)
-    sentences = (
-        Cached(instantiate(config.false_negative_encoder), config.text_cache) if config.false_negative_encoder else None
-    )
-    training, held_out = (
+    batches, held_out = (
         PairBatches(ClipBatches(dataset, split, sampling, settings.seed), sentences, config.false_negative_threshold)
         for split in ("train", "val")
     )
@@ -74,8 +81,8 @@ def train(config: DictConfig, accelerator: "accelerate.Accelerator") -> None:
     check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
     trainer = training.Trainer(
         evaluator.network,
-        instantiate(config.objective),
-        training,
+        objective,
+        batches,
         folder,
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],

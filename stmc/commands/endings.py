@@ -57,7 +57,7 @@ def guarded(run: Callable[[], object]) -> int:
 
 def explained(error: BaseException) -> str | None:
     """What a user should read of an error, in one line; None where it is a bug."""
-    if isinstance(error, HydraException) and error.__cause__ is not None:  # the error of what Hydra built
+    if isinstance(error, HydraException) and error.__cause__ is not None:
         return explained(error.__cause__)
     if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in EXTRAS:
         package = error.name.partition(".")[0]
@@ -72,7 +72,9 @@ def explained(error: BaseException) -> str | None:
         return "a worker was killed, perhaps for lack of memory; run again with fewer workers="
     if isinstance(error, OSError):
         return one_line(_of_the_system(error))
-    return one_line(str(error)) if isinstance(error, ValueError) and _is_ours(error) else None
+    if isinstance(error, (ValueError, FloatingPointError)) and _is_ours(error):
+        return one_line(str(error))
+    return None
 
 
 def one_line(text: str) -> str:
@@ -89,7 +91,10 @@ def _of_the_system(error: OSError) -> str:
 
 
 def _is_ours(error: BaseException) -> bool:
-    """Whether this library raised it, one of its scripts, or what composes the settings."""
+    """Whether this library raised it, one of its scripts, what composes the settings, or a package of the user's own by
+    an error of this library's."""
+    if type(error).__module__.startswith(f"{PACKAGE.name}."):
+        return True
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

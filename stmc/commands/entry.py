@@ -15,11 +15,14 @@ from typing import Any, ClassVar
 from hydra import compose, initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.types import RunMode
 from omegaconf import OmegaConf, open_dict
 
 from stmc.commands.arguments import Asked, read
+from stmc.commands.building import check_plugins, check_trust
 from stmc.commands.endings import guarded
 from stmc.commands.help import explanation
 from stmc.commands.places import load_script, place
@@ -55,7 +58,10 @@ class Command:
             sys.stdout.write(self.help)
         elif asked.multirun:
             with self._found(asked) as (name, overrides):
-                GlobalHydra.instance().hydra.multirun(name, functools.partial(_job, self.name), overrides)
+                hydra = GlobalHydra.instance().hydra
+                asked_of_hydra = hydra.config_loader.load_configuration(name, overrides, RunMode.MULTIRUN).hydra
+                check_plugins(OmegaConf.to_container(asked_of_hydra), "hydra")
+                hydra.multirun(name, functools.partial(_job, self.name), overrides)
         elif asked.show:
             sys.stdout.write(OmegaConf.to_yaml(self.composed(asked)))
         else:
@@ -74,7 +80,9 @@ class Command:
     def composed(self, asked: Asked) -> Config:
         """The configuration as asked for; the user's own folder wins over ours."""
         with self._found(asked) as (name, overrides):
-            return self.completed(compose(name, overrides))
+            config = self.completed(compose(name, overrides))
+            check_trust(config, overrides)
+            return config
 
     def completed(self, config: Config) -> Config:
         """With the settings that a configuration of the user's own may leave out."""
@@ -167,6 +175,7 @@ def _job(name: str, config: Config) -> None:
     """One of many runs. A launcher may start it in another process or on another machine: there the command is found by
     the name of its script."""
     command: Command = load_script(name).main
+    check_trust(config, HydraConfig.get().overrides.task)
     command.begin(command.completed(config))
 
 

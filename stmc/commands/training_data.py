@@ -9,14 +9,16 @@ import logging
 from dataclasses import replace
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from stmc.commands.building import build_part
 from stmc.commands.entry import Config
 from stmc.data.cache import Cache, read_caches
 from stmc.data.dataset import Dataset
+from stmc.data.prolonging import Prolonging
 from stmc.data.sources.joined import joined_sentences
 from stmc.run import PARTS, build
+from stmc.settings import SettingError, shown
 from stmc.statistics import Statistics
 from stmc.text import Cached
 
@@ -39,13 +41,16 @@ def read_training_data(
     parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
     layout = parts["representation"].layout
     logger.info("reading %s", config.data.folder)
-    cache = read_caches(config.data.folder)
+    cache = read_caches(folders(config))
     if config.data.prolonging:
-        cache = instantiate(config.data.prolonging)(cache, layout)
+        cache = build_part(config, "data.prolonging", Prolonging)(cache, layout)
     if motion_statistics:
         cache = replace(cache, statistics=motion_statistics)
     joined = joined_sentences({clip.content for clip in cache.clips}) if config.data.sampling.get("joined_prob") else {}
-    dataset = instantiate(config.data.dataset, _partial_=True)(
+    dataset = build_part(
+        config,
+        "data.dataset",
+        Dataset,
         cache=cache,
         encoder=Cached(parts["text_encoder"], config.text_cache),
         layout=layout,
@@ -54,3 +59,13 @@ def read_training_data(
         joined=joined,
     )
     return cache, dataset
+
+
+def folders(config: Config) -> str | list[str]:
+    """The folders of the prepared data. Raises `SettingError` where `data.folder` names none."""
+    folder = config.data.folder
+    folder = OmegaConf.to_container(folder) if OmegaConf.is_config(folder) else folder
+    names = [folder] if isinstance(folder, str) else list(folder or ())
+    if not names or not all(isinstance(name, str) and name for name in names):
+        raise SettingError(f"data.folder={shown(folder)}: the folder of a prepared cache needed, or a list of them")
+    return names

@@ -1,6 +1,7 @@
 """Run directories: a model or an evaluator as files, and back. Nothing of a file is run; see `directories`."""
 
 from stmc.run.configs import RunError
+from stmc.run.construction import Part, construct, signature_of
 from stmc.run.directories import (
     BUNDLED,
     BUNDLED_EVALUATOR,
@@ -32,16 +33,19 @@ __all__ = [
     "STATISTICS",
     "VOCABULARY",
     "WEIGHTS",
+    "Part",
     "RunError",
     "build",
     "build_fitting",
     "bundled",
     "check",
+    "construct",
     "fingerprint",
     "load",
     "load_evaluator",
     "save",
     "save_evaluator",
+    "signature_of",
     "suggest_parts",
     "with_suggested_parts",
 ]

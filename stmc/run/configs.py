@@ -17,7 +17,7 @@ from stmc.settings import shown
 LARGEST, DEEPEST = 2**16, 16
 """Bytes of a config, and collections within one another. Real ones have a thousand and four."""
 LONGEST_TEXT, LARGEST_NUMBER = 1000, 2**31
-TARGET = "_target_"
+TARGET, PARTIAL = "_target_", "_partial_"
 
 
 class RunError(ValueError):

@@ -15,23 +15,29 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-from stmc.run.configs import TARGET, RunError, brief
+from stmc.run.configs import PARTIAL, TARGET, RunError, brief
 from stmc.settings import SettingError, check_value, shown
 
 _TARGET = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+", re.ASCII)
 
 
 class Part(NamedTuple):
-    """What a part of a config may be: a class of the package `home`, or of one that is trusted; a `kind`."""
+    """What a part of a config may be: a class of the package `home`, or of one that is trusted; a `kind`.
+
+    A configuration, which a command composes, may also name classes and functions of the table `names`, partial ones
+    among them (`_partial_: true`), and places in the file system; a run directory may not.
+    """
 
     home: str
     kind: type
+    names: tuple[str, ...] = ()
 
 
 class _Constructor(NamedTuple):
     target: str
     call: Callable[..., Any]
-    trusted: bool
+    lenient: bool
+    """Of a trusted package or of a table of names: annotations may be more than types, and name places."""
 
 
 def construct(description: Any, place: str, part: Part, trusted: Sequence[str] = ()) -> Any:
@@ -39,12 +45,17 @@ def construct(description: Any, place: str, part: Part, trusted: Sequence[str] =
     is, for any class but those of the part's home and of `trusted` packages, and for arguments that do not fit."""
     if not isinstance(description, Mapping) or TARGET not in description:
         raise RunError(f"{place} must say what to build as `{TARGET}`, not {shown(description)}")
-    constructor = _constructor(description[TARGET], place, part.home, trusted)
-    given = {name: value for name, value in description.items() if name != TARGET}
-    arguments = _arguments(constructor, given, place, part.home, trusted)
+    constructor = _constructor(description[TARGET], place, part, trusted)
+    partial = bool(part.names) and description.get(PARTIAL) is True
+    given = {name: value for name, value in description.items() if name not in (TARGET, PARTIAL)}
+    arguments = _arguments(constructor, given, place, part, trusted, partial)
+    if partial:
+        return functools.partial(constructor.call, **arguments)
     try:
         made = constructor.call(**arguments)
     except Exception as error:  # a constructor may raise whatever it likes
+        if part.names and (isinstance(error, (OSError, ImportError)) or type(error).__module__.startswith("stmc.")):
+            raise
         raise RunError(f"{place} cannot be built: {brief(error)}") from error
     if not isinstance(made, part.kind):
         raise RunError(f"{place}: {constructor.target} makes a {type(made).__name__}, not a {part.kind.__name__}")
@@ -56,15 +67,23 @@ def is_ours(description: Mapping[str, Any], part: Part) -> bool:
     return isinstance(description.get(TARGET), str) and description[TARGET] in _exported(part.home)
 
 
-def _constructor(target: Any, place: str, home: str, trusted: Sequence[str]) -> _Constructor:
-    known = _exported(home)
+def signature_of(description: Mapping[str, Any], place: str, part: Part, trusted: Sequence[str]) -> inspect.Signature:
+    """The arguments of what a description names. Raises `RunError` as `construct`."""
+    return inspect.signature(_constructor(description.get(TARGET), place, part, trusted).call)
+
+
+def _constructor(target: Any, place: str, part: Part, trusted: Sequence[str]) -> _Constructor:
+    known = _exported(part.home)
     if isinstance(target, str) and target in known:
-        return _Constructor(target, known[target], False)
+        return _Constructor(target, known[target], bool(part.names))
+    if isinstance(target, str) and target in part.names:
+        return _Constructor(target, _named(target), True)
     packages = _packages(trusted)
     if isinstance(target, str) and _TARGET.fullmatch(target) and target.startswith(packages):
-        return _Constructor(target, _imported(target, place, packages), True)
+        return _Constructor(target, _imported(target, place, packages, bool(part.names)), True)
     hint = f"; a package of your own has to be named as trusted: {_TRUST}" if not packages else ""
-    raise RunError(f"{place}: {shown(target)} is not a class of {home}{hint}")
+    kind = "what a configuration may build" if part.names else f"a class of {part.home}"
+    raise RunError(f"{place}: {shown(target)} is not {kind}{hint}")
 
 
 _TRUST = 'trusted=("mylab",)'
@@ -93,12 +112,24 @@ def _exported(home: str) -> Mapping[str, Callable[..., Any]]:
     return found
 
 
-def _imported(target: str, place: str, packages: tuple[str, ...]) -> Callable[..., Any]:
-    """A class that a trusted package defines, or a constructor of one."""
+def _named(target: str) -> Callable[..., Any]:
+    """A class, a function or a class's constructor of this library."""
+    names = target.split(".")
+    for count in range(len(names) - 1, 0, -1):
+        module = _module(".".join(names[:count]), target)
+        if module is not None:
+            return functools.reduce(getattr, names[count:], module)
+    raise RunError(f"{target} does not exist")
+
+
+def _imported(target: str, place: str, packages: tuple[str, ...], functions: bool) -> Callable[..., Any]:
+    """A class that a trusted package defines, or a constructor of one, or one of its `functions`."""
     names = target.split(".")
     for count in (1, 2):  # names behind the module's: the class, and perhaps a constructor of it
         module = _module(".".join(names[:-count]), place)
         value = getattr(module, names[-count], None)
+        if count == 1 and functions and inspect.isfunction(value) and f"{value.__module__}.".startswith(packages):
+            return value
         if inspect.isclass(value) and _is_within(value, packages):
             if count == 1:
                 return value
@@ -128,7 +159,7 @@ def _class_methods(value: type) -> list[str]:
 
 
 def _arguments(
-    constructor: _Constructor, given: Mapping[str, Any], place: str, home: str, trusted: Sequence[str]
+    constructor: _Constructor, given: Mapping[str, Any], place: str, part: Part, trusted: Sequence[str], partial: bool
 ) -> dict[str, Any]:
     """What the constructor is called with: descriptions within built, everything of the annotated type."""
     parameters = inspect.signature(constructor.call).parameters
@@ -139,22 +170,24 @@ def _arguments(
                 choices = ", ".join(parameters) or "none"
                 raise RunError(f"{place}.{name}: {constructor.target} has no such argument; it has {choices}")
         needed = [name for name, each in parameters.items() if each.default is each.empty and name not in given]
-        if needed and inspect.Parameter.VAR_POSITIONAL not in kinds:
+        if needed and not partial and inspect.Parameter.VAR_POSITIONAL not in kinds:
             raise RunError(f"{place}: {constructor.target} needs {', '.join(needed)}")
     hints = _hints(constructor)
     return {
-        name: _argument(value, hints.get(name, Any), f"{place}.{name}", home, constructor, trusted)
+        name: _argument(value, hints.get(name, Any), f"{place}.{name}", part, constructor, trusted)
         for name, value in given.items()
     }
 
 
-def _argument(value: Any, hint: Any, place: str, home: str, constructor: _Constructor, trusted: Sequence[str]) -> Any:
+def _argument(value: Any, hint: Any, place: str, part: Part, constructor: _Constructor, trusted: Sequence[str]) -> Any:
     kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     if isinstance(value, Mapping) and TARGET in value:
         inner = next((kind for kind in kinds if isinstance(kind, type) and kind.__module__ != "builtins"), object)
-        value = construct(value, place, Part(home, inner), trusted)
-    if Path in kinds and not constructor.trusted:
+        value = construct(value, place, part._replace(kind=inner), trusted)
+    if Path in kinds and not constructor.lenient:
         raise RunError(f"{place}: a config may not choose places in the file system")
+    if Path in kinds and isinstance(value, str):
+        value = Path(value)
     if isinstance(value, list) and any(get_origin(kind) is tuple for kind in kinds):
         value = tuple(value)
     try:
@@ -163,7 +196,7 @@ def _argument(value: Any, hint: Any, place: str, home: str, constructor: _Constr
     except SettingError as error:
         raise RunError(str(error)) from error
     except TypeError:  # an annotation that is more than a type
-        if not constructor.trusted:
+        if not constructor.lenient:
             raise
     return value
 
@@ -173,6 +206,6 @@ def _hints(constructor: _Constructor) -> dict[str, Any]:
     try:
         return get_type_hints(call.__init__ if inspect.isclass(call) else call)
     except NameError:  # annotations that exist for type checkers alone
-        if not constructor.trusted:
+        if not constructor.lenient:
             raise
         return {}

@@ -32,6 +32,9 @@ from stmc.training.speed import quick_attention, quicken_dropout
 
 logger = logging.getLogger(__name__)
 
+LARGEST_LR = 1.0
+"""A learning rate; with more, losses are infinite within a few steps."""
+
 _END = "lr_decay_steps"
 _SAID_EVERY = 30.0
 """Seconds between two lines about the loss where there is no terminal for the bar."""
@@ -83,6 +86,8 @@ class Settings:
             raise ValueError(f"unknown optimizer {self.optimizer!r}; choose {' or '.join(get_args(Optimizer))}")
         if self.steps < 1 or self.log_every < 1:
             raise ValueError(f"steps ({self.steps}) and log_every ({self.log_every}) must be at least 1")
+        if not 0 < self.lr <= LARGEST_LR:
+            raise ValueError(f"lr ({self.lr}) must be above 0 and at most {LARGEST_LR:g}")
         if self.decay_end < 1:
             raise ValueError(f"lr_decay_steps ({self.lr_decay_steps}) must be at least 1")
         for name in ("checkpoint_every", "validate_every"):
