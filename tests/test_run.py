@@ -163,6 +163,15 @@ def test_writing_that_fails_leaves_the_old_model_and_no_litter(model, run, monke
     assert {name: (run / name).read_bytes() for name in os.listdir(run)} == before
 
 
+def test_a_network_of_another_class_than_the_config_s_is_refused_with_the_key_that_names_it(model, tmp_path):
+    class Mine(torch.nn.Module):
+        def forward(self, x, t, text, text_mask=None, mask=None):
+            return x
+
+    with pytest.raises(RunError, match=r"is a Mine, but its config says .*'denoiser': {'_target_': '.*\.Mine', …}"):
+        stmc.save(dataclasses.replace(model, denoiser=Mine()), tmp_path, "card")
+
+
 def test_a_model_that_does_not_say_how_to_build_its_parts_is_not_saved(model, tmp_path):
     config = {part: PARTS[part] for part in ("denoiser", "schedule")}
     with pytest.raises(RunError, match="how to build text_encoder, representation"):

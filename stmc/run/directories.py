@@ -24,7 +24,7 @@ from stmc.evaluators import Evaluator
 from stmc.files import write_text, write_whole
 from stmc.model import Model, Precision
 from stmc.renamed import with_new_names
-from stmc.run.configs import RunError, brief, config_text, read_config
+from stmc.run.configs import TARGET, RunError, brief, config_text, read_config
 from stmc.run.construction import Part
 from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting, check_widths, sketch_fitting
 from stmc.run.records import EvaluatorSettings, ModelSettings, settings_of
@@ -177,10 +177,16 @@ def check(record: Model | Evaluator, trusted: Sequence[str] = ()) -> dict[str, A
     absent = [part for part in parts if part not in record.config]
     if absent:
         raise RunError(f"model.config does not say how to build {', '.join(absent)}")
-    config = {part: record.config[part] for part in parts}
+    config, own = {part: record.config[part] for part in parts}, type(network)
+    named = config[name].get(TARGET) if isinstance(config[name], Mapping) else None
+    if isinstance(named, str) and named.rpartition(".")[2] != own.__name__:
+        raise RunError(
+            f"the {name} is a {own.__name__}, but its config says {named.rpartition('.')[2]}: give the model "
+            f"config=model.config | {{'{name}': {{'_target_': '{own.__module__}.{own.__name__}', …}}}}"
+        )
     sketched = sketch_fitting(config, specs_of(network.state_dict()), "the network", name, parts[name], trusted)
-    if type(sketched) is not type(network):
-        raise RunError(f"the {name} is a {type(network).__name__}, but its config says {type(sketched).__name__}")
+    if type(sketched) is not own:
+        raise RunError(f"the {name} is a {own.__name__} of {own.__module__}, but its config says {named}")
     built = build(config, {part: each for part, each in parts.items() if part != name}, trusted)
     check_widths(config[name], built)
     for statistic, shape in _shapes(built, parts).items():

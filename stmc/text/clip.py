@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from stmc.text.pretrained import check_width, encode, load
+from stmc.text.pretrained import check_width, encode, load, transformers
 
 CLIP = "openai/clip-vit-base-patch32"
 REMEDY = f"hf download {CLIP}"
@@ -63,7 +63,7 @@ class Clip:
 
     @cached_property
     def _loaded(self) -> tuple[Any, torch.nn.Module]:
-        from transformers import CLIPTextModelWithProjection
+        CLIPTextModelWithProjection = transformers().CLIPTextModelWithProjection
 
         tokenizer, model = load(self.source, CLIPTextModelWithProjection.from_pretrained, self.device, REMEDY)
         check_width(self.source, model.config.projection_dim, self.width)
@@ -102,7 +102,7 @@ class ClipTokens:
 
     @cached_property
     def _loaded(self) -> tuple[Any, torch.nn.Module]:
-        from transformers import CLIPTextModel
+        CLIPTextModel = transformers().CLIPTextModel
 
         tokenizer, model = load(self.source, CLIPTextModel.from_pretrained, self.device, REMEDY)
         check_width(self.source, model.config.hidden_size, self.width)

