@@ -1,4 +1,5 @@
-"""Numbers and pictures of editing.md: python docs/editing.py [edits|constraints|reaches] [steps]. It takes minutes."""
+"""The numbers and pictures of editing.md: python docs/editing.py [edits|constraints|motions|reaches] [steps]. It takes
+minutes."""
 
 import math
 import sys
@@ -145,6 +146,16 @@ def constraints(model: stmc.Model, steps: int) -> None:
         strip.savefig(PICTURES / f"constraint_{name.replace(' + ', '_')}.png", dpi=55)
 
 
+def motions(model: stmc.Model, steps: int) -> None:
+    """A walk that becomes a walk in a circle."""
+    [walk] = model.generate("walk forwards # 0 # 7 # legs", seed=0, steps=steps)
+    circle = stmc.clean_feet(stmc.bend_path(walk, angle=2 * math.pi))
+    for name, motion in (("walk", walk), ("circle", circle)):
+        away = float((motion.translation[-1] - motion.translation[0])[:2].norm())
+        sys.stdout.write(f"{name}: ends {away:.2f} m away, slides {100 * foot_sliding(motion):.2f} cm a frame\n")
+    stmc.film_strip(circle, frames=10).savefig(PICTURES / "edited_circle.png", dpi=55)
+
+
 def _errors(demands: list, motion: Motion) -> str:
     """The largest of each, in centimetres (a heading's: in degrees)."""
     scales = [100 if each.unit == "m" else math.degrees(1) for each in demands]
@@ -177,3 +188,5 @@ if __name__ == "__main__":
         constraints(bundled, int(steps))
     if wanted in ("all", "reaches"):
         reaches(bundled, int(steps))
+    if wanted in ("all", "motions"):
+        motions(bundled, int(steps))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from stmc.body_model import Skeleton
 from stmc.data.cache import FEATURES, TABLE, Cache, Clip, assemble, fingerprint, read_caches
-from stmc.data.preparation import Job, LayoutError, Watch, find_source, in_parallel
+from stmc.data.preparation import LayoutError, Piece, Watch, converted, find_source
 from stmc.data.sources.cmu_clips import encoded
 from stmc.data.sources.contents import CONTENTS, describe, mirrored_content
 from stmc.data.sources.edited import RECIPES
@@ -43,13 +43,13 @@ Rows = list[tuple[Clip, Float[Tensor, "_ features"]]]
 @dataclass(frozen=True)
 class EditedClips:
     """`source` is one folder of a prepared data set or several: a sequence, or their names with commas between. Their
-    features must be `SmplRepresentation`'s on the default skeleton. A `Preparation`. It takes minutes; nothing of a run
-    that was killed is kept."""
+    features must be `SmplRepresentation`'s on the default skeleton. A `Preparation`. It takes minutes; a run that
+    was killed resumes."""
 
     source: str | Path | Sequence[str | Path]
 
     def check(self) -> list[Path]:
-        """The folders. Raises `LayoutError` where one is missing, `CacheError` for one that holds no prepared data."""
+        """The folders. Raises `LayoutError` where one is missing."""
         expected = "the folders of prepared data sets, commas between them, such as cache/bandai,cache/cmu"
         if not self.source:
             raise LayoutError(f"source={self.source} is empty; it should be {expected}")
@@ -63,38 +63,29 @@ class EditedClips:
         return fingerprint([*inputs, *(assets / f"{name}.json" for name in ("contents", "skeleton"))], [CACHE_VERSION])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
-        """See `Preparation`. One job makes all clips of one recipe; a clip that no draw makes usable is skipped."""
-        folders = tuple(self.check())
-        fps = _kind(read_caches(folders)).fps
-        jobs: Iterator[tuple[str, Job]] = (
-            (f"{recipe.action}/{recipe.origin}", (_made_from, folders, number)) for number, recipe in enumerate(RECIPES)
-        )
-        rows, skipped = Rows(), list[tuple[str, str]]()
-        for name, made in watch(in_parallel(jobs, workers), len(RECIPES)):
-            if isinstance(made, str):
-                skipped.append((name, made))
-            else:
-                rows += made[0]
-                skipped += made[1]
-        return gather(rows, fps, skipped)
-
-
-def _kind(cache: Cache) -> Cache:
-    """The cache. Raises `LayoutError` for one of other features or another body than recipes edit."""
-    if cache.representation != "smpl" or cache.skeleton is not None:
-        raise LayoutError(f"recordings to edit are 205 features on the default skeleton, not {cache.representation}")
-    return cache
+        """See `Preparation`. A recipe is a piece; a clip that no draw makes usable is skipped."""
+        folders, inputs = tuple(self.check()), self.fingerprint()
+        names = [f"{recipe.action}/{recipe.origin}" for recipe in RECIPES]
+        pieces = [
+            Piece(name, fingerprint([], [inputs, name]), partial(_made_from, folders, number))
+            for number, name in enumerate(names)
+        ]
+        return converted(pieces, len(pieces), scratch, workers, watch)
 
 
 @lru_cache(maxsize=1)
 def _read(folders: tuple[Path, ...]) -> RecordedBases:
-    return RecordedBases(_kind(read_caches(folders)))
+    """Raises `LayoutError` for recordings of other features or another body than recipes edit."""
+    cache = read_caches(folders)
+    if cache.representation != "smpl" or cache.skeleton is not None:
+        raise LayoutError(f"recordings to edit are 205 features on the default skeleton, not {cache.representation}")
+    return RecordedBases(cache)
 
 
-def _made_from(folders: tuple[Path, ...], number: int) -> tuple[Rows, list[tuple[str, str]]]:
-    """What `make` returns for a recipe, by its number: recipes hold functions that cannot be pickled."""
+def _made_from(folders: tuple[Path, ...], number: int) -> Cache:
+    """The cache of a recipe, by its number: recipes hold functions that cannot be pickled."""
     bases = _read(folders)
-    return make(RECIPES[number], bases, bases.splits, bases.fps)
+    return gather(*make(RECIPES[number], bases, bases.splits, bases.fps), bases.fps)
 
 
 class RecordedBases(Mapping[str, Sequence[Base]]):
@@ -202,11 +193,8 @@ def _clip(recipe: Recipe, name: str, mirrored: bool, split: str, frames: int) ->
     )
 
 
-def gather(rows: Rows, fps: float | int, skipped: Sequence[tuple[str, str]] = ()) -> Cache:
-    """The cache of all made clips, in their order, without a fingerprint. Raises `ValueError` where there are none."""
-    if not rows:
-        first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
-        raise ValueError(f"no clip could be made, {len(skipped)} actions were skipped{first}")
+def gather(rows: Rows, skipped: Sequence[tuple[str, str]], fps: float | int) -> Cache:
+    """The cache of made clips, in their order, without a fingerprint."""
     clips, features = assemble(rows)
     texts = {clip.texts: describe(clip.content, "normal") for clip in clips}
     return Cache(fps, "smpl", features, clips, texts, tuple(skipped))
