@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, get_args
 
+from stmc.bounds import MOST_SECONDS
 from stmc.diffusion import SAMPLERS, NoiseScale
 from stmc.settings import check, setting
 
@@ -35,11 +36,15 @@ class Sampling:
         "what scales the noise of ddpm's steps: the posterior's standard deviation (textbook) or variance (paper)",
         choices=get_args(NoiseScale),
     )
-    guidance: float | int | None = setting(None, "weight of the texts: 0 ignores them, 1 is as trained")
+    guidance: float | int | None = setting(
+        None, "weight of the texts: 0 ignores them, 1 is as trained", above=-1000, below=1000
+    )
     guidance_from: float | int | None = setting(
         None, "start of the guidance; texts count as trained before it", unit="share of steps", at_least=0, below=1
     )
-    overlap: float | int | None = setting(None, "length of a transition between prompts", unit="s", at_least=0)
+    overlap: float | int | None = setting(
+        None, "length of a transition between prompts", unit="s", at_least=0, at_most=MOST_SECONDS
+    )
     stitch_from: float | int | None = setting(
         None, "start of the composition; crops are denoised alone before it", unit="share of steps", at_least=0, below=1
     )
