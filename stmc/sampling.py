@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, get_args
 
-from stmc.bounds import MOST_SECONDS
 from stmc.diffusion import SAMPLERS, NoiseScale
 from stmc.settings import check, setting
 
@@ -42,9 +41,7 @@ class Sampling:
     guidance_from: float | int | None = setting(
         None, "start of the guidance; texts count as trained before it", unit="share of steps", at_least=0, below=1
     )
-    overlap: float | int | None = setting(
-        None, "length of a transition between prompts", unit="s", at_least=0, at_most=MOST_SECONDS
-    )
+    overlap: float | int | None = setting(None, "length of a transition between prompts", unit="s", at_least=0)
     stitch_from: float | int | None = setting(
         None, "start of the composition; crops are denoised alone before it", unit="share of steps", at_least=0, below=1
     )
