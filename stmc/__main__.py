@@ -1,8 +1,18 @@
-"""`python -m stmc`: the same as the command `stmc`."""
+"""The command `stmc`, which is also `python -m stmc`."""
 
 import sys
 
-from stmc.commands import program
+
+def main() -> int:
+    """Runs the command; Ctrl-C ends in one line also while the library is imported."""
+    try:
+        from stmc.commands import program
+
+        return program()
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped; ask again to go on\n")
+        return 130
+
 
 if __name__ == "__main__":
-    sys.exit(program())
+    sys.exit(main())

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from stmc.untrusted import shown
+
 JOINTS: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
     "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
@@ -74,10 +76,12 @@ class BodyPart(StrEnum):
             >>> stmc.BodyPart.parse("Left_Hand")
             <BodyPart.LEFT_ARM: 'left arm'>
         """
+        if not isinstance(text, str):
+            raise ValueError(f"a body part is a text, not {shown(text)}; choose from {', '.join(cls)}")
         name = " ".join(text.lower().replace("_", " ").replace("-", " ").split())
         name = _READ_AS.get(name, name)
         if name not in set(cls):
-            raise ValueError(f"unknown body part {text!r}; choose from {', '.join(cls)}")
+            raise ValueError(f"unknown body part {shown(text)}; choose from {', '.join(cls)}")
         return cls(name)
 
 

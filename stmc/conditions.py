@@ -26,6 +26,7 @@ from stmc.representation import JointsFrom, Representation, SmplRepresentation
 from stmc.settings import SettingError
 from stmc.statistics import Statistics
 from stmc.timeline import Prompt, Timeline
+from stmc.untrusted import shown
 
 Changes = Change | Prompt | Sequence[Change | Prompt]
 """What is made anew; a prompt of the timeline stands for all that it decides."""
@@ -215,6 +216,8 @@ def kept_of(
             raise SettingError("change: of which motion? keep=motion says it")
         return []
     motions = [keep] * len(timelines) if isinstance(keep, Motion) else list(keep)
+    if isinstance(keep, str) or not all(isinstance(motion, Motion) for motion in motions):
+        raise SettingError(f"keep={shown(keep)}: a motion needed, or one for each timeline: stmc.read reads a file's")
     if len(motions) != len(timelines):
         raise SettingError(f"keep: {len(motions)} motions for {len(timelines)} timelines: one for all, or one for each")
     bodies = {id(motion): on_body(motion, skeleton, fps) for motion in motions}

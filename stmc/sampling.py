@@ -35,7 +35,9 @@ class Sampling:
         "what scales the noise of ddpm's steps: the posterior's standard deviation (textbook) or variance (paper)",
         choices=get_args(NoiseScale),
     )
-    guidance: float | int | None = setting(None, "weight of the texts: 0 ignores them, 1 is as trained")
+    guidance: float | int | None = setting(
+        None, "weight of the texts: 0 ignores them, 1 is as trained", above=-1000, below=1000
+    )
     guidance_from: float | int | None = setting(
         None, "start of the guidance; texts count as trained before it", unit="share of steps", at_least=0, below=1
     )

@@ -91,9 +91,17 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
     """
 
     def sample(run: Run) -> Features:
-        return stitch(run, [plan if rule is None else rule(plan) for plan in run.plans()])
+        return stitch(run, [plan if rule is None else _planned(rule, plan) for plan in run.plans()])
 
     return Method(sample, label or getattr(rule, "__name__", "stitched"), baseline, **more)
+
+
+def _planned(rule: Rule, plan: Plan) -> Plan:
+    """The plan that a rule makes. Raises `SettingError` for a rule that makes something else."""
+    made = rule(plan)
+    if not isinstance(made, Plan):
+        raise SettingError(f"the rule {getattr(rule, '__name__', 'given')} makes a {type(made).__name__}, not a Plan")
+    return made
 
 
 def cross_faded(run: Run) -> Features:
@@ -251,9 +259,13 @@ def _imported(name: str, trusted: Sequence[str]) -> Any:
     if package not in trusted:
         raise SettingError(f"method={shown(name)}: {shown(package)} is not among the trusted packages")
     try:
-        return getattr(import_module(home), attribute)
+        found = getattr(import_module(home), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise SettingError(f"method={shown(name)}: {str(error)[:120]}") from error
+    is_own = f"{getattr(found, '__module__', '')}".partition(".")[0] == package
+    if callable(found) and not isinstance(found, Method) and not is_own:
+        raise SettingError(f"method={shown(name)}: not a rule Plan → Plan that {package} defines")
+    return found
 
 
 def settled(asked: Sampling, method: Method, own: Sampling) -> Sampling:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.body import JOINTS
+from stmc.bounds import MOST_METRES, MOST_SECONDS
 from stmc.geometry import heading
 from stmc.motion import Motion
 from stmc.settings import SettingError
@@ -85,19 +86,21 @@ class Constraint(Protocol):
 
 
 def check_span(name: str, start: float | int, end: float | int | None) -> None:
-    """Raises `SettingError` unless the seconds are finite, from 0 on and in order."""
-    if not 0 <= start < math.inf or (end is not None and not start <= end < math.inf):
-        raise SettingError(f"{name} at {start}..{end} s: finite seconds from 0 on needed, in order")
+    """Raises `SettingError` unless the seconds are numbers from 0 to `MOST_SECONDS`, in order."""
+    times = (start,) if end is None else (start, end)
+    if not all(isinstance(time, (int, float)) and 0 <= time <= MOST_SECONDS for time in times) or times[-1] < start:
+        place = "..".join(map(shown, times))
+        raise SettingError(f"{name} at {place} s: seconds from 0 to {MOST_SECONDS:,} needed, in order")
 
 
 def check_numbers(name: str, values: Any, width: int) -> tuple:
-    """`values` as a tuple of so many floats. Raises `SettingError` for anything else."""
+    """`values` as a tuple of so many floats, at most `MOST_METRES` from 0. Raises `SettingError` for anything else."""
     try:
         numbers = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = ()
-    if len(numbers) != width or not all(map(math.isfinite, numbers)):
-        raise SettingError(f"{name}={shown(values)}: {width} finite numbers needed")
+    if len(numbers) != width or not all(abs(number) <= MOST_METRES for number in numbers):
+        raise SettingError(f"{name}={shown(values)}: {width} finite numbers needed, at most {MOST_METRES:g} from 0")
     return numbers
 
 

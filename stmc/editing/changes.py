@@ -15,10 +15,12 @@ from torch import Tensor
 
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS, BodyPart
 from stmc.body_model import Skeleton
+from stmc.bounds import MOST_SECONDS
 from stmc.motion import Motion
 from stmc.planning import assign
 from stmc.settings import SettingError
 from stmc.timeline import Prompt, Timeline
+from stmc.untrusted import shown
 
 BORDER = 0.5
 """Seconds, inside a change, in which the old fades into the new: in half of it, hands jump."""
@@ -48,11 +50,13 @@ class Change:
     border: float | int = BORDER
 
     def __post_init__(self) -> None:
-        end = math.inf if self.end is None else self.end
-        if not 0 <= self.start < end or not 0 <= self.border < math.inf:
-            raise SettingError(
-                f"change {self.start}..{self.end} s: from 0 on, the end behind the start, border not below 0"
-            )
+        times = [self.start, self.border, *([] if self.end is None else [self.end])]
+        seconds = all(isinstance(each, (int, float)) and 0 <= each <= MOST_SECONDS for each in times)
+        if not seconds or (self.end is not None and self.end <= self.start):
+            place = f"{shown(self.start)}..{shown(self.end)} s, border {shown(self.border)} s"
+            raise SettingError(f"change {place}: from 0 to {MOST_SECONDS:,} s, the end behind the start")
+        if not isinstance(self.parts, Collection):
+            raise SettingError(f"change: the body parts must be a list of names, not {shown(self.parts)}")
         try:
             named = (self.parts,) if isinstance(self.parts, str) else self.parts
             object.__setattr__(self, "parts", frozenset(map(BodyPart.parse, named)) or frozenset(BodyPart))

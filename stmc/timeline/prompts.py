@@ -64,6 +64,8 @@ class Prompt:
     parts: Collection[str] = frozenset()
 
     def __post_init__(self) -> None:
+        if not isinstance(self.text, str) or not isinstance(self.parts, Collection):
+            raise TimelineError(f"a prompt is a text and a list of body parts, not {shown([self.text, self.parts])}")
         object.__setattr__(self, "text", " ".join(self.text.split()))
         if not self.text:
             raise TimelineError('the text is empty; say what to do, such as "walk forwards"')
@@ -95,7 +97,7 @@ class Prompt:
 def _seconds(name: str, value: int | float) -> float:
     try:
         seconds = float(value)
-    except OverflowError:  # an integer beyond the floats
+    except (OverflowError, TypeError, ValueError):  # an integer beyond the floats, a text, a list
         seconds = math.inf
     if not math.isfinite(seconds) or seconds < 0:
         raise TimelineError(f"{name} {shown(value)} must be a finite number of seconds, 0 or later")

@@ -304,6 +304,8 @@ class Trainer:
         self.progress = stack.enter_context(Progress(BarColumn(), MofNCompleteColumn(), *columns, *times))
         self.task = self.progress.add_task("training", total=self.settings.steps, loss="", speed="")
         self.progress.update(self.task, completed=self.step)
+        if self.step > self.settings.steps:
+            logger.warning("the run has %d steps already; %d were asked for", self.step, self.settings.steps)
         self._said = -math.inf
 
 

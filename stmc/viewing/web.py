@@ -5,8 +5,10 @@ from __future__ import annotations
 import html
 import json
 import tempfile
+import time
 import webbrowser
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
@@ -23,6 +25,9 @@ _ALONE = (
 )
 """Has the browser refuse whatever does not come with the page itself."""
 
+
+_PAGE, _READ_WITHIN = "stmc-view-", 3600.0
+"""Of the pages that `view` opens: how their files' names begin, and the seconds within which browsers read them."""
 
 _FOLLOW = '<button id="stmc-follow" type="button" aria-pressed="false">follow</button>'
 
@@ -95,9 +100,18 @@ def view(
 
         display(HTML(html_frame(content, height)))
         return
-    with tempfile.NamedTemporaryFile("w", suffix=".html", delete=False, encoding="utf-8") as file:
+    _remove_old_pages()
+    with tempfile.NamedTemporaryFile("w", prefix=_PAGE, suffix=".html", delete=False, encoding="utf-8") as file:
         file.write(content)
     webbrowser.open(Path(file.name).as_uri())
+
+
+def _remove_old_pages() -> None:
+    """Remove the pages of earlier calls, which browsers have read by now."""
+    for path in Path(tempfile.gettempdir()).glob(f"{_PAGE}*.html"):
+        with suppress(OSError):  # another user's
+            if path.lstat().st_mtime < time.time() - _READ_WITHIN:
+                path.unlink()
 
 
 def html_frame(content: str, height: int = 640) -> str:
