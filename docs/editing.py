@@ -1,4 +1,4 @@
-"""The numbers and pictures of editing.md: python docs/editing.py [edits|constraints|motions] [steps]. It takes minutes."""
+"""The numbers and pictures of editing.md: python docs/editing.py [edits|constraints|motions] [steps]. Takes minutes."""
 
 import math
 import sys
