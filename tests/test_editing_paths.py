@@ -10,6 +10,8 @@ from helpers.motions import STANDING, walking
 import stmc
 from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.body_model import Skeleton
+from stmc.data.sources.edited.jumping import soften
+from stmc.data.sources.edited.kicking import LowKick
 from stmc.editing.legs import reach_with_legs
 from stmc.geometry import axis_angle_to_matrix, wrap
 from stmc.motion import Motion
@@ -250,3 +252,40 @@ def test_rest_comes_before_and_after_and_is_the_recording_s():
     spine = JOINTS.index("spine2")
     assert torch.allclose(rested.rotations[-1, spine], rest.rotations[40, spine], atol=1e-2)
     assert rested.joints.diff(dim=0).norm(dim=-1).max() < 0.03
+
+
+def test_a_low_kick_swings_one_leg_and_the_other_foot_stands():
+    motion = standing(80)
+    kick = LowKick(start=0.5, back=0.5, forward=0.9, windup=0.4, swing=0.2, recovery=0.6, hold=0.05)(motion)
+    toes, other = joint(kick, "left_foot"), joint(kick, "right_foot")
+    assert (other - other[0]).norm(dim=1).max() < 1e-3 and (bones(kick) - bones(motion)).abs().max() < 1e-9
+    assert 0.25 < float(toes[:, 2].max()) < 0.75
+    ahead = (toes - toes[0]) @ motion.facing[0]
+    assert float(ahead.min()) < -0.25 and float(ahead.max()) > 0.45
+    assert toes.diff(dim=0).norm(dim=1).max() * motion.fps > 4
+    assert (kick.joints[-20:] - motion.joints[-20:]).abs().max() < 1e-3
+
+
+def test_a_jump_is_softened_on_the_floor_and_not_in_the_air():
+    frames = torch.arange(60, dtype=torch.float64)
+    crouch = 0.5 * torch.exp(-(((frames - 15) / 5) ** 2)) + 0.5 * torch.exp(-(((frames - 45) / 5) ** 2))
+    rise = torch.where(
+        (frames > 22) & (frames < 38), 0.3 * (torch.pi * (frames - 22) / 16).sin(), torch.zeros_like(frames)
+    )
+    poses = torch.zeros(60, NUM_ROTATIONS, 3, dtype=torch.float64)
+    for side in ("left", "right"):
+        for name, share in (("hip", -0.5), ("knee", 1.0), ("ankle", -0.5)):
+            poses[:, JOINTS.index(f"{side}_{name}"), 0] = 0.3 + share * 2 * crouch - 0.3 * (name != "knee")
+    rotations = axis_angle_to_matrix(poses)
+    rotations[:, 0] = STANDING @ rotations[:, 0]
+    still = Motion.posed(rotations, torch.zeros(60, 3, dtype=torch.float64), 20.0, BODY)
+    places = torch.zeros(60, 3, dtype=torch.float64)
+    places[:, 2] = rise - still.joints[..., 2].amin(dim=1)
+    jump = Motion.posed(rotations, places, 20.0, BODY)
+    soft = soften(jump, 0.5)
+    low, before = (float(joint(each, "pelvis")[:, 2].min()) for each in (soft, jump))
+    top = float(joint(jump, "pelvis")[0, 2])
+    assert top - low < 0.75 * (top - before)
+    assert (soft.joints[28:32] - jump.joints[28:32]).abs().max() < 0.01
+    assert (bones(soft) - bones(jump)).abs().max() < 1e-9
+    assert (joint(soft, "left_ankle") - joint(jump, "left_ankle")).norm(dim=1).max() < 0.01

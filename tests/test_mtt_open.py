@@ -54,6 +54,7 @@ def walking_with_an_arm_raised() -> Motion:
 @pytest.fixture(autouse=True)
 def few_draws(monkeypatch) -> None:
     monkeypatch.setattr(resampling, "DRAWS", 5)
+    monkeypatch.setattr(resampling, "FEWEST", 2)
 
 
 def test_crops_and_whole_timelines_that_are_shown_are_counted():

@@ -251,6 +251,10 @@ def violin(rng: np.random.Generator) -> Script:
     return Script(seconds, left=left, right=right, head=(head, *ends), tremor=(0.0008, 0.0014))
 
 
+GOES_ON = ("wipe-left", "applause", "guitar", "violin")
+"""Actions that any part of a clip shows."""
+
+
 def _recipe(
     action: str,
     script: Callable[[np.random.Generator], Script],
@@ -258,7 +262,7 @@ def _recipe(
     kinds: dict[Kind, float] = STANDING,
     clips: int = 70,
 ) -> Recipe:
-    return Recipe(action, "authored", _Gesture(script, kinds), accept, clips)
+    return Recipe(action, "authored", _Gesture(script, kinds), accept, clips, once=action not in GOES_ON)
 
 
 RECIPES: tuple[Recipe, ...] = (

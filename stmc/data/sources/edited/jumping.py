@@ -5,6 +5,8 @@ Knows bases and editing; knows no caches and no texts.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 
@@ -94,8 +96,28 @@ def _is_hop(motion: Motion) -> bool:
     return 1 <= flights(motion) <= 3 and side and straight and rests(motion, 0.6)
 
 
+@dataclass(frozen=True)
+class Rested:
+    """The `make` of a recorded jump as it is, with rest before and after it: whoever has landed breathes and shifts the
+    weight."""
+
+    action: str
+
+    def __call__(self, bases: Bases, rng: np.random.Generator) -> Draft:
+        """A draw."""
+        found = bases[self.action]
+        base = found[rng.integers(len(found))]
+        return Draft(rested(base.motion.mirrored() if rng.random() < 0.5 else base.motion, bases, rng), base.recording)
+
+
+def _lands(motion: Motion) -> bool:
+    return flights(motion) == 1 and abs(turned(motion)).max() < 40 and rests(motion, 0.6)
+
+
 RECIPES = (
     Recipe("jump-back", "edited", jump_back, _is_jump_back, clips=80),
     Recipe("hop-left", "edited", hop, _is_hop, clips=100),
+    Recipe("jump-forward", "edited", Rested("jump-forward"), _lands, clips=40),
+    Recipe("jump-up", "edited", Rested("jump-up"), _lands, clips=40),
 )
 """In the order of the data set."""

@@ -6,7 +6,8 @@ Knows bases and editing; knows no caches and no texts.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -132,35 +133,32 @@ def jog_back(bases: Bases, rng: np.random.Generator) -> Draft:
     return Draft(motion, base.recording)
 
 
-def half_turn(pivot: str):
-    """The recipe's `make` of a half turn to the left on this foot."""
+@dataclass(frozen=True)
+class HalfTurn:
+    """Half turns to the left on one foot: the recipe's `make` and its gate."""
 
-    def make(bases: Bases, rng: np.random.Generator) -> Draft:
+    pivot: str
+
+    def make(self, bases: Bases, rng: np.random.Generator) -> Draft:
+        """A draw: a body that stands and is turned in two or three steps."""
         seconds = rng.uniform(0.5, 0.65) if rng.random() < 0.5 else rng.uniform(0.65, 0.9)
         steps = 3 if rng.random() < 0.25 else 2
         start = rng.uniform(0.35, 1.1)
         total = start + steps * seconds + rng.uniform(1.0, 2.2)
         base = draw_standing(bases, rng, float(np.clip(total, 3.6, 6.0)))
-        angle = math.radians(rng.uniform(172, 188))
-        turn = turn_on_spot(base.motion, angle, pivot, steps, start, seconds, lift=rng.uniform(0.05, 0.1))
-        return Draft(turn, base.recording)
+        angle, lift = math.radians(rng.uniform(172, 188)), rng.uniform(0.05, 0.1)
+        return Draft(turn_on_spot(base.motion, angle, self.pivot, steps, start, seconds, lift), base.recording)
 
-    return make
-
-
-def _turns_half_on(pivot: str):
-    other = "right" if pivot == "left" else "left"
-
-    def accept(motion: Motion) -> bool:
-        way, ball = turned(motion), joint(motion, f"{pivot}_foot")[:, :2]
-        free = float(foot_speed(motion, other).sum() / motion.fps)
-        still = float((ball - ball[0]).norm(dim=-1).max()) < 0.05
-        return 160 < way[-1] < 200 and way.max() < 205 and way.min() > -10 and still and free > 0.5
-
-    return accept
+    def accept(self, motion: Motion) -> bool:
+        """Whether it turns half, neither farther nor back, about a foot that stays, and the other foot walks round."""
+        way, ball = turned(motion), joint(motion, f"{self.pivot}_foot")[:, :2]
+        other = "right" if self.pivot == "left" else "left"
+        walks = float(foot_speed(motion, other).sum() / motion.fps) > 0.5
+        stays = float((ball - ball[0]).norm(dim=-1).max()) < 0.05
+        return 160 < way[-1] < 200 and way.max() < 205 and way.min() > -10 and stays and walks
 
 
-def _walks(slowest: float, fastest: float, backwards: bool = False):
+def _walks(slowest: float, fastest: float, backwards: bool = False) -> Callable[[Motion], bool]:
     """A gate: straight ahead, or straight back, between these speeds."""
 
     def accept(motion: Motion) -> bool:
@@ -173,8 +171,8 @@ def _walks(slowest: float, fastest: float, backwards: bool = False):
 RECIPES = (
     Recipe("walk-circle-left", "edited", circle, _circles, clips=80, once=False),
     Recipe("quarter-circle-left", "edited", quarter, _is_quarter, clips=80),
-    Recipe("half-turn-left-on-left-foot", "authored", half_turn("left"), _turns_half_on("left"), clips=80),
-    Recipe("half-turn-left-on-right-foot", "authored", half_turn("right"), _turns_half_on("right"), clips=80),
+    Recipe("half-turn-left-on-left-foot", "authored", HalfTurn("left").make, HalfTurn("left").accept, clips=80),
+    Recipe("half-turn-left-on-right-foot", "authored", HalfTurn("right").make, HalfTurn("right").accept, clips=80),
     Recipe("walk-slow", "edited", slow, _walks(0.25, 0.7), clips=80, once=False),
     Recipe("walk-fast", "edited", fast, _walks(1.55, 2.2), clips=80, once=False),
     Recipe("walk-back-slow", "edited", back_slow, _walks(0.2, 0.5, backwards=True), clips=80, once=False),

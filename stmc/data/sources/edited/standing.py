@@ -33,12 +33,14 @@ BUSY = (
 )
 """Actions of the arms in which people stand, shift their weight and look about."""
 
-_DRAWS = 25
+_DRAWS = 40
 """Draws of one kind before it is given up."""
 _UPRIGHT = {"pelvis": 12.0, "spine3": 14.0, "head": 20.0}
 """Degrees by which these are farthest from upright in a calm body."""
 _SWAY, _SHUFFLE = 0.15, 0.03
 """Metres by which the pelvis of a calm body moves at most, and its feet."""
+_RESTLESS = 0.045
+"""Metres a second of all joints on average: more is a wave that goes on without the arm."""
 _STRAIGHT, _HANGING = 0.4, 0.36
 """Metres from the shoulder to the wrist of an arm that hangs, and metres down; stretched it has 0.466 m."""
 _STANCE = 0.45
@@ -108,12 +110,20 @@ def is_calm(motion: Motion) -> bool:
         all(up[:, JOINTS.index(name)].min() > math.cos(math.radians(most)) for name, most in _UPRIGHT.items())
         and _range(pelvis) < _SWAY
         and _range(feet) < _SHUFFLE
+        and _restlessness(motion) < _RESTLESS
         and pelvis[:, 2].min() > 0.8
         and (feet[..., 2] < 0.08).all()
         and (arms.norm(dim=-1) > _STRAIGHT).all()
         and (arms[..., 2] < -_HANGING).all()
         and (feet[:, 0] - feet[:, 1]).norm(dim=-1).max() < _STANCE
     )
+
+
+def _restlessness(motion: Motion) -> float:
+    """Mean speed of the joints as seen from the pelvis, in metres a second; 0.01 to 0.05 in recordings of people who
+    stand."""
+    seen = motion.joints - motion.joints[:, :1]
+    return float(seen.diff(dim=0).norm(dim=-1).mean()) * motion.fps
 
 
 def _range(points: torch.Tensor) -> float:
