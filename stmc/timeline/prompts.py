@@ -27,11 +27,8 @@ from stmc.untrusted import shown
 LATEST = MOST_SECONDS
 """Seconds: no prompt ends after four hours, for which a model's features alone take 0.25 GB at 20 fps."""
 
-MOST_FRAMES = 10_000_000
-"""Of a timeline at any frame rate."""
-
-MOST_PROMPTS = 10_000
-"""Of a timeline: ten thousand take a second to read and to plan."""
+MOST_FRAMES, MOST_PROMPTS = 10_000_000, 10_000
+"""Limits of a timeline, at any frame rate. Ten thousand prompts take a second to read and to plan."""
 
 LONGEST_TEXT = 1_000_000
 """Characters; text encoders read some hundred words."""
