@@ -20,7 +20,9 @@ from stmc.motion import Motion
 
 _EVEN = ("normal", "active", "feminine", "masculine", "youthful", "happy")
 """Styles whose walks are nothing but walks."""
-_SLOW = (*_EVEN, "old", "elderly", "tired", "not-confident", "proud", "sad")
+_CALM = ("normal", "feminine", "masculine", "youthful", "happy")
+"""Those whose arms are not a runner's."""
+_SLOW = (*_CALM, "old", "elderly", "tired", "not-confident", "proud", "sad")
 """Styles of slow walks, too."""
 _LONGEST = 9.5
 """Seconds of the longest clip of what goes on."""
@@ -109,9 +111,9 @@ def back_fast(bases: Bases, rng: np.random.Generator) -> Draft:
 
 def _backwards(bases: Bases, rng: np.random.Generator) -> tuple[Motion, str]:
     if rng.random() < 0.35:
-        base = _draw(bases, rng, ("walk-back",), (*_SLOW, "masculinity", "musical", "chimpira"), 2.5)
+        base = _draw(bases, rng, ("walk-back",), (*_SLOW, "masculinity", "musical", "chimpira", "active"), 2.5)
         return base.motion, base.recording
-    base = _draw(bases, rng, ("walk",), _EVEN, 3.0)
+    base = _draw(bases, rng, ("walk",), _CALM, 3.0)
     return reverse(base.motion), base.recording
 
 
