@@ -200,7 +200,8 @@ def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float | 
             raise ValueError(f"{name} must have shape {shape}, not {tuple(value.shape)}")
         if value.dtype != joints.dtype or value.device != joints.device or not value.is_floating_point():
             raise ValueError(f"{name} is {value.dtype} on {value.device}, joints are {joints.dtype} on {joints.device}")
-        bad = ~torch.isfinite(value).flatten(start_dim=1).all(dim=1)
+        chunks = (torch.isfinite(chunk).flatten(start_dim=1).all(dim=1) for chunk in value.split(_FRAMES_AT_ONCE))
+        bad = ~torch.cat(list(chunks))
         if bad.any():
             raise ValueError(f"{name} has values that are not finite, first in frame {int(bad.nonzero()[0])}")
     _check_rotations(rotations)

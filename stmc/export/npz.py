@@ -65,10 +65,13 @@ def load_npz(path: Path, skeleton: Skeleton) -> Motion:
     try:
         check_frames(headers["poses"].shape[0], fps)
         arrays = read_npz(path, ("poses", "trans"), ("joints",))
-        chunks = [_chunk(arrays, start, skeleton) for start in range(0, len(arrays["poses"]), _FRAMES_AT_ONCE)]
-        rotations, translation, joints = (torch.cat(values) for values in zip(*chunks, strict=True))
-        check_metres("joints", float(joints.abs().max()))
-        return Motion(rotations, translation, joints, fps)
+        frames = len(arrays["poses"])
+        rotations, joints = torch.empty(frames, NUM_ROTATIONS, 3, 3), torch.empty(frames, len(JOINTS), 3)
+        for start in range(0, frames, _FRAMES_AT_ONCE):
+            span = slice(start, start + _FRAMES_AT_ONCE)
+            rotations[span], joints[span] = _chunk(arrays, span, skeleton)
+        check_metres("joints", max(map(abs, map(float, joints.aminmax()))))
+        return Motion(rotations, joints[:, 0].clone(), joints, fps)
     except BoundsError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -97,15 +100,12 @@ def _fits(needed: int | None, size: int) -> bool:
     return needed in (None, size)
 
 
-def _chunk(arrays: Mapping[str, np.ndarray], start: int, skeleton: Skeleton) -> tuple[Tensor, Tensor, Tensor]:
-    """Rotations, translation and joints (float32) of the frames from `start` on, computed in float64."""
-    part = {
-        name: torch.from_numpy(each[start : start + _FRAMES_AT_ONCE].astype(np.float64))
-        for name, each in arrays.items()
-    }
+def _chunk(arrays: Mapping[str, np.ndarray], span: slice, skeleton: Skeleton) -> tuple[Tensor, Tensor]:
+    """Rotations and joints (float64) of the frames in `span`."""
+    part = {name: torch.from_numpy(each[span].astype(np.float64)) for name, each in arrays.items()}
     body = rearrange(part["poses"][:, : 3 * NUM_ROTATIONS], "frames (joints angles) -> frames joints angles", angles=3)
     rotations = axis_angle_to_matrix(body)
     joints = part.get("joints")
     if joints is None:
         joints = skeleton.pose(rotations, part["trans"] + skeleton.offsets[0].double())
-    return rotations.float(), joints[:, 0].float(), joints.float()
+    return rotations, joints
