@@ -34,7 +34,7 @@ def test_a_folder_of_one_s_own_is_prepared_trained_sampled_and_evaluated(origin,
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
-    run("prepare", "data=mine", f"source={write_recordings(tmp_path / 'recordings')}", "workers=1")
+    run("prepare", "data=mine", "trusted=[mylab]", f"source={write_recordings(tmp_path / 'recordings')}", "workers=1")
     assert (tmp_path / "cache/mine").is_dir()
     run("train", "data=mine", "denoiser=tiny", "trusted=[mylab]", "run=runs/tiny", "+data.dataset.min_clips=1", *QUICK)
     model, method = ("model=runs/tiny", "trusted=[mylab]"), "mylab.rules.plain"
