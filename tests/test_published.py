@@ -1,6 +1,9 @@
 """Published checkpoints become run directories: complete, with the numbers of their files, or an error and nothing."""
 
 import json
+import subprocess
+import sys
+import zipfile
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +18,7 @@ from test_text import RunsCode
 import stmc
 from stmc.denoisers import MdmDecoder, MdmSmpl
 from stmc.published import CheckpointError, convert, read
-from stmc.published.checkpoint import fill
+from stmc.published.checkpoint import fill, read_checkpoint
 from stmc.tensors import sinusoids
 
 WRITERS = [checkpoints.mdm_smpl, checkpoints.mdm, checkpoints.motion_diffuse]
@@ -454,3 +457,29 @@ def every_name_of_motion_diffuses_published_checkpoint_has_its_place(folder, tmp
 def test_every_name_of_the_published_checkpoints_of_mdm_and_motion_diffuse_has_its_place(folder, tmp_path, subtests):
     checks = [(every_name_of_mdms_published_checkpoints_has_its_place, name) for name in ARGS]
     checked(subtests, [*checks, every_name_of_motion_diffuses_published_checkpoint_has_its_place], folder, tmp_path)
+
+
+def test_a_checkpoint_whose_key_would_be_hashed_for_minutes_is_refused_at_once(tmp_path):
+    """Doubled by what the pickle remembers: the copy that `DUP` makes is not PyTorch's to read."""
+    torch.save({"weight": torch.eye(2)}, tmp_path / "whole.pt")
+    with zipfile.ZipFile(tmp_path / "whole.pt") as whole, zipfile.ZipFile(tmp_path / "model.pt", "w") as forged:
+        for name in whole.namelist():
+            key = b")" + b"q\x00h\x00\x86" * 34
+            forged.writestr(name, b"\x80\x02}" + key + b"K\x01s." if name.endswith("data.pkl") else whole.read(name))
+    code = (
+        "import sys; from pathlib import Path; from stmc.published.checkpoint import CheckpointError, read_checkpoint\n"
+        "try: read_checkpoint(Path(sys.argv[1]))\n"
+        "except CheckpointError as error: print(error)\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "model.pt")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert "model.pt cannot be read as a checkpoint of PyTorch: a key that is a tuple" in done.stdout
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_checkpoints_of_old_and_new_layouts_are_read(legacy, tmp_path):
+    network = torch.nn.Linear(2, 3)
+    content = {"net": network.state_dict(), "epoch": 3, 0: [torch.eye(2).half(), {"lr": 1e-3}]}
+    torch.save(content, tmp_path / "model.pt", _use_new_zipfile_serialization=not legacy)
+    back = read_checkpoint(tmp_path / "model.pt")
+    assert torch.equal(back["net"]["weight"], network.weight) and back["epoch"] == 3

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from stmc.arrays import ArraysError, read_npy
+from stmc.arrays import ArraysError, check_checkpoint, read_npy
 from stmc.evaluators import Evaluator
 from stmc.model import Model
 from stmc.run import PARTS, RunError, build_fitting
@@ -24,6 +23,7 @@ from stmc.run.construction import Part
 from stmc.run.weights import listed, misfit, specs_of
 from stmc.settings import shown
 from stmc.statistics import Statistics
+from stmc.untrusted import cut
 
 
 class CheckpointError(ValueError):
@@ -61,6 +61,7 @@ def _content(path: Path) -> Any:
     if not path.is_file():
         raise CheckpointError(f"{path} does not exist")
     try:
+        check_checkpoint(path)
         content = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         reason = str(error).split("\n")[0]
@@ -68,8 +69,9 @@ def _content(path: Path) -> Any:
             f"{path} is damaged, or holds more than tensors, which could run code on this machine, and is not loaded: "
             f"{reason}"
         ) from error
-    except (RuntimeError, OSError, EOFError, ValueError, KeyError, AttributeError, zipfile.BadZipFile) as error:
-        raise CheckpointError(f"{path} cannot be read as a checkpoint of PyTorch: {error}") from error
+    except Exception as error:  # a damaged file can raise whatever it likes
+        reason = cut(" ".join(str(error).split()), 200) or type(error).__name__
+        raise CheckpointError(f"{path} cannot be read as a checkpoint of PyTorch: {reason}") from error
     return content
 
 
