@@ -9,6 +9,8 @@ from helpers.scripts import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stmc.benchmarks.mtt_checks import MTT_CHECKS
+from stmc.benchmarks.novelty import nearest_cosines
 from stmc.body import BodyPart
 from stmc.data.sources.contents import (
     ALWAYS_STYLED,
@@ -253,10 +255,31 @@ UNTOLD = frozenset(
 )
 
 
-def test_prompts_that_the_vocabulary_is_tested_with_are_no_training_sentences_not_even_in_another_order():
-    def words(text: str) -> tuple[str, ...]:
-        return tuple(sorted(set(re.findall(r"[a-z0-9']+", text.lower())) - UNTOLD))
+def words(text: str) -> tuple[str, ...]:
+    """The words of a text that tell something, in one order."""
+    return tuple(sorted(set(re.findall(r"[a-z0-9']+", text.lower())) - UNTOLD))
 
+
+def paraphrases() -> dict[str, str]:
+    """One for each text of MTT, written by somebody who saw those texts alone."""
+    return json.loads((ROOT / "tests/helpers/mtt_paraphrases.json").read_text("utf-8"))
+
+
+def test_every_text_of_mtt_has_a_paraphrase_that_is_no_training_sentence():
+    said = {words(text) for each in CONTENTS.values() for text in each.sentences if text not in MTT_CHECKS}
+    assert paraphrases().keys() == MTT_CHECKS.keys()
+    assert not [text for text in paraphrases().values() if words(text) in said]
+
+
+@pytest.mark.slow
+def test_paraphrases_of_mtt_are_no_near_duplicates_of_training_sentences():
+    training = {text for each in CONTENTS.values() for text in each.sentences} - MTT_CHECKS.keys()
+    texts = list(paraphrases().values())
+    near = dict(zip(texts, nearest_cosines(texts, sorted(training, key=len), sentence_encoder()).tolist(), strict=True))
+    assert not {text: score for text, score in near.items() if score >= TOO_NEAR}
+
+
+def test_prompts_that_the_vocabulary_is_tested_with_are_no_training_sentences_not_even_in_another_order():
     said = {words(text) for each in CONTENTS.values() for text in each.sentences}
     prompts = json.loads((ROOT / "tests/helpers/prompts.json").read_text("utf-8"))
     assert not [text for _, text in prompts["inside"] if words(text) in said]
