@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -39,6 +40,21 @@ class Timing:
         """The fraction of the way at each time: exactly 0 until it begins, and exactly 1 once it has arrived."""
         phase = ((seconds - (self.time - self.takes)) / self.takes).clamp(0, 1)
         return minimum_jerk(1 - (1 - phase) ** self.skew)
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """Anything that arrives at a `time` in seconds."""
+
+    @property
+    def time(self) -> float | int: ...
+
+
+def check_order(keys: Sequence[Timed]) -> None:
+    """Raise `ValueError` for keys that are not in the order of their times."""
+    times = [key.time for key in keys]
+    if times != sorted(times):
+        raise ValueError(f"keys arrive at {times} seconds: put them in the order of their times")
 
 
 def minimum_jerk(phase: Float[Tensor, " *frames"]) -> Float[Tensor, " *frames"]:

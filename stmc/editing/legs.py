@@ -11,14 +11,12 @@ from torch import Tensor
 
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
-from stmc.feet.legs import sinking
+from stmc.feet.legs import LEG, bend_leg, sinking
 from stmc.geometry import global_rotations, rotation_z
-from stmc.inverse_kinematics import bend_limb
 from stmc.motion import Motion
 
 SIDES = ("left", "right")
 
-_LEG = ("hip", "knee", "ankle")
 _SINK = 0.25
 """Seconds over which the pelvis sinks where a leg would be too short."""
 
@@ -42,21 +40,13 @@ def reach_with_legs(
     Where a leg is too short, the pelvis sinks by up to 10 cm; what is still out of reach is approached.
     """
     world, joints = global_rotations(motion.rotations, PARENTS), motion.joints
-    hips, knees, before = (of_legs(joints, name) for name in _LEG)
+    hips, knees, before = (of_legs(joints, name) for name in LEG)
     down = torch.zeros_like(motion.translation)
     down[:, 2] = -sinking(hips, knees, before, ankles, round(_SINK * motion.fps))
     rotations = motion.rotations.clone()
     for number, side in enumerate(SIDES):
-        hip, knee, ankle = (joint(side, name) for name in _LEG)
-        thigh, shin = bend_limb(
-            world[:, hip],
-            world[:, knee],
-            joints[:, [hip, knee, ankle]],
-            ankles[:, number] - joints[:, hip] - down,
-            world[:, hip, :, 0],
-        )
-        locals_ = world[:, 0].mT @ thigh, thigh.mT @ shin, shin.mT @ feet[:, number]
-        rotations[:, [hip, knee, ankle]] = torch.stack(locals_, dim=1)
+        reach = ankles[:, number] - joints[:, joint(side, "hip")] - down
+        rotations[:, [joint(side, name) for name in LEG]] = bend_leg(side, world, joints, reach, feet[:, number])
     return Motion.posed(rotations, motion.translation + down, motion.fps, skeleton)
 
 

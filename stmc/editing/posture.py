@@ -14,13 +14,13 @@ from torch import Tensor
 
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
-from stmc.editing.keys import Timing, blended, frame_times, replace_frames
+from stmc.editing.keys import Timing, blended, check_order, frame_times, replace_frames
+from stmc.editing.legs import SIDES, joint, of_legs
 from stmc.editing.reaching import Triple, body_frame
+from stmc.feet.legs import LEG, bend_leg
 from stmc.geometry import axis_angle_to_matrix, global_rotations
-from stmc.inverse_kinematics import bend_limb
 from stmc.motion import Motion
 
-_SIDES = ("left", "right")
 _NECK, _SPINE = ("neck", "head"), ("spine1", "spine2", "spine3")
 _LOWER = (0, 1, 2, 4, 5, 7, 8, 10, 11)
 """The pelvis and the legs."""
@@ -127,7 +127,7 @@ def shift_pelvis(motion: Motion, keys: Sequence[PelvisKey]) -> Motion:
     axes = body_frame(exact, "ground", "left")[1]
     root = axes @ axis_angle_to_matrix(values[:, 3:]) @ axes.mT @ exact.rotations[:, 0]
     pelvis = exact.translation + (axes @ values[:, :3, None])[..., 0]
-    ankles = exact.joints[:, [JOINTS.index(f"{side}_ankle") for side in _SIDES]]
+    ankles = of_legs(exact.joints, "ankle")
     edited = _standing(exact, root, pelvis, ankles)
     return replace_frames(motion, edited, range(len(JOINTS)), values.any(dim=1), path=True)
 
@@ -147,10 +147,10 @@ def step(motion: Motion, side: str, keys: Sequence[FootKey]) -> Motion:
         offsets[:, 1] += key.lift * 16 * (fraction * (1 - fraction)) ** 2
     exact = motion.to("cpu", torch.float64)
     axes = body_frame(exact, "ground", "left")[1]
-    ankles = exact.joints[:, [JOINTS.index(f"{each}_ankle") for each in _SIDES]].clone()
-    ankles[:, _SIDES.index(side)] += (axes @ offsets[..., None])[..., 0]
+    ankles = of_legs(exact.joints, "ankle")
+    ankles[:, SIDES.index(side)] += (axes @ offsets[..., None])[..., 0]
     edited = _standing(exact, exact.rotations[:, 0], exact.translation, ankles)
-    joints = [JOINTS.index(f"{side}_{name}") for name in ("hip", "knee", "ankle", "foot")]
+    joints = [joint(side, name) for name in (*LEG, "foot")]
     return replace_frames(motion, edited, joints, offsets.any(dim=1))
 
 
@@ -174,9 +174,7 @@ def bend_down(
 
 
 def _timings(keys: Sequence[TurnKey | PelvisKey | FootKey]) -> list[Timing]:
-    times = [key.time for key in keys]
-    if times != sorted(times):
-        raise ValueError(f"keys arrive at {times} seconds: put them in the order of their times")
+    check_order(keys)
     return [Timing(key.time, key.takes, key.skew) for key in keys]
 
 
@@ -208,11 +206,8 @@ def _standing(
     world = global_rotations(motion.rotations, PARENTS)
     rotations = motion.rotations.clone()
     rotations[:, 0] = root
-    for place, side in enumerate(_SIDES):
-        hip, knee, ankle = (JOINTS.index(f"{side}_{name}") for name in ("hip", "knee", "ankle"))
-        begins = pelvis + (root @ skeleton.offsets[hip])
-        bones = motion.joints[:, [hip, knee, ankle]]
-        thigh, shin = bend_limb(world[:, hip], world[:, knee], bones, ankles[:, place] - begins, world[:, hip, :, 0])
-        rotations[:, hip], rotations[:, knee] = root.mT @ thigh, thigh.mT @ shin
-        rotations[:, ankle] = shin.mT @ world[:, ankle]
+    for number, side in enumerate(SIDES):
+        reach = ankles[:, number] - (pelvis + root @ skeleton.offsets[joint(side, "hip")])
+        foot = world[:, joint(side, "ankle")]
+        rotations[:, [joint(side, name) for name in LEG]] = bend_leg(side, world, motion.joints, reach, foot, root)
     return Motion.posed(rotations, pelvis, motion.fps, skeleton)

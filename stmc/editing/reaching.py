@@ -15,7 +15,7 @@ from torch.nn.functional import normalize
 
 from stmc.body import JOINTS, MIRROR, PARENTS
 from stmc.body_model import Skeleton
-from stmc.editing.keys import Timing, frame_times, minimum_jerk, replace_frames
+from stmc.editing.keys import Timing, check_order, frame_times, minimum_jerk, replace_frames
 from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, mirror_rotations, shortest_arc
 from stmc.inverse_kinematics import arm_rotations
 from stmc.motion import Motion
@@ -318,8 +318,6 @@ def _check_side(side: str) -> None:
 
 def _check(side: str, keys: Sequence[WristKey], tremor: float | int, seed: int | None) -> None:
     _check_side(side)
-    times = [key.time for key in keys]
-    if times != sorted(times):
-        raise ValueError(f"keys arrive at {times} seconds: put them in the order of their times")
+    check_order(keys)
     if tremor and seed is None:
         raise ValueError(f"tremor={tremor} is drawn at random: give a seed")

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.body import PARENTS
+from stmc.editing.keys import frame_times, minimum_jerk
 from stmc.editing.legs import SIDES, exact, like, of_legs, reach_with_legs, smooth, turn_joint
 from stmc.geometry import axis_angle_to_matrix, global_rotations, rotation_z
 from stmc.motion import Motion
@@ -62,7 +63,7 @@ def turn_on_spot(
     if start + steps * seconds > motion.duration:
         raise SettingError(f"{steps} steps of {seconds:g} s from {start:g} s on do not fit in {motion.duration:g} s")
     body, skeleton = exact(motion)
-    plan = _Plan(torch.arange(body.frames, dtype=torch.float64) / body.fps, angle, steps, start, seconds)
+    plan = _Plan(frame_times(body), angle, steps, start, seconds)
     side = SIDES.index(pivot)
     world, balls, ankles = (
         of_legs(values, name)
@@ -125,8 +126,7 @@ class _Plan:
 
     def turned(self, delay: float, span: tuple[float, float]) -> Float[Tensor, " frames"]:
         """Radians: a minimum jerk in each step, all of the same angle."""
-        share = self._shares(delay, span)
-        return self.angle / self.steps * (share**3 * (10 - 15 * share + 6 * share**2)).sum(dim=0)
+        return self.angle / self.steps * minimum_jerk(self._shares(delay, span)).sum(dim=0)
 
     def lifted(self, span: tuple[float, float]) -> Float[Tensor, " frames"]:
         """From 0 to 1 and back in each step."""

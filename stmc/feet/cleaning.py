@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from stmc.body import JOINTS, PARENTS
 from stmc.body_model import Skeleton
 from stmc.feet.contacts import standing_steps
-from stmc.feet.legs import sinking
+from stmc.feet.legs import LEG, bend_leg, sinking
 from stmc.feet.locking import Foot, away, locked
 from stmc.geometry import global_rotations
-from stmc.inverse_kinematics import bend_limb
 from stmc.motion import Motion
 
 _SIDES = ("left", "right")
@@ -58,18 +57,16 @@ def clean_feet(motion: Motion, floor: float | int = 0.0, free: Bool[Tensor, " fr
     stood = [
         locked(foot, steps, ~free, motion.fps, floor) for foot, steps in zip(feet, held.unbind(dim=1), strict=True)
     ]
-    hips, knees, ankles = (torch.stack([joints[:, _at(side, each)] for side in _SIDES], dim=1) for each in _LEG)
+    hips, knees, ankles = (torch.stack([joints[:, _at(side, each)] for side in _SIDES], dim=1) for each in LEG)
     wanted, span = torch.stack([foot.ankle for foot in stood], dim=1), round(_SINK * motion.fps)
     moved = torch.zeros_like(exact.translation)
     moved[:, 2] = -sinking(hips, knees, ankles, wanted, span) * away(~free, span)
     rotations = exact.rotations.clone()
     for side, foot in zip(_SIDES, stood, strict=True):
-        rotations[:, [_at(side, each) for each in _LEG]] = _leg(side, world, joints, foot, moved)
+        reach = foot.ankle - joints[:, _at(side, "hip")] - moved
+        rotations[:, [_at(side, each) for each in LEG]] = bend_leg(side, world, joints, reach, foot.turned)
     changed = _changed(feet, stood, moved) & free
     return _where(changed, Motion.posed(rotations, exact.translation + moved, motion.fps, skeleton), motion)
-
-
-_LEG = ("hip", "knee", "ankle")
 
 
 def _at(side: str, name: str) -> int:
@@ -79,14 +76,6 @@ def _at(side: str, name: str) -> int:
 def _foot(skeleton: Skeleton, world: Tensor, joints: Tensor, side: str) -> Foot:
     ankle, toes = _at(side, "ankle"), skeleton.offsets[_at(side, "foot")]
     return Foot(joints[:, ankle], world[:, ankle], toes * toes.new_tensor(_HEEL), toes)
-
-
-def _leg(side: str, world: Tensor, joints: Tensor, foot: Foot, moved: Tensor) -> Float[Tensor, "frames 3 3 3"]:
-    """Local rotations of hip, knee and ankle of one leg that ends in `foot`, where the pelvis is `moved`."""
-    hip, knee, ankle = (_at(side, each) for each in _LEG)
-    reach, lateral = foot.ankle - joints[:, hip] - moved, world[:, hip, :, 0]
-    thigh, shin = bend_limb(world[:, hip], world[:, knee], joints[:, [hip, knee, ankle]], reach, lateral)
-    return torch.stack([world[:, 0].mT @ thigh, thigh.mT @ shin, shin.mT @ foot.turned], dim=1)
 
 
 def _changed(before: list[Foot], after: list[Foot], moved: Tensor) -> Bool[Tensor, " frames"]:

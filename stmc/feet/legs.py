@@ -1,6 +1,6 @@
-"""How far a pelvis sinks so that legs reach their feet.
+"""Legs that reach given feet: how they bend, and how far the pelvis sinks so that they can.
 
-Knows hips, knees and ankles; knows no contacts, and not how a leg bends (see `inverse_kinematics.bend_limb`).
+Knows hips, knees and ankles; knows no contacts.
 """
 
 from __future__ import annotations
@@ -10,7 +10,12 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import max_pool1d, pad
 
+from stmc.body import JOINTS
 from stmc.geometry import average_frames
+from stmc.inverse_kinematics import bend_limb
+
+LEG = ("hip", "knee", "ankle")
+"""The joints of a leg, without its side."""
 
 _STRETCH = 0.99
 """The share of its length to which a leg that was more bent is stretched at most."""
@@ -18,6 +23,30 @@ _DEEPEST = 0.1
 """Metres that a pelvis sinks at most."""
 _LYING = 0.3
 """The cosine between a leg and the vertical below which it does not stand; above twice as far it does."""
+
+
+def bend_leg(
+    side: str,
+    world: Float[Tensor, "frames _ 3 3"],
+    joints: Float[Tensor, "frames _ 3"],
+    reach: Float[Tensor, "frames 3"],
+    foot: Float[Tensor, "frames 3 3"],
+    root: Float[Tensor, "frames 3 3"] | None = None,
+) -> Float[Tensor, "frames 3 3 3"]:
+    """Return the local rotations of hip, knee and ankle of a leg that leads along `reach`, in closed form.
+
+    Args:
+        side: "left" or "right".
+        world: Rotations of the joints to the world, before.
+        joints: Positions of the joints in metres, before.
+        reach: From the hip to the ankle in metres, in the world's axes. The knee bends in the plane of the pose.
+        foot: Rotations of the foot to the world, after.
+        root: Rotations of the pelvis to the world, after; None: as before.
+    """
+    hip, knee, ankle = (JOINTS.index(f"{side}_{name}") for name in LEG)
+    bones, root = joints[:, [hip, knee, ankle]], world[:, 0] if root is None else root
+    thigh, shin = bend_limb(world[:, hip], world[:, knee], bones, reach, world[:, hip, :, 0])
+    return torch.stack([root.mT @ thigh, thigh.mT @ shin, shin.mT @ foot], dim=1)
 
 
 def sinking(

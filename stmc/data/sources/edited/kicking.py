@@ -15,12 +15,14 @@ from torch import Tensor
 
 from stmc.body import JOINTS, PARENTS
 from stmc.data.sources.edited.jumping import rested
-from stmc.data.sources.edited.measuring import foot_speed, joint, rests, turned
+from stmc.data.sources.edited.measuring import foot_speed, rests, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.standing import draw_standing
+from stmc.editing.keys import minimum_jerk
 from stmc.editing.legs import exact, of_legs, reach_with_legs, smooth
 from stmc.editing.paths import change_pace
 from stmc.geometry import axis_angle_to_matrix, global_rotations
+from stmc.metrics.kinematics import joint
 from stmc.motion import Motion
 
 _APART = 0.15
@@ -170,8 +172,7 @@ def _about(axis: Float[Tensor, " 3"], angle: Float[Tensor, " frames"]) -> Float[
 
 
 def _eased(share: Tensor) -> Tensor:
-    share = share.clamp(0, 1)
-    return share**3 * (10 - 15 * share + 6 * share**2)
+    return minimum_jerk(share.clamp(0, 1))
 
 
 RECIPES = (

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stmc.data.sources.edited.measuring import distance, foot_speed, forward, joint, pace, steady, turned
+from stmc.data.sources.edited.measuring import distance, foot_speed, forward, pace, steady, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.paths import bend_path, change_pace, reverse
 from stmc.editing.turning import turn_on_spot
+from stmc.metrics.kinematics import joint
 from stmc.motion import Motion
 
 _EVEN = ("normal", "active", "feminine", "masculine", "youthful", "happy")

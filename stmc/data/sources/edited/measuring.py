@@ -10,16 +10,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.body import JOINTS
+from stmc.metrics.kinematics import joint
 from stmc.motion import Motion
 
 STILL = 0.3
 """Metres a second below which a foot stands."""
-
-
-def joint(motion: Motion, name: str) -> Float[Tensor, "frames 3"]:
-    """Positions of a joint."""
-    return motion.joints[:, JOINTS.index(name)]
 
 
 def distance(motion: Motion) -> float:

@@ -14,9 +14,9 @@ import torch
 
 from stmc.body import JOINTS, PARENTS, BodyPart
 from stmc.body_model import Skeleton
-from stmc.data.sources.edited.measuring import joint
 from stmc.data.sources.edited.recipe import Base, Bases, Unusable
 from stmc.geometry import global_rotations
+from stmc.metrics.kinematics import joint
 from stmc.motion import Motion
 
 WAVES = ("wave-left-hand", "wave-right-hand")
