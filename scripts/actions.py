@@ -6,7 +6,7 @@ With `texts=texts.txt`, ask for the 60 texts of MTT, each alone on its own body 
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -84,12 +84,10 @@ def main(config: DictConfig) -> None:
     if config.texts:
         return calibrate(config) if config.recorded else ask_texts(config)
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
-    finder = Finder(stmc.load_evaluator(config.evaluator, device=config.device))
-    real, results, console = (
-        recorded(read_caches(list(config.cache)), model.representation, model.skeleton, config.clips),
-        {},
-        Console(),
-    )
+    cache, results, console = read_caches(list(config.cache)), {}, Console()
+    evaluator = stmc.load_evaluator(config.evaluator, device=config.device)
+    finder = Finder(evaluator, {clip.content for clip in cache.clips})
+    real = recorded(cache, model.representation, model.skeleton, config.clips)
     for name in track(chosen(config, set(real)), "Sampling", console=console):
         seconds = min(WINDOW, median(motion.duration for motion in real[name]))
         motions = {text: asked(config, model, name, text, seconds) for text in sentences(config, name)}
@@ -135,11 +133,13 @@ def asked(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: 
 
 
 class Finder:
-    """How often an evaluator has a content among its best `AMONG` of all, each told by its first sentence."""
+    """How often an evaluator has a content among its best `AMONG` of the `contents` that the data show, each told by its
+    first sentence."""
 
-    def __init__(self, evaluator: Evaluator) -> None:
+    def __init__(self, evaluator: Evaluator, contents: Collection[str]) -> None:
         self.evaluator = evaluator
-        self.texts = list(dict.fromkeys(content.sentences[0] for content in CONTENTS.values()))
+        shown = (content.sentences[0] for name, content in CONTENTS.items() if name in contents)
+        self.texts = list(dict.fromkeys(shown))
         self.latents = evaluator.texts(self.texts)
 
     def found(self, name: str, motions: Sequence[Motion]) -> float:

@@ -72,7 +72,16 @@ def test_a_content_is_found_where_the_evaluator_has_it_among_its_best_three():
             return torch.stack(features)
 
     nearest = [torch.arange(len(texts)).float().roll(place + 1 + best) for best in (0, 2, 3)]
-    assert loaded("actions").Finder(Evaluator()).found("squat", nearest) == pytest.approx(2 / 3)
+    assert loaded("actions").Finder(Evaluator(), CONTENTS).found("squat", nearest) == pytest.approx(2 / 3)
+
+
+def test_a_content_is_looked_for_among_those_that_the_data_show():
+    class Evaluator:
+        def texts(self, asked):
+            return torch.eye(len(asked))
+
+    finder = loaded("actions").Finder(Evaluator(), {"squat", "walk", "walk-left"})
+    assert finder.texts == [CONTENTS["walk"].sentences[0], CONTENTS["squat"].sentences[0]]  # both walks say the same
 
 
 def test_the_settings_of_sampling_reach_the_model():
