@@ -133,8 +133,8 @@ def asked(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: 
 
 
 class Finder:
-    """How often an evaluator has a content among its best `AMONG` of the `contents` that the data show, each told by its
-    first sentence."""
+    """How often an evaluator has a content among its best `AMONG` of the `contents` of the data, each told by its first
+    sentence."""
 
     def __init__(self, evaluator: Evaluator, contents: Collection[str]) -> None:
         self.evaluator = evaluator

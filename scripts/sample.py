@@ -6,7 +6,6 @@
 Run the same command again to resume: motions that are complete, and made with the same settings, are kept.
 """
 
-import hashlib
 import json
 import math
 import sys
@@ -229,7 +228,7 @@ def record(job: Job, config: DictConfig, made_by: str) -> dict:
 def digest(path: str) -> str:
     """What tells a file from another one. Raises `SettingError` where there is none."""
     try:
-        return hashlib.sha256(Path(path).expanduser().read_bytes()).hexdigest()[:16]
+        return sha256(Path(path).expanduser())[:16]
     except OSError as error:
         raise SettingError(f"{path}: {error.strerror}") from None
 

@@ -21,7 +21,7 @@ from safetensors.torch import load_file, save_file
 from stmc.body import JOINTS
 from stmc.body_model import Skeleton
 from stmc.evaluators import Evaluator
-from stmc.files import write_text, write_whole
+from stmc.files import sha256, write_text, write_whole
 from stmc.model import Model, Precision
 from stmc.renamed import with_new_names
 from stmc.run.configs import TARGET, RunError, brief, config_text, read_config
@@ -268,8 +268,7 @@ def _digest(folder: Path) -> dict[str, str]:
     digests = {}
     for name, file_name in _DIGESTED.items():
         if (folder / file_name).exists():
-            with (folder / file_name).open("rb") as file:
-                digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
+            digests[name] = sha256(folder / file_name)
     return digests
 
 

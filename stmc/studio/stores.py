@@ -16,6 +16,7 @@ from pathlib import Path
 from threading import Lock, Semaphore
 from typing import Any
 
+from stmc.bounds import BoundsError, check_metres
 from stmc.export import read, write
 from stmc.files import locked, remove_leftovers, write_text
 from stmc.loops import looped
@@ -35,9 +36,6 @@ MOST_MOTIONS, MOST_MOTION_BYTES = 400, 2**31
 
 PRUNE_AFTER = 40
 """New motions after which old ones are looked for again."""
-
-MOST_RATE, MOST_METRES = 1000, 10_000.0
-"""Of a motion that is brought along: frames a second, and how far from the origin."""
 
 MOST_FILM_FRAMES = 9000
 """Frames of a film, which are drawn one by one: five minutes at 30 a second."""
@@ -221,13 +219,13 @@ def _at_rate(motion: Motion, fps: float | int | None) -> Motion:
 
 
 def _check_bounds(motion: Motion) -> None:
-    """Raise `Refused` for a motion longer, faster or farther away than the studio makes any."""
-    if not 1 <= motion.fps <= MOST_RATE:
-        raise Refused(422, f"{motion.fps:g} frames a second: 1 to {MOST_RATE} needed")
+    """Raise `Refused` for a motion longer or farther away than the studio makes any."""
     if motion.duration > MOST_SECONDS:
         raise Refused(422, f"{motion.duration:g} s: {MOST_SECONDS} at most in the studio")
-    if not float(motion.translation.abs().max()) <= MOST_METRES:
-        raise Refused(422, f"the motion is more than {MOST_METRES:g} m from the origin")
+    try:
+        check_metres("the motion", float(motion.translation.abs().max()))
+    except BoundsError as error:
+        raise Refused(422, str(error)) from None
 
 
 def _file_of(motion: Motion, kind: str, timeline: Timeline | None) -> bytes:

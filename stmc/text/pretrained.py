@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import pickle
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +16,7 @@ from jaxtyping import Float, Int
 from safetensors import SafetensorError
 from torch import Tensor
 
+from stmc.files import sha256
 from stmc.tensors import pad
 from stmc.text.protocol import check
 
@@ -115,8 +115,7 @@ def _check_digest(source: str, expected: str, revision: str | None, local: bool)
     cached_file = transformers().utils.cached_file
 
     path = cached_file(source, "model.safetensors", local_files_only=local, revision=revision)
-    with open(path, "rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    digest = sha256(Path(path))
     if digest != expected:
         raise WeightsNotFound(
             f"{path} holds other weights than this encoder's: its SHA-256 is {digest}, not {expected}. Give `source` a "

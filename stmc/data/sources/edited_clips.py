@@ -132,11 +132,11 @@ def _skeleton() -> Skeleton:
 def make(
     recipe: Recipe, bases: Bases, splits: Mapping[str, str], fps: float | int
 ) -> tuple[Rows, list[tuple[str, str]]]:
-    """All clips of a recipe and their mirror images with their features, and the names of the clips that no draw made
-    usable with the last reason.
+    """Make all clips of a recipe and their mirror images with their features; name the clips that no draw made usable,
+    with the last reason.
 
-    A clip depends on the bases and on its own name alone. It has the split of the recording that it
-    was made from, so that nothing of a held-out clip is trained on. Raises `ValueError` where not one clip is usable.
+    A clip depends on the bases and on its own name alone. It has the split of the recording that it was made from; rest
+    that a recipe adds may come from a recording of another split. Raises `ValueError` if not one clip is usable.
     """
     rows, skipped = Rows(), list[tuple[str, str]]()
     for number in range(recipe.clips):
