@@ -88,7 +88,7 @@ def test_an_imported_model_samples_with_the_scripts(tmp_path):
     text_model = checkpoints.clip(tmp_path / "clip")
     source, ours = f"source={tmp_path / 'theirs'}", tmp_path / "ours"
     done = script("import_checkpoint", source, f"output={ours}", f"text_model={text_model}", folder=tmp_path / "here")
-    assert f"sample.py model={ours}" in done.stdout
+    assert f"stmc sample model={ours}" in done.stdout
     (tmp_path / "two.txt").write_text("walk # 0 # 1 # legs\nraise the right arm # 0.5 # 1.5 # right arm\n")
     settings = (f"timeline={tmp_path / 'two.txt'}", f"model={ours}", f"output={tmp_path / 'out'}", "steps=2")
     script("sample", *settings, "formats=[npz,bvh]", folder=tmp_path / "here")
