@@ -53,8 +53,8 @@ class EditedClips:
         expected = "the folders of prepared data sets, commas between them, such as cache/bandai,cache/cmu"
         if not self.source:
             raise LayoutError(f"source={self.source} is empty; it should be {expected}")
-        names = self.source.split(",") if isinstance(self.source, str) else self.source
-        return [find_source(name, expected) for name in ([names] if isinstance(names, Path) else names)]
+        names = str(self.source).split(",") if isinstance(self.source, str | Path) else self.source
+        return [find_source(name, expected) for name in names]
 
     def fingerprint(self) -> str:
         """Of the caches, the version and the sentences."""
