@@ -30,7 +30,7 @@ from stmc.data.sources.composition_lists import Composition, read_compositions, 
 from stmc.data.sources.composition_references import References, babel_references, humanml3d_references
 from stmc.denoisers import FlowMdm
 from stmc.evaluators import GuoEvaluator, MatchingEvaluator
-from stmc.metrics.kinematics import JERKED
+from stmc.metrics.smoothness import JERKED
 from stmc.model import Model
 from stmc.published import CheckpointError, read_guo_evaluator
 from stmc.representation import BabelRepresentation

@@ -21,11 +21,10 @@ from stmc.benchmarks.pieces import pieces_of
 from stmc.benchmarks.protocol import Scores, TextEvaluator
 from stmc.benchmarks.resampling import Rows, Units, resampled
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.matching import POOL_SIZE, embedding_diversity, matching_score, r_precision
 from stmc.metrics.plausibility import check_joints
 from stmc.metrics.realism import fid
-from stmc.metrics.smoothness import HUMANML3D_WINDOW
+from stmc.metrics.smoothness import HUMANML3D_WINDOW, window_jerk
 from stmc.motion import Motion
 from stmc.representation import JointsFrom, Representation
 from stmc.timeline import Prompt, Timeline

@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from stmc.benchmarks.resampling import Rows
-from stmc.metrics.kinematics import window_jerk
-from stmc.metrics.smoothness import transition_window
+from stmc.metrics.smoothness import transition_window, window_jerk
 from stmc.metrics.timelines import Span
 from stmc.motion import Motion
 from stmc.sampling import INDEPENDENT

@@ -12,9 +12,8 @@ from typing import NamedTuple
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.plausibility import check_joints
-from stmc.metrics.smoothness import transition_window
+from stmc.metrics.smoothness import transition_window, window_jerk
 from stmc.metrics.timelines import MotionEvaluator
 from stmc.motion import Motion
 from stmc.timeline import Timeline

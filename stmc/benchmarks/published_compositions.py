@@ -21,9 +21,9 @@ from stmc.benchmarks.pieces import pieces_of
 from stmc.benchmarks.protocol import Scores, TextEvaluator
 from stmc.data.sources.composition_lists import Composition, sample_compositions
 from stmc.data.sources.composition_references import References
-from stmc.metrics.kinematics import window_jerk
 from stmc.metrics.matching import POOL_SIZE, embedding_diversity, matching_score, r_precision_of_distinct
 from stmc.metrics.realism import frechet_distance
+from stmc.metrics.smoothness import window_jerk
 from stmc.motion import Motion
 from stmc.representation import JointsFrom, Representation
 from stmc.timeline import Prompt, Timeline

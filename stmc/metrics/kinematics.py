@@ -12,15 +12,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.body import JOINTS
-from stmc.geometry import rotation_z, wrap
-from stmc.metrics.smoothness import jerk
+from stmc.geometry import wrap
 from stmc.motion import Motion
 
 CONTACT_HEIGHT = 0.025
 """Metres above the floor from which on a toe is not in contact with it (MANN's H)."""
-
-JERKED = 22
-"""Joints whose jerk counts: SMPL's without the hands, those that HumanML3D has."""
 
 
 def joint(motion: Motion, name: str) -> Float[Tensor, "frames 3"]:
@@ -121,11 +117,3 @@ def local_joints(motion: Motion) -> Float[Tensor, "frames joints 3"]:
     forward, up = motion.facing, torch.tensor([0.0, 0.0, 1.0], dtype=motion.joints.dtype)
     frame = torch.stack([forward, torch.linalg.cross(up.expand_as(forward), forward), up.expand_as(forward)], dim=-1)
     return (motion.joints - motion.joints[:, :1]) @ frame
-
-
-def window_jerk(window: Motion, frames: int) -> Float[Tensor, " _"]:
-    """The `smoothness.jerk` of a window of a motion, in m/frame³, turned to begin with heading zero, in `frames - 3`
-    values; where the motion ends within the window, its last one goes on."""
-    joints = window.joints[:, :JERKED] @ rotation_z(-window.heading[0]).mT
-    values = jerk(joints)
-    return torch.cat([values, values[-1:].expand(frames - 3 - len(values))])

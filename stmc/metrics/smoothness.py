@@ -12,6 +12,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from stmc.geometry import rotation_z
+from stmc.motion import Motion
 from stmc.tensors import mask
 
 HUMANML3D_JERK, BABEL_JERK = 0.033031363, 0.016383045
@@ -19,6 +21,10 @@ HUMANML3D_JERK, BABEL_JERK = 0.033031363, 0.016383045
 
 HUMANML3D_WINDOW, BABEL_WINDOW = 60, 30
 """Frames of a transition in the two data sets (FlowMDM, section 4.1)."""
+
+
+JERKED = 22
+"""Joints whose jerk counts: SMPL's without the hands, those that HumanML3D has."""
 
 
 def pose_steps(local: Float[Tensor, "frames joints 3"]) -> Float[Tensor, " steps"]:
@@ -93,6 +99,14 @@ def jerk(
         return values
     exists = mask(lengths.flatten() - 3, values.shape[-1]).reshape(values.shape)
     return torch.where(exists, values, 0.0)
+
+
+def window_jerk(window: Motion, frames: int) -> Float[Tensor, " _"]:
+    """The `jerk` of a window of a motion, in m/frame³, turned to begin with heading zero, in `frames - 3`
+    values; where the motion ends within the window, its last one goes on."""
+    joints = window.joints[:, :JERKED] @ rotation_z(-window.heading[0]).mT
+    values = jerk(joints)
+    return torch.cat([values, values[-1:].expand(frames - 3 - len(values))])
 
 
 def jerk_curve(jerks: Float[Tensor, "transitions frames"]) -> Float[Tensor, " frames"]:
