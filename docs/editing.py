@@ -9,13 +9,13 @@ from statistics import fmean
 import torch
 
 import stmc
-from stmc.conditions import cleaned
-from stmc.constraints import Pose
 from stmc.editing import Kept
-from stmc.geometry import rotation_z
-from stmc.metrics.actions import lifts, mean_speed, waves
-from stmc.metrics.kinematics import foot_sliding, turn
-from stmc.motion import Motion
+from stmc.editing.conditions import cleaned
+from stmc.editing.constraints import Pose
+from stmc.evaluation.metrics.action_measures import lifts, mean_speed, waves
+from stmc.motion.geometry import rotation_z
+from stmc.motion.kinematics import foot_sliding, turn
+from stmc.motion.motion import Motion
 
 PICTURES = Path(__file__).parent / "assets"
 SEEDS = (0, 1, 2)
@@ -125,7 +125,7 @@ def _from(motion: Motion, frame: int, end: int) -> torch.Tensor:
 
 def _legs(old: Motion, new: Motion) -> str:
     frames = min(old.frames, new.frames)
-    legs = [joint for joint, name in enumerate(stmc.body.JOINTS) if name in stmc.BodyPart.LEGS.joints]
+    legs = [joint for joint, name in enumerate(stmc.motion.body.JOINTS) if name in stmc.BodyPart.LEGS.joints]
     moved = (new.joints[:frames] - old.joints[:frames])[:, legs].norm(dim=-1).mean()
     return f"legs moved {100 * float(moved):.1f} cm"
 
@@ -134,7 +134,7 @@ def constraints(model: stmc.Model, steps: int) -> None:
     """Largest errors, and what they cost, as sampled and with clean feet: of each motion, and the means of three."""
     asked = {"seed": SEEDS, "steps": steps, "sampler": "ddim", "clean_feet": False}
     [bow] = model.generate("bow # 0 # 3", seed=0, steps=steps, clean_feet=False)
-    deepest = int(bow.joints[:, stmc.body.JOINTS.index("head"), 2].argmin())
+    deepest = int(bow.joints[:, stmc.motion.body.JOINTS.index("head"), 2].argmin())
     free = model.generate([WALK_AND_RAISE] * 3, **asked)
     sys.stdout.write(f"nothing demanded: {_cost(free)}; clean {_cost(cleaned(free, [], []))}\n")
     for name, demands in constraints_on(bow.trimmed(deepest, deepest + 1)).items():

@@ -5,8 +5,8 @@ from statistics import fmean
 
 import stmc
 from stmc.data.cache import read_caches
-from stmc.metrics.kinematics import floor_penetration, foot_sliding
-from stmc.motion import Motion
+from stmc.motion.kinematics import floor_penetration, foot_sliding
+from stmc.motion.motion import Motion
 
 ASKED = ("walk forwards", "run", "turn left", "wave with the right hand", "sit down", "squat", "jump forward")
 SEEDS = (0, 1, 2)

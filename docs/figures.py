@@ -10,7 +10,7 @@ import numpy as np
 
 import stmc
 from stmc.composing.methods import SEEN
-from stmc.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, reweighted
+from stmc.timeline.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, reweighted
 
 FOLDER = Path(__file__).parent / "figures"
 FPS = 20

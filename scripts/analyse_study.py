@@ -1,42 +1,8 @@
-"""Report what the raters of a study prefer: `stmc analyse_study FOLDER study=outputs/study`."""
+"""Run `stmc analyse_study`: see `stmc.cli.analyse_study`."""
 
-import json
 import sys
-from dataclasses import MISSING, dataclass
-from pathlib import Path
 
-from omegaconf import DictConfig
-
-from stmc.commands import command
-from stmc.files import write_text
-from stmc.settings import setting
-from stmc.study import Analysis, Key, StudyError, analyse, read_answers
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    answers: str = setting(MISSING, "folder of the files that raters sent back")
-    study: str = setting("outputs/study", "folder with key.json; analysis.txt and analysis.json are written there")
-
-
-@command("analyse_study", Settings, ("answers", "study"))
-def main(config: DictConfig) -> None:
-    folder = Path(config.study).expanduser()
-    analysis = analysed(folder, Path(config.answers).expanduser())
-    contents = {"txt": analysis.text(), "json": json.dumps(analysis.data(), indent=1, ensure_ascii=False) + "\n"}
-    for kind, content in contents.items():
-        write_text(folder / f"analysis.{kind}", content)
-    print(analysis.text(), end="")
-
-
-def analysed(folder: Path, answers: Path) -> Analysis:
-    """Of every answer file in a folder."""
-    key = Key.read(folder / "key.json")
-    paths = sorted(answers.glob("*.json"))
-    if not paths:
-        raise StudyError(f"{answers} has no answer files (.json)")
-    return analyse(key, read_answers(paths, key))
-
+from stmc.cli.analyse_study import main
 
 if __name__ == "__main__":
     sys.exit(main())

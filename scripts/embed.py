@@ -1,77 +1,8 @@
-"""Encode texts before training or sampling: `stmc embed PATH text_encoder=clip`."""
+"""Run `stmc embed`: see `stmc.cli.embed`."""
 
-import json
 import sys
-from collections.abc import Iterator
-from dataclasses import MISSING, dataclass
-from pathlib import Path
-from typing import Any
 
-from omegaconf import DictConfig
-from rich.console import Console
-
-from stmc.commands import command
-from stmc.commands.building import build_part
-from stmc.settings import setting
-from stmc.text import Cached, TextEncoder
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    texts: str = setting(MISSING, "timelines or annotations (.json), a text a line (.txt), or a folder of such files")
-    folder: str = setting("cache/text", "folder of the embeddings: what training calls text_cache")
-    trusted: tuple[str, ...] = setting((), "packages of your own that the encoder may be a class of")
-
-
-@command("embed", Settings, ("texts",))
-def main(config: DictConfig) -> None:
-    texts = list(dict.fromkeys(["", *texts_in(Path(config.texts).expanduser())]))
-    encoder = Cached(build_part(config, "text_encoder", TextEncoder), config.folder)
-    missing = encoder.missing(texts)
-    if missing:
-        encoder.encode(missing)
-    Console().print(f"{len(texts)} texts in {encoder.file}, {len(missing)} of them new", soft_wrap=True)
-
-
-def texts_in(path: Path) -> Iterator[str]:
-    """Every text of a file, or of all `.txt` and `.json` files below a folder. Raises `ValueError` where none is."""
-    if not path.exists():
-        raise ValueError(f"texts={path} does not exist; it should be a .txt or .json file, or a folder of them")
-    files = sorted(found for found in path.rglob("*") if found.suffix in (".txt", ".json")) if path.is_dir() else [path]
-    found = False
-    for file in files:
-        try:
-            document = file.read_text(encoding="utf-8-sig")
-            texts = _in_json(json.loads(document)) if file.suffix == ".json" else _in_lines(document)
-            for text in texts:
-                found = True
-                yield text
-        except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ValueError(f"{file} cannot be read: {error}") from error
-    if not found:
-        raise ValueError(f"texts={path} holds no text: a line of a .txt is a text, and so is each `text` of a .json")
-
-
-def _in_lines(document: str) -> Iterator[str]:
-    """What stands before the first # of a line: a text alone, a prompt of a timeline, or a caption of HumanML3D."""
-    for line in document.splitlines():
-        text = line.partition("#")[0].strip()
-        if text:
-            yield text
-
-
-def _in_json(node: Any) -> Iterator[str]:
-    """What stands under `text`, wherever it is: prompts of timelines, annotations of motions."""
-    if isinstance(node, list):
-        for each in node:
-            yield from _in_json(each)
-    elif isinstance(node, dict):
-        for key, value in node.items():
-            if key == "text" and isinstance(value, str):
-                yield value
-            else:
-                yield from _in_json(value)
-
+from stmc.cli.embed import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,52 +1,8 @@
-"""Make a perceptual study of two methods: `stmc study FOLDER_A FOLDER_B TIMELINES`."""
+"""Run `stmc study`: see `stmc.cli.study`."""
 
 import sys
-from dataclasses import MISSING, dataclass
-from pathlib import Path
 
-from omegaconf import DictConfig
-from rich.console import Console
-
-import stmc
-from stmc.commands import command
-from stmc.files import write_text
-from stmc.settings import setting
-from stmc.study import StudyError, design, read_pairs, survey_page
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    first: str = setting(MISSING, "folder that sampling filled, by the method under study")
-    second: str = setting(MISSING, "the same timelines by the method that it is compared with")
-    timelines: str = setting(MISSING, "file that both were sampled from")
-    names: tuple[str | None, ...] = setting((None, None), "of the two methods in the analysis; null: as their folders")
-    output: str = setting("outputs/study", "folder: surveys/ for the raters, key.json for the analysis")
-    size: int = setting(10, "pairs in a survey, besides three warm-ups and two honeypots", at_least=1)
-    seed: int = setting(0, "of the surveys", at_least=0)
-
-
-@command("study", Settings, ("first", "second", "timelines"))
-def main(config: DictConfig) -> None:
-    folder = Path(config.output).expanduser()
-    surveys = made(config, folder)
-    console = Console()
-    console.print(f"{surveys} surveys in {folder.resolve() / 'surveys'}: give each rater one of the pages")
-    console.print(f"the answer key is {folder.resolve() / 'key.json'}: keep it to yourself")
-
-
-def made(config: DictConfig, folder: Path) -> int:
-    """Writes the pages, then the key; how many pages."""
-    if (folder / "key.json").exists():
-        raise StudyError(f"{folder} holds a study already, whose key its answers need; choose another output")
-    first, second = (Path(config[side]).expanduser() for side in ("first", "second"))
-    pairs = read_pairs(first, second, stmc.Timeline.read_all(Path(config.timelines).expanduser()))
-    names = (config.names[0] or first.name, config.names[1] or second.name)
-    surveys, key = design(pairs, names, config.seed, config.size)
-    for number, survey in enumerate(surveys, start=1):
-        write_text(folder / "surveys" / f"survey_{number:02d}.html", survey_page(survey))
-    key.write(folder / "key.json")
-    return len(surveys)
-
+from stmc.cli.study import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,54 +1,25 @@
-"""What `import stmc` gives, for editors and type checkers; at run time `__init__.py` imports it lazily."""
+"""Public names of `stmc` and its packages: read by editors, type checkers, and `__init__.py`, which imports lazily."""
 
-from . import arrays as arrays
-from . import benchmarks as benchmarks
-from . import body as body
-from . import body_model as body_model
-from . import bounds as bounds
-from . import bvh as bvh
-from . import commands as commands
+from . import cli as cli
 from . import composing as composing
-from . import conditions as conditions
-from . import constraints as constraints
 from . import data as data
 from . import denoisers as denoisers
 from . import diffusion as diffusion
 from . import editing as editing
+from . import evaluation as evaluation
 from . import evaluators as evaluators
-from . import export as export
-from . import feet as feet
-from . import filenames as filenames
-from . import files as files
-from . import geometry as geometry
-from . import inverse_kinematics as inverse_kinematics
-from . import loops as loops
-from . import metrics as metrics
+from . import formats as formats
+from . import io as io
 from . import model as model
 from . import motion as motion
-from . import planning as planning
-from . import published as published
-from . import renamed as renamed
-from . import representation as representation
-from . import results as results
 from . import run as run
-from . import sampling as sampling
 from . import settings as settings
-from . import shards as shards
-from . import skins as skins
-from . import statistics as statistics
-from . import studio as studio
-from . import study as study
-from . import tensors as tensors
 from . import text as text
 from . import timeline as timeline
 from . import training as training
-from . import untrusted as untrusted
 from . import viewing as viewing
-from . import vocabulary as vocabulary
-from .body import BodyPart
-from .body_model import Skeleton
 from .composing import Method, collage, find_method, guided_crops, sinc, smooth_seams, stitched
-from .constraints import Heading, Hold, Keyframe, Path, Target, read_constraints
+from .composing.sampling import Sampling
 from .denoisers import Denoiser
 from .diffusion import Noise, Schedule, ddim, ddpm, dpm_solver, guide
 from .editing import (
@@ -75,19 +46,21 @@ from .editing import (
     turn_on_spot,
     turn_trunk,
 )
-from .export import read, write
-from .feet import clean_feet
-from .inverse_kinematics import motion_of_joints
-from .loops import looped
+from .editing.constraints import Heading, Hold, Keyframe, Path, Target, read_constraints
+from .formats import read, write
 from .model import Model
-from .motion import Motion
-from .planning import Plan, assign, plan
+from .motion.body import BodyPart
+from .motion.body_model import Skeleton
+from .motion.feet import clean_feet
+from .motion.inverse_kinematics import motion_of_joints
+from .motion.loops import looped
+from .motion.motion import Motion
 from .run import load, load_evaluator, save, suggest_parts, with_suggested_parts
-from .sampling import Sampling
-from .shards import Shard
+from .settings.shards import Shard
+from .text.vocabulary import Vocabulary
 from .timeline import Prompt, Timeline, one_text, single_track
+from .timeline.planning import Plan, assign, plan
 from .viewing import film_strip, plot_plan, plot_timeline, render_film, render_html, view
-from .vocabulary import Vocabulary
 
 __all__ = [
     "BodyPart",

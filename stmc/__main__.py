@@ -6,7 +6,7 @@ import sys
 def main() -> int:
     """Runs the command; Ctrl-C ends in one line also while the library is imported."""
     try:
-        from stmc.commands import program
+        from stmc.cli.dispatch import program
 
         return program()
     except KeyboardInterrupt:

@@ -17,24 +17,24 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body_model import Skeleton
 from stmc.composing import Method, Progress, Rule, Run, distinct_texts, find_method, guided_crops, guided_sequences
 from stmc.composing.batching import Guided
 from stmc.composing.methods import refuse, settled
-from stmc.conditions import Changes, Conditions, cleaned, kept_of
-from stmc.constraints import Constraint
+from stmc.composing.sampling import DEFAULT, Sampling, SamplingArguments
 from stmc.denoisers import Denoiser, Network, as_network
 from stmc.diffusion import Prediction, Schedule
+from stmc.diffusion.statistics import Statistics
 from stmc.editing import Kept
-from stmc.motion import Motion
-from stmc.planning import Plan, plan
-from stmc.representation import JointsFrom, Representation
-from stmc.sampling import DEFAULT, Sampling, SamplingArguments
-from stmc.settings import SettingError, record_of, shown, takes
-from stmc.statistics import Statistics
+from stmc.editing.conditions import Changes, Conditions, cleaned, kept_of
+from stmc.editing.constraints import Constraint
+from stmc.motion.body_model import Skeleton
+from stmc.motion.motion import Motion
+from stmc.motion.representation import JointsFrom, Representation
+from stmc.settings.records import SettingError, record_of, shown, takes
 from stmc.text import TextEncoder
+from stmc.text.vocabulary import Recogniser, Recognition, Vocabulary
 from stmc.timeline import Timeline, UnknownPromptWarning, advise
-from stmc.vocabulary import Recogniser, Recognition, Vocabulary
+from stmc.timeline.planning import Plan, plan
 
 Precision = Literal["fp32", "bf16"]
 
@@ -253,7 +253,7 @@ class Model:
             keep: A motion, generated or recorded, that the result is but for the `change` and what the timeline has
                 behind its end; one for all timelines, or one for each.
             change: What is made anew of it: `Change`s (seconds, body parts), or prompts of the timeline.
-            constraints: Paths, headings, keyframes, hands and feet, for all timelines: see `stmc.constraints`.
+            constraints: Paths, headings, keyframes, hands and feet, for all timelines: see `stmc.editing.constraints`.
             clean_feet: Keep standing feet in place and above the floor, as `stmc.clean_feet` does; kept motion stays,
                 and constraints hold. False: the motion as sampled, which is what an evaluation measures.
             settings: Those of `Sampling`; what is not said is the method's or the model's own.

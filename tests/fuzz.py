@@ -32,22 +32,22 @@ from helpers.tiny_model import tiny
 from scipy import sparse
 
 import stmc
-from stmc.arrays import npz_headers, read_joblib, read_npy, read_npz, read_pickle, read_places
-from stmc.benchmarks.atomic_prompts import read_atomic_prompts
-from stmc.body_model import Skeleton
-from stmc.bvh import parse_bvh
 from stmc.data.cache import Cache
-from stmc.data.sources import cmu
-from stmc.data.sources.amass import read_recording
-from stmc.data.sources.annotations import read_annotations
-from stmc.data.sources.asf import parse_amc, parse_asf
-from stmc.data.sources.composition_lists import read_compositions
-from stmc.data.sources.humanml3d_texts import read_captions, read_index
-from stmc.published.checkpoint import read_checkpoint
-from stmc.results import read_results
+from stmc.data.sources.amass.amass_recordings import read_recording
+from stmc.data.sources.amass.annotations import read_annotations
+from stmc.data.sources.babel.composition_lists import read_compositions
+from stmc.data.sources.cmu import catalogue as cmu
+from stmc.data.sources.cmu.asf import parse_amc, parse_asf
+from stmc.data.sources.humanml3d.humanml3d_texts import read_captions, read_index
+from stmc.evaluation.benchmarks.atomic_prompts import read_atomic_prompts
+from stmc.evaluation.results import read_results
+from stmc.formats.bvh_parser import parse_bvh
+from stmc.io.arrays import npz_headers, read_joblib, read_npy, read_npz, read_pickle, read_places
+from stmc.motion.body_model import Skeleton
 from stmc.run.configs import read_config
+from stmc.run.published.torch_checkpoint import read_checkpoint
 from stmc.run.weights import read_specs
-from stmc.vocabulary.files import read_vocabulary
+from stmc.text.vocabulary.vocabulary_files import read_vocabulary
 
 MOST_SECONDS, MOST_KILOBYTES, LONGEST = 1.0, 2**20, 1000
 """Of processor time for a file, of memory in all, and characters of a message."""

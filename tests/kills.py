@@ -34,7 +34,7 @@ from test_multi_track import BUNDLED, evaluator, prepared
 from test_scripts import TIMELINES, clip
 
 import stmc
-from stmc.benchmarks import multi_track, resampling
+from stmc.evaluation.benchmarks import multi_track, resampling
 from stmc.run import save_evaluator
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)

@@ -5,13 +5,13 @@ import math
 import pytest
 import torch
 
-from stmc.benchmarks.questions import QUESTIONS, Rates, rates
-from stmc.body import JOINTS, NUM_ROTATIONS
-from stmc.body_model import Skeleton
 from stmc.data.sources.contents import CONTENTS
-from stmc.geometry import axis_angle_to_matrix, rotation_z
-from stmc.metrics.actions import cycles, flights, stretches, torsion
-from stmc.motion import Motion
+from stmc.evaluation.benchmarks.questions import QUESTIONS, Rates, rates
+from stmc.evaluation.metrics.action_measures import cycles, flights, stretches, torsion
+from stmc.motion.body import JOINTS, NUM_ROTATIONS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, rotation_z
+from stmc.motion.motion import Motion
 
 FPS, FRAMES, TALL = 20, 40, 0.9
 UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

@@ -4,14 +4,17 @@ import json
 
 import pytest
 import torch
+from helpers.motions import standing_still
 from helpers.scripts import loaded, run
 from helpers.tiny_model import tiny
+from omegaconf import OmegaConf
 
 import stmc
 from stmc.data.cache import Cache, Clip
 from stmc.data.sources.contents import CONTENTS, describe
-from stmc.representation import SmplRepresentation
-from stmc.settings import SettingError
+from stmc.evaluators import Evaluator
+from stmc.motion.representation import SmplRepresentation
+from stmc.settings.records import SettingError
 
 
 @pytest.fixture
@@ -58,44 +61,54 @@ def test_a_content_is_found_where_the_evaluator_has_it_among_its_best_three():
     texts = list(dict.fromkeys(content.sentences[0] for content in CONTENTS.values()))
     place = texts.index("squat")
 
-    class Evaluator:
+    class OneHot(Evaluator):
         """Whose latents are one-hot: motions are near the texts that they name."""
+
+        def __init__(self):
+            pass
 
         def texts(self, asked):
             assert list(asked) == texts
             return torch.eye(len(texts))
 
         def features(self, motion):
-            return motion
+            return nearest[len(motion) - 1]
 
         def motions(self, features):
             return torch.stack(features)
 
     nearest = [torch.arange(len(texts)).float().roll(place + 1 + best) for best in (0, 2, 3)]
-    assert loaded("actions").Finder(Evaluator(), CONTENTS).found("squat", nearest) == pytest.approx(2 / 3)
+    assert loaded("actions").Finder(OneHot(), CONTENTS).found(
+        "squat", list(map(standing_still, (1, 2, 3)))
+    ) == pytest.approx(2 / 3)
 
 
 def test_a_content_is_looked_for_among_those_that_the_data_show():
-    class Evaluator:
+    class OneHot(Evaluator):
+        def __init__(self):
+            pass
+
         def texts(self, asked):
             return torch.eye(len(asked))
 
-    finder = loaded("actions").Finder(Evaluator(), {"squat", "walk", "walk-left"})
+    finder = loaded("actions").Finder(OneHot(), {"squat", "walk", "walk-left"})
     assert finder.texts == [CONTENTS["walk"].sentences[0], CONTENTS["squat"].sentences[0]]  # both walks say the same
 
 
-def test_the_settings_of_sampling_reach_the_model():
-    class Model:
-        """That tells what it is asked."""
+def test_the_settings_of_sampling_reach_the_model(monkeypatch):
+    requests = []
 
-        def generate(self, timelines, **settings):
-            return [prompt.end for timeline in timelines for prompt in timeline.prompts], settings
+    def generate(self, timelines, **settings):
+        requests.append(([prompt.end for timeline in timelines for prompt in timeline.prompts], settings))
+        return []
 
+    monkeypatch.setattr(stmc.Model, "generate", generate)
     sampling = {"seed": 3, "guidance": 1.5, "steps": 7, "noise_scale": "std", "clean_feet": True}
-    config = type("Config", (), {"samples": 2} | sampling)
-    assert loaded("actions").asked(config, Model(), "sit", "be seated", 2.04) == ([2.0, 2.0], sampling)
+    config = OmegaConf.create({"samples": 2} | sampling)
+    loaded("actions").asked(config, tiny(), "sit", "be seated", 2.04)
+    assert requests == [([2.0, 2.0], sampling)]
 
 
 def test_sentences_of_the_training_are_asked_where_wanted():
-    config = type("Config", (), {"seen": True, "sentences": 2})
+    config = OmegaConf.create({"seen": True, "sentences": 2})
     assert loaded("actions").sentences(config, "sit") == CONTENTS["sit"].sentences[:2]

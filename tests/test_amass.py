@@ -12,12 +12,12 @@ from helpers.smpl_pickles import run_code
 from helpers.source_folders import amass, recorded, smplh_arrays, smplx_arrays
 from torch.testing import assert_close
 
-from stmc.body import MIRROR, NUM_ROTATIONS
-from stmc.body_model import Skeleton
 from stmc.data.preparation import LayoutError
-from stmc.data.sources.amass import RecordingError, Recordings, read_recording
-from stmc.geometry import axis_angle_to_matrix, resample_positions, resample_rotations, sampling_positions
-from stmc.motion import Motion
+from stmc.data.sources.amass.amass_recordings import RecordingError, Recordings, read_recording
+from stmc.motion.body import MIRROR, NUM_ROTATIONS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, resample_positions, resample_rotations, sampling_positions
+from stmc.motion.motion import Motion
 
 SKELETON = Skeleton.default()
 

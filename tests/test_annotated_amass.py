@@ -13,15 +13,15 @@ from helpers.source_folders import PUBLISHED, Serial, amass, babel, published, r
 from test_body_model import write_body
 from torch.testing import assert_close
 
-from stmc.body_model import Skeleton, load_body
 from stmc.data import preparation
 from stmc.data.cache import TABLE, Cache, CacheError, merged
 from stmc.data.preparation import LayoutError
 from stmc.data.report import NUMBERS, TEXT, write_report
-from stmc.data.sources.amass import read_recording
-from stmc.data.sources.annotated_amass import AnnotatedAmass
-from stmc.motion import Motion
-from stmc.representation import HumanML3DRepresentation, SmplRepresentation
+from stmc.data.sources.amass.amass_recordings import read_recording
+from stmc.data.sources.amass.annotated_amass import AnnotatedAmass
+from stmc.motion.body_model import Skeleton, load_body
+from stmc.motion.motion import Motion
+from stmc.motion.representation import HumanML3DRepresentation, SmplRepresentation
 
 SKELETON = Skeleton.default()
 

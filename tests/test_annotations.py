@@ -6,7 +6,7 @@ import pytest
 from helpers.source_folders import PUBLISHED, babel, published
 
 from stmc.data.preparation import LayoutError
-from stmc.data.sources.annotations import Segment, read_annotations, with_mirror_images
+from stmc.data.sources.amass.annotations import Segment, read_annotations, with_mirror_images
 
 
 def by_name(annotations):

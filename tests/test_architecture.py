@@ -10,46 +10,43 @@ from pathlib import Path
 import pytest
 
 import stmc
+from stmc.cli.dispatch import COMMANDS
 
 ROOT = Path(stmc.__file__).parent
 REPOSITORY = ROOT.parent
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(ROOT.rglob("*.py"))}
 
-TIERS = [
-    {"untrusted"},
-    {"bounds"},
-    {"arrays", "body", "bvh", "filenames", "files", "geometry", "renamed", "settings", "statistics", "tensors"},
-    {"body_model", "denoisers", "diffusion", "motion", "shards", "text", "timeline"},
-    {"inverse_kinematics", "loops", "planning", "sampling", "skins", "vocabulary"},
-    {"export", "feet", "representation", "training"},
-    {"composing", "constraints", "editing", "evaluators", "metrics", "study", "viewing"},
-    {"conditions", "data", "results"},
-    {"benchmarks"},
+CORE = [
+    {"io"},
+    {"diffusion", "motion", "settings"},
+    {"denoisers", "text", "timeline"},
+    {"composing", "evaluators", "formats"},
+    {"editing"},
     {"model"},
     {"run"},
-    {"published", "studio"},
-    {"commands"},
-    {"__main__"},
 ]
-"""A module or package imports those of lower tiers only, or of its own package."""
+"""A room of the core imports those before it only, or itself."""
+
+WINGS = [{"data"}, {"training"}, {"viewing"}, {"evaluation"}, {"cli"}, {"__main__"}]
+"""Wings import the core and the wings before them; the core imports no wing."""
+
+TIERS = CORE + WINGS
 
 FORBIDDEN = {
-    "timeline": {"torch"},
-    "planning": {"torch"},
-    "diffusion": {"planning", "representation", "motion", "timeline"},
-    "denoisers": {"diffusion", "planning", "representation", "motion"},
-    "metrics": {"diffusion", "denoisers", "composing", "evaluators"},
-    "constraints": {"diffusion", "denoisers", "composing"},
-    "editing": {"diffusion", "denoisers", "composing", "representation"},
-    "evaluators": {"composing", "data", "planning", "timeline"},
-    "export": {"diffusion", "denoisers", "composing"},
-    "study": {"diffusion", "denoisers", "composing", "viewing"},
-    "viewing": {"diffusion", "denoisers", "composing"},
-    "results": {"metrics", "model"},
-    "benchmarks": {"composing", "evaluators"},
-    "training": {"data", "representation", "timeline", "motion"},
+    "stmc.timeline": {"torch", "stmc.diffusion"},
+    "stmc.diffusion": {"stmc.timeline", "stmc.motion"},
+    "stmc.denoisers": {"stmc.timeline", "stmc.motion"},
+    "stmc.evaluators": {"stmc.composing", "stmc.timeline"},
+    "stmc.formats": {"stmc.denoisers", "stmc.composing"},
+    "stmc.editing.constraints": {"stmc.denoisers", "stmc.composing"},
+    "stmc.evaluation.metrics": {"stmc.denoisers", "stmc.composing", "stmc.evaluators"},
+    "stmc.evaluation.benchmarks": {"stmc.evaluators", "stmc.model"},
+    "stmc.evaluation.results": {"stmc.evaluation.metrics", "stmc.model"},
 }
-"""What a package must not even import through others."""
+"""Packages and modules that a package must not even import through others."""
+
+ROOMS, ARROWS, NAMES = 22, 110, 18
+"""At most so many rooms and arrows between them, and names at the top beside `__main__`."""
 
 
 def home(path: Path) -> str:
@@ -70,19 +67,10 @@ def imports(tree: ast.AST) -> set[str]:
 
 
 MODULES = {path: tree for path, tree in TREES.items() if path != ROOT / "__init__.py"}
+PUBLIC = [name for name in stmc.__all__ if not inspect.ismodule(getattr(stmc, name))]
 DIRECT: dict[str, set[str]] = {}
 for _path, _tree in MODULES.items():
     DIRECT.setdefault(home(_path), set()).update(imports(_tree))
-
-
-def reached(module: str) -> set[str]:
-    """Everything that `module` imports, through whomever."""
-    found, left = set(), [module]
-    while left:
-        new = DIRECT.get(left.pop(), set()) - found
-        found |= new
-        left += new
-    return found
 
 
 def functions(path: Path) -> list[tuple[str, int]]:
@@ -108,30 +96,46 @@ def test_a_module_imports_lower_tiers_only(module):
     assert own - lower - {module} == set()
 
 
-@pytest.mark.parametrize("module", sorted(FORBIDDEN))
-def test_a_module_knows_nothing_of_what_it_must_not(module):
-    assert reached(module) & FORBIDDEN[module] == set()
+@pytest.mark.parametrize("package", sorted(FORBIDDEN))
+def test_a_package_does_not_reach_what_it_must_not(package):
+    modules = [name for name in FILES if f"{name}.".startswith(f"{package}.")]
+    assert modules
+    found = reached(modules)
+    assert [name for name in FORBIDDEN[package] if any(f"{each}.".startswith(f"{name}.") for each in found)] == []
 
 
-def test_hydra_is_seen_by_scripts_and_what_makes_commands_of_them_alone():
+def test_the_house_has_few_rooms_and_few_arrows():
+    rooms = set(DIRECT) - {"__main__"}
+    arrows = [(room, other) for room in rooms for other in DIRECT[room] & rooms - {room}]
+    assert len(rooms) <= min(ROOMS, NAMES) and len(arrows) <= ARROWS
+
+
+def test_every_file_has_a_name_of_its_own():
+    names = [path.name for path in MODULES if path.name not in ("__init__.py", "__main__.py")]
+    assert sorted(names) == sorted(set(names))
+
+
+def test_hydra_is_seen_by_commands_alone():
     for module, imported in DIRECT.items():
-        assert module == "commands" or not {"hydra", "omegaconf"} & imported, module
+        assert module == "cli" or not {"hydra", "omegaconf"} & imported, module
 
 
 def test_planning_a_timeline_does_not_import_torch():
-    code = "import sys, stmc.planning; print('torch' in sys.modules)"
+    code = "import sys, stmc.timeline.planning; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
 
 def test_no_module_is_a_drawer_for_everything_and_none_is_called_like_a_public_function():
-    modules = {path.parent.name if path.name == "__init__.py" else path.stem for path in MODULES}
+    modules = {
+        path.parent.name if path.name == "__init__.py" else path.stem for path in MODULES if path.stem not in COMMANDS
+    }
     assert not modules & {"utils", "util", "tools", "common", "misc", "helpers"}
     public = {
         node.name
-        for tree in MODULES.values()
+        for path, tree in MODULES.items()
         for node in tree.body
-        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
+        if home(path) != "cli" and isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
     }
     assert not modules & public
 
@@ -139,7 +143,7 @@ def test_no_module_is_a_drawer_for_everything_and_none_is_called_like_a_public_f
 def test_every_name_of_the_package_is_what_it_says_also_once_all_modules_are_imported():
     for module in DIRECT:
         importlib.import_module(f"stmc.{module}")
-    for name in stmc.__all__:
+    for name in PUBLIC:
         value = getattr(stmc, name)
         assert inspect.isclass(value) or inspect.isfunction(value), name
         assert value.__module__.startswith("stmc."), name
@@ -159,7 +163,7 @@ def test_sizes_stay_within_the_yardstick():
 def test_a_library_module_says_what_it_is_and_prints_nothing(path):
     assert ast.get_docstring(TREES[path]) or not TREES[path].body, "a module docstring"
     for node in ast.walk(TREES[path]):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and home(path) != "cli":
             assert node.func.id not in ("print", "breakpoint", "eval", "exec"), f"line {node.lineno}"
         assert not isinstance(node, ast.Global), f"line {node.lineno}: global"
         if isinstance(node, ast.ExceptHandler):
@@ -172,6 +176,8 @@ def test_everything_public_says_what_it_does(path):
     for node in TREES[path].body:
         if not isinstance(node, (ast.FunctionDef, ast.ClassDef)) or node.name.startswith("_"):
             continue
+        if home(path) == "cli" and node.name == "main":
+            continue  # the module's docstring is the command's help
         assert ast.get_docstring(node), f"{node.name}, line {node.lineno}"
         for method in node.body if isinstance(node, ast.ClassDef) else []:
             if isinstance(method, ast.FunctionDef) and not method.name.startswith("_") and method.name != "forward":
@@ -182,19 +188,10 @@ def _is_protocol(node: ast.ClassDef) -> bool:
     return any(isinstance(base, ast.Name) and base.id == "Protocol" for base in node.bases)
 
 
-def test_import_stmc_alone_gives_every_package_and_dir_tells_no_more():
-    subprocess.run([sys.executable, "-c", "import stmc; stmc.planning.plan, stmc.timeline.Timeline"], check=True)
-    assert stmc.metrics.fid and stmc.published.read_guo and stmc.results.read_results and stmc.body_model.load_body
-    told = [name for name in dir(stmc) if not name.startswith("__")]
-    assert told == stmc.__all__
-
-
-def test_what_type_checkers_are_told_is_what_there_is():
-    stub = ast.parse((ROOT / "__init__.pyi").read_text("utf-8"))
-    imported = {alias.name for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
-    homes = {alias.name: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
-    assert imported == {*stmc.__all__, *(module for module in DIRECT if not module.startswith("__"))}
-    assert {name: homes[name] for name in stmc.__all__} == stmc._HOMES
+def test_import_stmc_alone_gives_every_public_name_and_package():
+    code = "import stmc; stmc.timeline.Timeline, stmc.evaluation.metrics.fid, stmc.motion.body.JOINTS"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert set(dir(stmc)) == set(stmc.__all__) == {*PUBLIC, *(set(DIRECT) - {"__main__"})}
 
 
 def dotted(path: Path) -> str:
@@ -218,30 +215,34 @@ def loaded(tree: ast.Module) -> set[str]:
     return names
 
 
+def reached(modules: list[str]) -> set[str]:
+    """Everything that importing these modules imports, directly or through others."""
+    found, left = set(), set(modules)
+    while left:
+        name = left.pop()
+        parents = {name.rpartition(".")[0]} - {"", "stmc"}
+        found.add(name)
+        left |= (parents | (loaded(FILES[name]) if name in FILES else set())) - found
+    return found
+
+
 ONLY_TRAINING = {"accelerate", "tensorboard", "smplx"}
 
 
 def test_sampling_reaches_nothing_that_only_training_installs():
-    """Neither the scripts that sample nor the packages behind them import accelerate or tensorboard."""
-    found, left = set(), {"stmc.benchmarks", *(f"stmc.{stmc._HOMES[name]}" for name in ("load", "load_evaluator"))}
-    for name in ("sample", "evaluate"):
-        left |= loaded(ast.parse((REPOSITORY / "scripts" / f"{name}.py").read_text("utf-8")))
-    while left:
-        name = left.pop()
-        parents = {name.rpartition(".")[0]} - {""}
-        found.add(name)
-        left |= (parents | (loaded(FILES[name]) if name in FILES else set())) - found
+    """Neither the commands that sample nor the packages behind them import accelerate or tensorboard."""
+    found = reached(["stmc.cli.sample", "stmc.cli.evaluate", "stmc.evaluation.benchmarks", "stmc.run"])
     assert "stmc.composing.running" in found
     assert not {part for name in found for part in name.split(".")} & ONLY_TRAINING
 
 
 @pytest.mark.slow
 def test_sampling_needs_nothing_that_only_training_installs():
-    """Neither the scripts that sample nor the packages behind them import accelerate or tensorboard."""
+    """Neither the commands that sample nor the packages behind them import accelerate or tensorboard."""
     code = (
-        "import sys; sys.path.insert(0, 'scripts')\n"
+        "import sys\n"
         "sys.modules |= dict.fromkeys(('accelerate', 'tensorboard', 'smplx'))\n"
-        "import sample, evaluate, stmc\n"
-        "stmc.load, stmc.load_evaluator, stmc.benchmarks"
+        "import stmc.cli.sample, stmc.cli.evaluate, stmc\n"
+        "stmc.load, stmc.load_evaluator, stmc.evaluation.benchmarks"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=REPOSITORY)

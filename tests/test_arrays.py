@@ -13,7 +13,7 @@ from helpers.smpl_pickles import Foreign, python_2_pickle, run_code
 from numpy.core.multiarray import _reconstruct
 from scipy import sparse
 
-from stmc.arrays import ArraysError, npz_headers, read_npy, read_npz, read_pickle
+from stmc.io.arrays import ArraysError, npz_headers, read_npy, read_npz, read_pickle
 
 
 def test_required_and_optional_arrays_come_back_and_nothing_else(tmp_path):
@@ -68,7 +68,7 @@ def test_a_zip_that_names_places_outside_of_itself_is_refused(name, tmp_path):
 
 
 def test_a_small_zip_that_would_become_more_than_any_memory_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("stmc.arrays.numpy_files.LARGEST", 10**6)
+    monkeypatch.setattr("stmc.io.arrays.numpy_files.LARGEST", 10**6)
     np.savez_compressed(tmp_path / "a.npz", small=np.zeros(10), one=np.zeros(200_000))
     assert (tmp_path / "a.npz").stat().st_size < 10_000
     assert list(read_npz(tmp_path / "a.npz", ["small"])) == ["small"]
@@ -319,7 +319,7 @@ ENDLESS = {
 def test_a_pickle_that_would_never_end_is_refused_within_a_second(content, tmp_path):
     path = written(tmp_path, content)
     code = (
-        "import sys, time; from pathlib import Path; from stmc.arrays import *\n"
+        "import sys, time; from pathlib import Path; from stmc.io.arrays import *\n"
         "began = time.process_time()\n"
         "for read in (lambda path: read_pickle(path, ['plain']), read_places, lambda path: read_joblib(path, ['x'])):\n"
         "    try: read(Path(sys.argv[1])); sys.exit('it was read')\n"

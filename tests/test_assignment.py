@@ -8,9 +8,9 @@ from helpers.strategies import quietly, timelines
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.body import BodyPart
-from stmc.planning import assign
+from stmc.motion.body import BodyPart
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
+from stmc.timeline.planning import assign
 
 LEFT, RIGHT, LEGS, HEAD, SPINE = BodyPart
 

@@ -10,10 +10,10 @@ from helpers.tiny_model import CONFIG, WIDTH, tiny
 from test_methods import OneWord
 
 from stmc.denoisers import FlowMdm, recorded_attention
-from stmc.results import ResultError
-from stmc.results.composition_charts import attention_curves
+from stmc.evaluation.results import ResultError
+from stmc.evaluation.results.composition_charts import attention_curves
 from stmc.run import load, save
-from stmc.settings import SettingError
+from stmc.settings.records import SettingError
 
 
 def network(layers: int = 1, window: int = 5, **settings) -> FlowMdm:

@@ -13,14 +13,14 @@ from torch import Tensor
 import stmc
 from stmc.composing import METHODS, Run, slerp
 from stmc.composing.autoregression import action_rounds
-from stmc.constraints import Hold
 from stmc.denoisers import FlowMdm
 from stmc.diffusion import Noise, Schedule, ddim, guide
+from stmc.diffusion.statistics import Statistics
+from stmc.editing.constraints import Hold
 from stmc.model import Model
-from stmc.planning import look_back, plan
-from stmc.settings import SettingError
-from stmc.statistics import Statistics
+from stmc.settings.records import SettingError
 from stmc.timeline import Timeline, single_track
+from stmc.timeline.planning import look_back, plan
 
 THREE_ACTIONS = Timeline.parse("walk # 0 # 2\njump # 2 # 3.5\nbow # 3.5 # 4")
 TWO_ACTIONS = Timeline.parse("jump # 0 # 1\nbow # 1 # 3")

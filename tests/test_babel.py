@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from stmc.body import NUM_ROTATIONS, BodyPart
-from stmc.body_model import Skeleton
-from stmc.geometry import axis_angle_to_matrix
-from stmc.motion import Motion
-from stmc.representation import BABEL_LAYOUT, BabelRepresentation, Representation
-from stmc.representation.babel import _turned
+from stmc.motion.body import NUM_ROTATIONS, BodyPart
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix
+from stmc.motion.motion import Motion
+from stmc.motion.representation import BABEL_LAYOUT, BabelRepresentation, Representation
+from stmc.motion.representation.babel import _turned
 
 REPRESENTATION = BabelRepresentation()
 SETS = pytest.mark.parametrize("folder", golden_sets("flow"))

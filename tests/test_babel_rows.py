@@ -14,17 +14,17 @@ from helpers.toy_data import LetterCounts
 from hydra.utils import instantiate
 from torch.testing import assert_close
 
-from stmc.body_model import Skeleton
 from stmc.data import preparation
-from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache
-from stmc.data.dataset import NULL, Dataset
 from stmc.data.preparation import LayoutError
-from stmc.data.sources.amass import read_recording
-from stmc.data.sources.babel_rows import chains, consecutive, read_babel_labels
-from stmc.data.sources.composition_references import babel_references
-from stmc.representation import BabelRepresentation
+from stmc.data.sources.amass.amass_recordings import read_recording
+from stmc.data.sources.babel.babel_rows import chains, consecutive, read_babel_labels
+from stmc.data.sources.babel.composition_references import babel_references
+from stmc.motion.body_model import Skeleton
+from stmc.motion.representation import BabelRepresentation
 from stmc.run import load
+from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.dataset import NULL, Dataset
 
 REPRESENTATION = BabelRepresentation()
 WALK, SIT, RISE, LEAD = "walk", "sit", "rise", "transition"

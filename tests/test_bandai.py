@@ -15,19 +15,21 @@ from conftest import data_file
 from helpers.bandai_files import UP, bvh_text, posed, skeleton, standing, tumbling
 from helpers.source_folders import Serial
 
-from stmc.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.bvh import Bvh, BvhError, parse_bvh
 from stmc.data import preparation
 from stmc.data.cache import Cache
-from stmc.data.sources import archives, bandai, bandai_clips
-from stmc.data.sources.bandai_clips import BandaiClips
+from stmc.data.sources import archives
+from stmc.data.sources.bandai import bandai_clips
+from stmc.data.sources.bandai import recordings as bandai
+from stmc.data.sources.bandai.bandai_clips import BandaiClips
 from stmc.data.sources.contents import CONTENTS, STYLES, describe
-from stmc.geometry import mirror_positions
-from stmc.metrics.kinematics import forward_speed, turn, wrist_height
-from stmc.motion import Motion
-from stmc.representation import SmplRepresentation
-from stmc.untrusted import UnreadableError
+from stmc.formats.bvh_parser import Bvh, BvhError, parse_bvh
+from stmc.io.untrusted import UnreadableError
+from stmc.motion.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import mirror_positions
+from stmc.motion.kinematics import forward_speed, turn, wrist_height
+from stmc.motion.motion import Motion
+from stmc.motion.representation import SmplRepresentation
 
 FPS = 20
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from helpers.motions import walking
 
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.export import write
-from stmc.motion import Motion
+from stmc.formats import write
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.motion import Motion
 
 PROGRAM = shutil.which("blender")
 SCRIPT = Path(__file__).parent / "helpers" / "blender_import.py"

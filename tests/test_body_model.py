@@ -10,9 +10,9 @@ from scipy import sparse
 from smplx.utils import Struct
 from torch.testing import assert_close
 
-from stmc.body import JOINTS, PARENTS
-from stmc.body_model import Skeleton, load_body
-from stmc.geometry import forward_kinematics, matrix_to_axis_angle
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.body_model import Skeleton, load_body
+from stmc.motion.geometry import forward_kinematics, matrix_to_axis_angle
 
 BONES = {"smpl": 24, "smplh": 52, "smplx": 55}
 HANDS = {"smpl": (22, 23), "smplh": (22, 37), "smplx": (25, 40)}

@@ -11,20 +11,20 @@ from itertools import pairwise
 import pytest
 from helpers.strategies import quietly
 
-from stmc.body import BodyPart
-from stmc.planning import assign, plan
-from stmc.planning.plans import _Window
+from stmc.motion.body import BodyPart
 from stmc.timeline import (
     Prompt,
     Timeline,
     TimelineError,
     TimelineWarning,
-    baselines,
-    files,
+    baseline_timelines,
     one_text,
     prompts,
     single_track,
+    timeline_files,
 )
+from stmc.timeline.planning import assign, plan
+from stmc.timeline.planning.plans import _Window
 from stmc.timeline.rows import crowded, first_fit
 
 HOUR = 3600
@@ -72,7 +72,7 @@ def test_too_many_prompts_are_refused(monkeypatch):
     monkeypatch.setattr(prompts, "MOST_PROMPTS", 3)
     assert len(Timeline.parse(in_a_row(3)).prompts) == 3
     assert refusal(Timeline.parse, in_a_row(4)) == "line 4: a timeline of 4 prompts; the limit is 3"
-    monkeypatch.setattr(files, "MOST_PROMPTS_IN_FILE", 3)
+    monkeypatch.setattr(timeline_files, "MOST_PROMPTS_IN_FILE", 3)
     assert "line 5: more than 3 prompts in one document" in refusal(Timeline.parse_all, f"{in_a_row(3)}\n{in_a_row(1)}")
 
 
@@ -85,7 +85,7 @@ def test_a_text_that_is_too_long_is_refused():
 def test_a_single_track_of_too_many_characters_is_refused(monkeypatch):
     timeline = Timeline([Prompt("a" * 100, 0.1 * start, 9) for start in range(40)])
     assert len(single_track(timeline, 20).prompts) == 40
-    monkeypatch.setattr(baselines, "MOST_CHARACTERS", 50_000)
+    monkeypatch.setattr(baseline_timelines, "MOST_CHARACTERS", 50_000)
     assert "more than 50,000 characters as a single track" in refusal(single_track, timeline, 20)
 
 

@@ -11,10 +11,10 @@ from helpers.scripts import ROOT, configured, loaded
 from hydra.utils import get_object
 from omegaconf import OmegaConf
 
-from stmc.commands.building import NAMES, build_part, check_plugins
+from stmc.cli.config_parts import NAMES, build_part, check_plugins
 from stmc.run import RunError
 from stmc.run.construction import _named
-from stmc.settings import SettingError
+from stmc.settings.records import SettingError
 
 
 class Evil:
@@ -113,6 +113,8 @@ OWN = """
         fps: float = 20
 
         def check(self): raise LayoutError(f"{self.source} is empty")
+        def fingerprint(self): return ""
+        def prepared(self, scratch, workers, watch): pass
 
     def table(results, title): return title
 """
@@ -170,9 +172,13 @@ def test_the_table_has_what_our_configurations_build_and_nothing_else():
     used = {name for path in groups for name in targets(OmegaConf.to_container(OmegaConf.load(path)))}
     used |= set(targets(OmegaConf.to_container(configured("train_tmr", "run=x", "data.folder=y"))))
     exported = ("stmc.text.", "stmc.denoisers.", "stmc.diffusion.", "stmc.evaluators.Tmr")
-    offered = {"stmc.training.Denoising", "stmc.data.prolonging.Prolonging", "stmc.data.feet.FootVelocity"}
+    offered = {
+        "stmc.training.Denoising",
+        "stmc.training.data.prolonging.Prolonging",
+        "stmc.training.data.foot_velocity.FootVelocity",
+    }
     assert set(NAMES) - offered == {name for name in used if not name.startswith(exported)} | {
-        "stmc.evaluators.TmrObjective"
+        "stmc.training.TmrObjective"
     }
     for name in NAMES:
         assert _named(name) is get_object(name) or name.endswith(".read")

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.bvh import LONGEST_HIERARCHY, BvhError, parse_bvh
+from stmc.formats.bvh_parser import LONGEST_HIERARCHY, BvhError, parse_bvh
 
 HEADER = """HIERARCHY
 ROOT Hips

@@ -10,12 +10,12 @@ from helpers.acclaim_files import Actor, moving
 from helpers.motions import walking
 from scipy.spatial.transform import Rotation
 
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.data.sources import cmu
-from stmc.export import bvh_reader, read, write
-from stmc.geometry import axis_angle_to_matrix, global_rotations
-from stmc.motion import Motion
+from stmc.data.sources.cmu import catalogue as cmu
+from stmc.formats import bvh_reader, read, write
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations
+from stmc.motion.motion import Motion
 
 MIXAMO = [
     "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",

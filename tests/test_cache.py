@@ -8,9 +8,9 @@ import pytest
 import torch
 from helpers.toy_data import cache as toy
 
-from stmc.body_model import Skeleton
 from stmc.data.cache import FEATURES, TABLE, Cache, CacheError, Clip, assemble, fingerprint, fresh, read_caches
-from stmc.statistics import Statistics
+from stmc.diffusion.statistics import Statistics
+from stmc.motion.body_model import Skeleton
 
 
 def written(folder, **changes) -> Cache:

@@ -20,9 +20,11 @@ from test_cmu import actor
 
 from stmc.data import preparation
 from stmc.data.cache import Cache
-from stmc.data.sources import annotated_amass, bandai_clips, cmu_clips
-from stmc.data.sources import humanml3d as processed
-from stmc.representation import SmplRepresentation
+from stmc.data.sources.amass import annotated_amass
+from stmc.data.sources.bandai import bandai_clips
+from stmc.data.sources.cmu import cmu_clips
+from stmc.data.sources.humanml3d import humanml3d_folder as processed
+from stmc.motion.representation import SmplRepresentation
 
 KNOWN = Path(__file__).parent / "helpers" / "caches.json"
 MODULES = {"bandai": bandai_clips, "cmu": cmu_clips, "annotated_amass": annotated_amass, "humanml3d": processed}

@@ -9,15 +9,15 @@ from helpers.motions import STANDING, walking
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.feet import clean_feet
-from stmc.feet.contacts import held_steps, standing_steps
-from stmc.feet.legs import sinking
-from stmc.geometry import axis_angle_to_matrix, forward_kinematics, global_rotations
-from stmc.inverse_kinematics import bend_limb
-from stmc.metrics.kinematics import foot_sliding
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.feet import clean_feet
+from stmc.motion.feet.contacts import held_steps, standing_steps
+from stmc.motion.feet.leg_bending import sinking
+from stmc.motion.geometry import axis_angle_to_matrix, forward_kinematics, global_rotations
+from stmc.motion.inverse_kinematics import bend_limb
+from stmc.motion.kinematics import foot_sliding
+from stmc.motion.motion import Motion
 
 BODY = Skeleton(Skeleton.default().offsets.double())
 BONES = [(child, parent) for child, parent in enumerate(PARENTS) if parent >= 0]

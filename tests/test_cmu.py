@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import json
 import tarfile
+from importlib.resources import files
 
 import pytest
 import torch
@@ -11,15 +12,16 @@ from conftest import data_file
 from helpers.acclaim_files import Actor, moving
 from helpers.source_folders import Serial
 
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.bvh import parse_bvh
 from stmc.data import preparation
-from stmc.data.sources import asf, cmu, cmu_clips
-from stmc.data.sources.asf import AcclaimError, parse_amc, parse_asf
+from stmc.data.sources.cmu import asf, cmu_clips
+from stmc.data.sources.cmu import catalogue as cmu
+from stmc.data.sources.cmu.asf import AcclaimError, parse_amc, parse_asf
 from stmc.data.sources.contents import CONTENTS, FORWARD_WALKS
 from stmc.data.sources.segments import Segment, read_segments, splits, table
-from stmc.geometry import axis_angle_to_matrix, global_rotations
+from stmc.formats.bvh_parser import parse_bvh
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations
 
 UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
 BODY = Skeleton(Skeleton.default().offsets.double())
@@ -284,7 +286,7 @@ def test_a_content_has_many_sentences_and_three_that_no_training_sees():
 
 @pytest.mark.parametrize("name", ["contents", "segments"])
 def test_the_files_are_json_in_lines_that_people_can_read(name):
-    text = (cmu_clips.Path(cmu_clips.__file__).parents[2] / "assets" / f"{name}.json").read_text("utf-8")
+    text = (files("stmc") / "assets" / f"{name}.json").read_text("utf-8")
     assert json.loads(text)
     assert max(map(len, text.splitlines())) < 1000
 

@@ -9,16 +9,17 @@ import torch
 from helpers.source_folders import PUBLISHED, Serial, babel, published
 from test_cmu import actor
 
-from stmc.body_model import Skeleton
 from stmc.data import preparation
 from stmc.data.preparation import LayoutError
-from stmc.data.sources import cmu, cmu_clips
-from stmc.data.sources.amass import reposed
-from stmc.data.sources.annotated_amass import AnnotatedAmass
-from stmc.data.sources.annotations import Segment, read_annotations
-from stmc.data.sources.cmu_recordings import CmuRecordings
+from stmc.data.sources.amass.amass_recordings import reposed
+from stmc.data.sources.amass.annotated_amass import AnnotatedAmass
+from stmc.data.sources.amass.annotations import Segment, read_annotations
+from stmc.data.sources.cmu import catalogue as cmu
+from stmc.data.sources.cmu import cmu_clips
+from stmc.data.sources.cmu.cmu_recordings import CmuRecordings
 from stmc.data.sources.segments import splits
-from stmc.representation import HumanML3DRepresentation, SmplRepresentation
+from stmc.motion.body_model import Skeleton
+from stmc.motion.representation import HumanML3DRepresentation, SmplRepresentation
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 INDEX = HEADER + (

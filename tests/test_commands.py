@@ -17,12 +17,12 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 import stmc
-from stmc.commands import Command, program
-from stmc.commands.arguments import quoted, read
-from stmc.commands.dispatch import scripts
-from stmc.commands.endings import EXTRAS, MOST, explained, guarded
-from stmc.settings import about, defaults
-from stmc.studio import jobs
+from stmc.cli.arguments import quoted, read
+from stmc.cli.commands import Command
+from stmc.cli.dispatch import program, scripts
+from stmc.cli.exit_codes import EXTRAS, MOST, explained, guarded
+from stmc.settings.records import about, defaults
+from stmc.viewing.studio import jobs
 
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py"))
 NEEDED = {
@@ -129,7 +129,7 @@ def test_feet_are_cleaned_by_default_wherever_motions_are_generated_and_never_wh
     generate = inspect.signature(stmc.Model.generate).parameters["clean_feet"].default
     assert generate is defaults(found["sample"].settings)["clean_feet"] is jobs.Asked.clean_feet is True
     for name in ("abilities", "benchmark", "benchmark_length", "evaluate"):
-        calls = (ROOT / "scripts" / f"{name}.py").read_text("utf-8").split("model.generate(")[1:]
+        calls = (ROOT / "stmc" / "cli" / f"{name}.py").read_text("utf-8").split("model.generate(")[1:]
         assert calls and all("clean_feet=False" in call for call in calls)
 
 
@@ -353,7 +353,7 @@ def caught(run) -> Exception:
 
 def test_a_message_is_one_line_however_long_and_odd_it_is(capsys):
     odd = {"a\nb\x00\x1b[2J" + "x" * 10_000: 1}
-    assert guarded(lambda: stmc.settings.record_of(stmc.Sampling, odd)) == 2
+    assert guarded(lambda: stmc.settings.records.record_of(stmc.Sampling, odd)) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     assert len(told) <= MOST + 2
@@ -393,7 +393,7 @@ SLOW_TO_IMPORT = ("matplotlib", "roma", "scipy", "sympy", "torch._dynamo", "tran
 
 def test_help_of_sampling_imports_nothing_slow_but_torch():
     code = (
-        "import sys, stmc.commands; stmc.commands.program(['sample', '--help'])\n"
+        "import sys; from stmc.cli.dispatch import program; program(['sample', '--help'])\n"
         f"print({{*sys.modules}} & {{*{SLOW_TO_IMPORT}}})"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, text=True, capture_output=True)

@@ -23,7 +23,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing import (
     NULL,
     canvas_lengths,
@@ -37,8 +36,9 @@ from stmc.composing import (
 )
 from stmc.composing.batching import _runs
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
-from stmc.planning import Crop, Plan, Tile
+from stmc.motion.body import BodyPart
 from stmc.timeline import Timeline
+from stmc.timeline.planning import Crop, Plan, Tile
 
 # What a step computes -----------------------------------------------------------------------------
 

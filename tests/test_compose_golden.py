@@ -11,15 +11,15 @@ from conftest import checked, golden, golden_sets
 from helpers.collages import FPS, last, padding_of, plans_of, timeline
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing import METHODS, NULL, Run, collage, crop_lengths, guided_crops, sinc, smooth_seams
+from stmc.composing.sampling import Sampling
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule, ddpm
-from stmc.planning import Plan
-from stmc.representation import SmplRepresentation
-from stmc.sampling import Sampling
-from stmc.statistics import Statistics
+from stmc.diffusion.statistics import Statistics
+from stmc.motion.body import BodyPart
+from stmc.motion.representation import SmplRepresentation
 from stmc.timeline import Timeline
+from stmc.timeline.planning import Plan
 
 
 def golden_columns(folder, layout: str) -> dict[BodyPart, list[int]]:

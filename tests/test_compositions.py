@@ -18,14 +18,14 @@ from omegaconf import OmegaConf
 from torch import Tensor
 
 import stmc
-from stmc.benchmarks import Benchmark, Compositions, resampling
+from stmc.composing.sampling import Sampling
 from stmc.data.cache import Cache, CacheError, Clip
-from stmc.metrics.matching import matching_score, r_precision
-from stmc.motion import Motion
-from stmc.representation import SmplRepresentation
-from stmc.results import Result, ResultError, comparison_table, sweep_table
-from stmc.results.composition_charts import jerk_curves, trade_off
-from stmc.sampling import Sampling
+from stmc.evaluation.benchmarks import Benchmark, Compositions, resampling
+from stmc.evaluation.metrics.matching_metrics import matching_score, r_precision
+from stmc.evaluation.results import Result, ResultError, comparison_table, sweep_table
+from stmc.evaluation.results.composition_charts import jerk_curves, trade_off
+from stmc.motion.motion import Motion
+from stmc.motion.representation import SmplRepresentation
 
 FPS, WINDOW = 30.0, 60
 REPRESENTATION = SmplRepresentation()

@@ -13,8 +13,8 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import Dataset
-from stmc.representation import SmplRepresentation
+from stmc.motion.representation import SmplRepresentation
+from stmc.training.data.dataset import Dataset
 
 CONFIGS = ROOT / "configs"
 NAMES = sorted(str(path.relative_to(CONFIGS).with_suffix("")) for path in CONFIGS.rglob("*.yaml"))

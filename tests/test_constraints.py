@@ -9,10 +9,9 @@ from helpers.motions import walking
 from helpers.tiny_model import tiny
 
 import stmc
-from stmc.body import JOINTS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.conditions import cleaned
-from stmc.constraints import (
+from stmc.editing import Change, Kept
+from stmc.editing.conditions import cleaned
+from stmc.editing.constraints import (
     Guidance,
     Heading,
     Hold,
@@ -24,12 +23,13 @@ from stmc.constraints import (
     project,
     read_constraints,
 )
-from stmc.constraints.pose import bump
-from stmc.editing import Change, Kept
-from stmc.geometry import global_rotations
-from stmc.inverse_kinematics import bend_limb
-from stmc.motion import Motion
-from stmc.settings import SettingError
+from stmc.editing.constraints.pose import bump
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import global_rotations
+from stmc.motion.inverse_kinematics import bend_limb
+from stmc.motion.motion import Motion
+from stmc.settings.records import SettingError
 
 WALK = "walk # 0 # 3 # legs"
 SEEN = walking(seconds=3)

@@ -11,13 +11,13 @@ from helpers.toy_data import FPS, LAYOUT, LetterCounts, cache
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.body import BodyPart
-from stmc.body_model import Skeleton
-from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip, read_caches
-from stmc.data.dataset import NULL, SEAM, BatchPlan, Dataset
-from stmc.representation import Field, Layout, SmplRepresentation
-from stmc.statistics import Statistics
+from stmc.diffusion.statistics import Statistics
+from stmc.motion.body import BodyPart
+from stmc.motion.body_model import Skeleton
+from stmc.motion.representation import Field, Layout, SmplRepresentation
+from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.dataset import NULL, SEAM, BatchPlan, Dataset
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from helpers.published_networks import close_waves, interleaved, waves
 from torch import Tensor, nn
 
 from stmc.denoisers import Denoiser, MdmSmpl
-from stmc.tensors import mask
+from stmc.diffusion.tensors import mask
 
 
 @pytest.fixture

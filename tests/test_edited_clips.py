@@ -7,20 +7,19 @@ import pytest
 import torch
 from helpers.motions import walking
 
-from stmc.body_model import Skeleton
 from stmc.data import preparation
 from stmc.data.cache import Cache, Clip
 from stmc.data.preparation import LayoutError
-from stmc.data.sources import edited_clips
-from stmc.data.sources.cmu_clips import encoded
+from stmc.data.sources.cmu.cmu_clips import encoded
 from stmc.data.sources.contents import CONTENTS
-from stmc.data.sources.edited import RECIPES
+from stmc.data.sources.edited import RECIPES, edited_clips
+from stmc.data.sources.edited.edited_clips import EditedClips, RecordedBases, make
 from stmc.data.sources.edited.recipe import Draft, Recipe, Unusable
-from stmc.data.sources.edited_clips import EditedClips, RecordedBases, make
 from stmc.editing import change_pace
-from stmc.motion import Motion
-from stmc.representation.smpl import SmplRepresentation
-from stmc.settings import SettingError
+from stmc.motion.body_model import Skeleton
+from stmc.motion.motion import Motion
+from stmc.motion.representation.smpl import SmplRepresentation
+from stmc.settings.records import SettingError
 
 BODY = Skeleton(Skeleton.default().offsets.double())
 

@@ -9,13 +9,13 @@ from helpers.motions import walking
 from helpers.tiny_model import tiny
 
 import stmc
-from stmc.body import JOINTS, BodyPart
-from stmc.body_model import Skeleton
 from stmc.denoisers import MdmSmpl
 from stmc.editing import Change, Kept, changed_prompt, changed_prompts, on_body
-from stmc.geometry import rotation_z
-from stmc.motion import Motion
-from stmc.settings import SettingError
+from stmc.motion.body import JOINTS, BodyPart
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import rotation_z
+from stmc.motion.motion import Motion
+from stmc.settings.records import SettingError
 from stmc.timeline import Prompt, Timeline
 
 TIMELINE = Timeline.parse("walk # 0 # 4 # legs\nwave # 1 # 3 # right arm")

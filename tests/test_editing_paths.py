@@ -8,14 +8,14 @@ import torch
 from helpers.motions import STANDING, walking
 
 import stmc
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.body_model import Skeleton
 from stmc.data.sources.edited.jumping import soften
 from stmc.data.sources.edited.kicking import LowKick
-from stmc.editing.legs import reach_with_legs
-from stmc.geometry import axis_angle_to_matrix, wrap
-from stmc.motion import Motion
-from stmc.settings import SettingError
+from stmc.editing.leg_posing import reach_with_legs
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, wrap
+from stmc.motion.motion import Motion
+from stmc.settings.records import SettingError
 
 BODY = Skeleton(Skeleton.default().offsets.double())
 STRAIGHT = walking(seconds=6.0, turn=0.0, speed=1.1)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 import stmc
-from stmc.body import JOINTS, PARENTS
 from stmc.editing import Oscillation, WristKey, body_frame, copy_arm, reach
 from stmc.editing.keys import Timing, minimum_jerk
-from stmc.geometry import global_rotations, matrix_to_axis_angle, rotation_z
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.geometry import global_rotations, matrix_to_axis_angle, rotation_z
 
 SIDES = ("left", "right")
 ARM = ("collar", "shoulder", "elbow", "wrist", "hand")

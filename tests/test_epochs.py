@@ -14,12 +14,12 @@ from jaxtyping import TypeCheckError
 from torch.testing import assert_close
 
 from stmc.data import preparation
-from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import NULL, BatchPlan, Dataset
-from stmc.data.epochs import Epochs
-from stmc.data.sources.annotated_amass import AnnotatedAmass
-from stmc.representation import SmplRepresentation
+from stmc.data.sources.amass.annotated_amass import AnnotatedAmass
+from stmc.motion.representation import SmplRepresentation
+from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.dataset import NULL, BatchPlan, Dataset
+from stmc.training.data.epochs import Epochs
 
 RUB, KICK = "BioMotionLab_NTroje/rub001/0000_treadmill_norm_poses", "KIT/3/kick_high_left02_poses"
 ENTRIES = {

@@ -10,8 +10,8 @@ from helpers.equations import Weights
 from torch import Tensor, nn
 
 from stmc.denoisers import FlowMdm, MdmDecoder, MdmEncoder, MdmSmpl, MotionDiffuse
+from stmc.diffusion.tensors import mask
 from stmc.evaluators import GuoEvaluator, Tmr
-from stmc.tensors import mask
 
 LENGTHS = [11, 7, 1]
 STEPS = [0, 3, 9]

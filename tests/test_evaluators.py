@@ -15,17 +15,17 @@ from helpers.toy_data import LAYOUT, LetterCounts, cache
 from torch.nn.functional import normalize, smooth_l1_loss
 
 import stmc
-from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import Dataset
-from stmc.data.pairs import PairBatches
-from stmc.evaluators import Evaluator, GuoEvaluator, Posterior, Tmr, TmrObjective
-from stmc.evaluators.objective import divergence, info_nce, kl_terms
-from stmc.representation import SmplRepresentation
+from stmc.diffusion.statistics import Statistics
+from stmc.diffusion.tensors import mask, pad
+from stmc.evaluators import Evaluator, GuoEvaluator, Posterior, Tmr
+from stmc.motion.representation import SmplRepresentation
 from stmc.run import CONFIG, WEIGHTS, RunError, load_evaluator, save_evaluator
-from stmc.statistics import Statistics
-from stmc.tensors import mask, pad
-from stmc.training import Objective, Pairs
+from stmc.training import Objective, Pairs, TmrObjective
+from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.dataset import Dataset
+from stmc.training.data.pair_batches import PairBatches
+from stmc.training.tmr_objective import divergence, info_nce, kl_terms
 
 SIZES = {"width": 16, "feedforward": 32, "layers": 1, "heads": 2}
 
@@ -44,7 +44,7 @@ def evaluator() -> Evaluator:
     config = {
         "network": {"_target_": "stmc.evaluators.Tmr", "features": 205, "text_width": 384, **SIZES},
         "text_encoder": {"_target_": "stmc.text.MiniLM", "pooling": "tokens"},
-        "representation": {"_target_": "stmc.representation.SmplRepresentation"},
+        "representation": {"_target_": "stmc.motion.representation.SmplRepresentation"},
     }
     statistics = [Statistics(drawn(width), 1 + drawn(width, seed=1).abs()) for width in (205, 384)]
     network = small(205, 384).eval().requires_grad_(False)

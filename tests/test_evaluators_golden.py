@@ -8,11 +8,12 @@ import torch
 from conftest import GOLDEN, checked, golden, golden_sets
 from torch import Tensor, nn
 
-from stmc.data.pairs import similar
-from stmc.evaluators import GuoEvaluator, Posterior, Tmr, TmrObjective
-from stmc.evaluators.objective import info_nce, kl_terms
-from stmc.tensors import mask, pad
-from stmc.training.pairs import Pairs
+from stmc.diffusion.tensors import mask, pad
+from stmc.evaluators import GuoEvaluator, Posterior, Tmr
+from stmc.training import TmrObjective
+from stmc.training.contrastive_batches import Pairs
+from stmc.training.data.pair_batches import similar
+from stmc.training.tmr_objective import info_nce, kl_terms
 
 pytestmark = pytest.mark.golden
 

@@ -7,12 +7,12 @@ import torch
 from helpers.motions import walking
 from scipy.spatial.transform import Rotation
 
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.export import read, write
-from stmc.export.files import _WRITERS
-from stmc.geometry import axis_angle_to_matrix
-from stmc.motion import Motion
+from stmc.formats import read, write
+from stmc.formats.motion_files import _WRITERS
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix
+from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

@@ -6,9 +6,9 @@ from helpers.motions import walk, walking
 from helpers.toy_data import LetterCounts
 
 from stmc.data.cache import Cache, Clip, assemble
-from stmc.data.dataset import Dataset
-from stmc.data.feet import FootVelocity
-from stmc.representation import HUMANML3D_LAYOUT, SmplRepresentation
+from stmc.motion.representation import HUMANML3D_LAYOUT, SmplRepresentation
+from stmc.training.data.dataset import Dataset
+from stmc.training.data.foot_velocity import FootVelocity
 
 
 def clip(name: str, split: str) -> Clip:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stmc.filenames import MOST, distinct, name_of_texts, safe
+from stmc.io.filenames import MOST, distinct, name_of_texts, safe
 
 
 @pytest.mark.parametrize(

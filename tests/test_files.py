@@ -12,13 +12,13 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from stmc import files
-from stmc.files import LOCK, FolderInUse, locked, remove_leftovers, write_text, write_whole, write_whole_folder
+from stmc.io import files
+from stmc.io.files import LOCK, FolderInUse, locked, remove_leftovers, write_text, write_whole, write_whole_folder
 
 HOLD = """
 import sys
 from pathlib import Path
-from stmc.files import locked
+from stmc.io.files import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

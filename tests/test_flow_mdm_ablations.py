@@ -13,10 +13,10 @@ from torch import Tensor
 from stmc.data.cache import Cache, Clip
 from stmc.denoisers import FlowMdm
 from stmc.denoisers.flow_mdm_layers import Attention, AttentionMask, CrossAttention, RotaryEmbedding
-from stmc.representation import SmplRepresentation
+from stmc.diffusion.tensors import mask
+from stmc.motion.representation import SmplRepresentation
 from stmc.run import PARTS, RunError, build, load, save
-from stmc.settings import SettingError
-from stmc.tensors import mask
+from stmc.settings.records import SettingError
 
 SIZES = {"width": 16, "feedforward": 32, "layers": 1, "heads": 2, "attention_window": 20}
 ABLATIONS = (

@@ -11,13 +11,13 @@ from helpers.flow_mdm import close, entries, flow_mdm, parameters, segments
 from helpers.published_networks import drawn, frames, watched
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing import NULL, compose_tracks, guided_sequences
 from stmc.denoisers import FlowMdm
 from stmc.denoisers.flow_mdm import _positions
 from stmc.denoisers.flow_mdm_layers import ROTARY_DIM, frequencies
 from stmc.diffusion import Schedule, ddpm, guide
-from stmc.tensors import mask
+from stmc.diffusion.tensors import mask
+from stmc.motion.body import BodyPart
 from stmc.training.loss import Batch, squared_errors
 
 pytestmark = pytest.mark.golden

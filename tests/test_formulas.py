@@ -11,16 +11,16 @@ from helpers.motions import walk, walking
 from test_equations import agree, drawn, filled
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing import NULL, collage, compose_tracks, guided_crops, guided_sequences
 from stmc.denoisers import FlowMdm, MdmSmpl
 from stmc.diffusion import Schedule, ddim, ddpm, dpm_solver
-from stmc.evaluators import Tmr, TmrObjective
-from stmc.metrics import realism, retrieval, smoothness
-from stmc.representation import SmplRepresentation
-from stmc.representation.humanml3d import joints_to_features, uniform_skeleton, y_up
-from stmc.tensors import mask
-from stmc.training import Pairs
+from stmc.diffusion.tensors import mask
+from stmc.evaluation.metrics import realism, retrieval, smoothness
+from stmc.evaluators import Tmr
+from stmc.motion.body import BodyPart
+from stmc.motion.representation import SmplRepresentation
+from stmc.motion.representation.humanml3d import joints_to_features, uniform_skeleton, y_up
+from stmc.training import Pairs, TmrObjective
 
 # Samplers -------------------------------------------------------------------------------------------------------------
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from stmc import geometry
-from stmc.body import MIRROR, NUM_ROTATIONS, PARENTS
+from stmc.motion import geometry
+from stmc.motion.body import MIRROR, NUM_ROTATIONS, PARENTS
 
 AXES = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.6, -0.8, 0.0), (-0.48, 0.6, 0.64)]
 ANGLES = [0.0, 1e-12, 1e-8, 1e-6, 1e-4, 0.1, 1.0, 3.0, math.pi - 1e-4, math.pi - 1e-7, math.pi]

@@ -8,14 +8,14 @@ import pytest
 import torch
 from helpers.motions import standing_still
 
-from stmc.body import JOINTS, PARENTS
 from stmc.data.sources.edited import gesture_gates as gates
+from stmc.data.sources.edited.arm_gestures import RECIPES, STANDING
 from stmc.data.sources.edited.gesture_bases import draw_base
-from stmc.data.sources.edited.gestures import RECIPES, STANDING
 from stmc.data.sources.edited.recipe import Base, Unusable
 from stmc.editing import TurnKey, WristKey, reach, turn_trunk
-from stmc.feet import clean_feet
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.feet import clean_feet
+from stmc.motion.motion import Motion
 
 
 def swaying(seconds: float, phase: float) -> Motion:

@@ -12,11 +12,11 @@ import trimesh
 from helpers.motions import walking
 from scipy.spatial.transform import Rotation
 
-from stmc.body import JOINTS, BodyPart
-from stmc.body_model import Skeleton
-from stmc.export import write
-from stmc.motion import Motion
-from stmc.skins import build_mannequin
+from stmc.formats import write
+from stmc.motion.body import JOINTS, BodyPart
+from stmc.motion.body_model import Skeleton
+from stmc.motion.motion import Motion
+from stmc.motion.skins import build_mannequin
 from stmc.timeline import Timeline
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

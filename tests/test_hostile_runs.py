@@ -22,11 +22,11 @@ import stmc
 from stmc.data.cache import Cache, Clip
 from stmc.denoisers import MdmEncoder
 from stmc.diffusion import Schedule, ddim
+from stmc.diffusion.statistics import Statistics
 from stmc.evaluators import Evaluator, Tmr
 from stmc.model import Model
-from stmc.representation import SmplRepresentation
+from stmc.motion.representation import SmplRepresentation
 from stmc.run import CONFIG, STATISTICS, WEIGHTS, RunError, bundled, check, load_evaluator, save_evaluator
-from stmc.statistics import Statistics
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ CALLS = [
     "_target_:builtins.open,file:proof,mode:w",
     "_target_:os.system,command:touch proof",
     "_target_:numpy.savetxt,fname:proof,X:[1]",
-    "_target_:stmc.files.write_text,path:proof,text:x",
+    "_target_:stmc.io.files.write_text,path:proof,text:x",
 ]
 PLACES = [
     "denoiser:\n  _target_: stmc.denoisers.MdmSmpl\n  {0}",
@@ -461,7 +461,7 @@ VALUES = [
     None, True, -1, 0, 3, 10**9, 10**30, 1e300, float("nan"), "", "x" * 3000, "${oc.env:HOME}", "???", "\x00", [], [[]],
     {}, {"_target_": "os.system", "command": "touch proof"}, {"_target_": "pathlib.Path.touch", "self": "proof"},
     r"\${oc.create:{_target_:pathlib.Path.touch,self:proof}}", "stmc.denoisers.MdmEncoder", "stmc.text.Cached",
-    "stmc.representation.BabelRepresentation", "builtins.open",
+    "stmc.motion.representation.BabelRepresentation", "builtins.open",
 ]  # fmt: skip
 KEYS = ["width", "layers", "_target_", "_partial_", "_args_", "steps", "source", "batch", "words", "evil", "digest",
         "fps", "longest", "heads", "window", "dropout", "folder"]  # fmt: skip

@@ -13,14 +13,15 @@ from test_representation import moved
 from torch.testing import assert_close
 
 import stmc
-from stmc.body import JOINTS, PARENTS
-from stmc.body_model import Skeleton
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import ddim
-from stmc.geometry import axis_angle_to_matrix, rotation_z
-from stmc.motion import Motion
-from stmc.representation import HUMANML3D_LAYOUT, HumanML3DRepresentation, Representation, SmplRepresentation
-from stmc.representation.humanml3d import (
+from stmc.diffusion.statistics import Statistics
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, rotation_z
+from stmc.motion.motion import Motion
+from stmc.motion.representation import HUMANML3D_LAYOUT, HumanML3DRepresentation, Representation, SmplRepresentation
+from stmc.motion.representation.humanml3d import (
     canonical,
     features_to_joints,
     features_to_local_joints,
@@ -32,7 +33,6 @@ from stmc.representation.humanml3d import (
     y_up,
     z_up,
 )
-from stmc.statistics import Statistics
 from stmc.timeline import Timeline
 
 REPRESENTATION = HumanML3DRepresentation()
@@ -291,7 +291,7 @@ def tiny_of_263():
     """The tiny model, but for its features."""
     config = CONFIG | {
         "denoiser": CONFIG["denoiser"] | {"features": 263},
-        "representation": {"_target_": "stmc.representation.HumanML3DRepresentation"},
+        "representation": {"_target_": "stmc.motion.representation.HumanML3DRepresentation"},
     }
     mean = REPRESENTATION.encode(walking(1.0)).mean(dim=0).float()
     with torch.random.fork_rng():

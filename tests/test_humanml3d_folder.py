@@ -13,9 +13,9 @@ from torch.testing import assert_close
 from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.data.preparation import LayoutError
-from stmc.data.sources import humanml3d as module
-from stmc.data.sources.humanml3d import ProcessedHumanML3D
-from stmc.data.sources.humanml3d_texts import Caption, read_captions
+from stmc.data.sources.humanml3d import humanml3d_folder as module
+from stmc.data.sources.humanml3d.humanml3d_folder import ProcessedHumanML3D
+from stmc.data.sources.humanml3d.humanml3d_texts import Caption, read_captions
 
 
 @pytest.fixture(autouse=True)

@@ -8,10 +8,10 @@ import torch
 from conftest import checked, golden, golden_sets
 from torch import Tensor
 
-from stmc.body_model import Skeleton
-from stmc.inverse_kinematics import motion_of_joints
-from stmc.representation import HUMANML3D_LAYOUT, HumanML3DRepresentation
-from stmc.representation.humanml3d import (
+from stmc.motion.body_model import Skeleton
+from stmc.motion.inverse_kinematics import motion_of_joints
+from stmc.motion.representation import HUMANML3D_LAYOUT, HumanML3DRepresentation
+from stmc.motion.representation.humanml3d import (
     canonical,
     features_to_joints,
     features_to_local_joints,

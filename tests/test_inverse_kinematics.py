@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 import stmc
-from stmc.body import JOINTS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.bvh import parse_bvh
-from stmc.data.sources import bandai
-from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
-from stmc.inverse_kinematics import joints_to_rotations, motion_of_joints
-from stmc.motion import Motion
-from stmc.representation import HumanML3DRepresentation
-from stmc.representation.humanml3d import uniform_skeleton
+from stmc.data.sources.bandai import recordings as bandai
+from stmc.formats.bvh_parser import parse_bvh
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
+from stmc.motion.inverse_kinematics import joints_to_rotations, motion_of_joints
+from stmc.motion.motion import Motion
+from stmc.motion.representation import HumanML3DRepresentation
+from stmc.motion.representation.humanml3d import uniform_skeleton
 
 HINGES = ("left_knee", "right_knee", "left_elbow", "right_elbow")
 

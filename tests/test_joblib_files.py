@@ -12,7 +12,7 @@ from helpers.smpl_pickles import run_code
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.arrays import ArraysError, read_joblib
+from stmc.io.arrays import ArraysError, read_joblib
 
 NAMES = ["poses", "trans", "fps"]
 
@@ -113,7 +113,7 @@ def test_a_broken_file_is_named(content, message, tmp_path):
 
 
 def test_a_small_file_that_would_become_more_than_any_memory_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("stmc.arrays.joblib_files.LARGEST", 2**26)
+    monkeypatch.setattr("stmc.io.arrays.joblib_files.LARGEST", 2**26)
     path = written(tmp_path, zlib.compress(bytes(2**27)))
     assert path.stat().st_size < 2**18
     with pytest.raises(ArraysError, match="it would take more than 67108864 bytes"):

@@ -8,11 +8,11 @@ import torch
 from helpers.bandai_files import about, posed, skeleton
 from torch import Tensor
 
-from stmc.benchmarks.ability import abilities, keeps_running, raises_while_walking
-from stmc.body import JOINTS, BodyPart
-from stmc.geometry import rotation_z
-from stmc.metrics import kinematics
-from stmc.motion import Motion
+from stmc.evaluation.benchmarks.ability import abilities, keeps_running, raises_while_walking
+from stmc.motion import kinematics
+from stmc.motion.body import JOINTS, BodyPart
+from stmc.motion.geometry import rotation_z
+from stmc.motion.motion import Motion
 
 FPS = 30
 LEFT, RIGHT = (1.0, "left"), (-1.0, "right")

@@ -6,10 +6,10 @@ import pytest
 import torch
 from helpers.motions import walk, walking
 
-from stmc.body_model import Skeleton
-from stmc.geometry import rotation_z
-from stmc.loops import looped
-from stmc.motion import Motion
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import rotation_z
+from stmc.motion.loops import looped
+from stmc.motion.motion import Motion
 
 CYCLE = 1 / 0.9
 """Seconds of two steps of `walking`."""

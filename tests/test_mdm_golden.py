@@ -21,7 +21,7 @@ from helpers.published_networks import (
 
 from stmc.denoisers import MdmDecoder, MdmEncoder, MotionDiffuse
 from stmc.diffusion import Schedule, ddpm, guide
-from stmc.tensors import mask
+from stmc.diffusion.tensors import mask
 
 pytestmark = [pytest.mark.golden, pytest.mark.slow]  # networks of the published sizes
 SETS = pytest.mark.parametrize("folder", golden_sets("mdm"))

@@ -13,18 +13,18 @@ from test_model import GAP, NOD, THREE, WALK_WAVE, apart
 from torch import Tensor
 
 import stmc
-from stmc.body import BodyPart
 from stmc.composing import Run, find_method
 from stmc.composing.methods import stitch
+from stmc.composing.sampling import Sampling
 from stmc.denoisers import FlowMdm
 from stmc.diffusion import Schedule, ddim, ddpm, dpm_solver
-from stmc.geometry import matrix_to_rows
+from stmc.diffusion.statistics import Statistics
 from stmc.model import Model, _seeds
-from stmc.planning import cross_fade
-from stmc.sampling import Sampling
-from stmc.settings import SettingError, about
-from stmc.statistics import Statistics
+from stmc.motion.body import BodyPart
+from stmc.motion.geometry import matrix_to_rows
+from stmc.settings.records import SettingError, about
 from stmc.timeline import Timeline, single_track
+from stmc.timeline.planning import cross_fade
 
 RULES = ("stmc_paper", "multi_diffusion", "double_take", "sinc_slerp", "teach_b", "teach", "flow_mdm")
 

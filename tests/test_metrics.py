@@ -8,11 +8,13 @@ from helpers.motions import walking
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.body import MIRROR
-from stmc.metrics import matching, realism, retrieval, smoothness, timelines
-from stmc.metrics.plausibility import ImplausibleMotion, check_joints
-from stmc.motion import Motion
-from stmc.representation.humanml3d import y_up
+from stmc.evaluation.metrics import matching_metrics as matching
+from stmc.evaluation.metrics import realism, retrieval, smoothness
+from stmc.evaluation.metrics import timeline_metrics as timelines
+from stmc.evaluation.metrics.plausibility import ImplausibleMotion, check_joints
+from stmc.motion.body import MIRROR
+from stmc.motion.motion import Motion
+from stmc.motion.representation.humanml3d import y_up
 
 
 def normal(rows: int, width: int, seed: int = 0) -> torch.Tensor:

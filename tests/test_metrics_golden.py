@@ -9,10 +9,12 @@ import torch
 from conftest import checked, golden, golden_sets
 from torch import Tensor
 
-from stmc.metrics import matching, realism, retrieval, smoothness, timelines
-from stmc.motion import Motion
-from stmc.representation import HumanML3DRepresentation
-from stmc.representation.humanml3d import features_to_joints, features_to_local_joints, z_up
+from stmc.evaluation.metrics import matching_metrics as matching
+from stmc.evaluation.metrics import realism, retrieval, smoothness
+from stmc.evaluation.metrics import timeline_metrics as timelines
+from stmc.motion.motion import Motion
+from stmc.motion.representation import HumanML3DRepresentation
+from stmc.motion.representation.humanml3d import features_to_joints, features_to_local_joints, z_up
 
 pytestmark = pytest.mark.golden
 

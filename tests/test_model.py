@@ -12,14 +12,14 @@ from helpers.tiny_model import Hashes, tiny
 from hypothesis import Phase, given, settings
 
 import stmc
-from stmc.body import JOINTS, BodyPart
+from stmc.composing.sampling import Sampling
 from stmc.denoisers import Network
 from stmc.diffusion import Noise, ddim, ddpm, dpm_solver
 from stmc.model import Model
-from stmc.motion import Motion
-from stmc.planning import cross_fade
-from stmc.sampling import Sampling
+from stmc.motion.body import JOINTS, BodyPart
+from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
+from stmc.timeline.planning import cross_fade
 
 WALK_WAVE = Timeline.parse("walk forwards # 0 # 4 # legs\nwave # 1 # 3 # right arm\nsit down # 4 # 5.5 # legs # spine")
 NOD = Timeline.parse("nod # 0 # 1.3 # head")
@@ -334,7 +334,7 @@ print(sorted({"torch", "transformers", "hydra", "matplotlib", "viser", "scipy"} 
 
 
 def test_an_unknown_name_of_the_package_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'stmc' has no attribute 'magic'"):
+    with pytest.raises(AttributeError, match="magic"):
         stmc.magic  # noqa: B018
 
 

@@ -10,10 +10,10 @@ from conftest import golden, golden_sets
 from helpers.motions import STANDING, walk
 from torch.testing import assert_close
 
-from stmc.body import JOINTS, MIRROR
-from stmc.body_model import Skeleton
-from stmc.geometry import axis_angle_to_matrix, mirror_positions, resample_positions, rotation_z
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, MIRROR
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, mirror_positions, resample_positions, rotation_z
+from stmc.motion.motion import Motion
 
 
 def test_a_motion_knows_its_length_in_frames_and_seconds():

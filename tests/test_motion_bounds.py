@@ -12,9 +12,9 @@ import pytest
 import torch
 
 import stmc
-from stmc.arrays import ArraysError, npz_headers, read_npy, read_npz
-from stmc.bounds import MOST_FRAMES, BoundsError, check_fps, check_frames
-from stmc.data.sources.amass import RecordingError, read_recording
+from stmc.data.sources.amass.amass_recordings import RecordingError, read_recording
+from stmc.io.arrays import ArraysError, npz_headers, read_npy, read_npz
+from stmc.io.bounds import MOST_FRAMES, BoundsError, check_fps, check_frames
 
 STILL = stmc.Motion.posed(torch.eye(3).repeat(40, 22, 1, 1), torch.zeros(40, 3), 20, stmc.Skeleton.default())
 
@@ -84,7 +84,7 @@ def test_a_small_npz_of_many_frames_takes_no_memory(tmp_path):
     assert (tmp_path / "a.npz").stat().st_size < 2**20
     code = (
         "import resource, sys; from pathlib import Path; import stmc\n"
-        "from stmc.data.sources.amass import RecordingError, read_recording\n"
+        "from stmc.data.sources.amass.amass_recordings import RecordingError, read_recording\n"
         "stmc.Skeleton.default(); peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "before = peak()\n"
         "for read in (stmc.read, lambda path: read_recording(Path(path), stmc.Skeleton.default())):\n"

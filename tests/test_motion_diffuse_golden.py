@@ -8,7 +8,7 @@ from helpers.published_networks import close, close_waves, drawn, limit_at, moti
 from torch import Tensor
 
 from stmc.diffusion import Schedule, ddpm
-from stmc.tensors import mask
+from stmc.diffusion.tensors import mask
 
 pytestmark = [pytest.mark.golden, pytest.mark.slow]  # networks of the published sizes
 SETS = pytest.mark.parametrize("folder", golden_sets("mdm"))

@@ -13,7 +13,7 @@ from conftest import data_file
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.benchmarks.atomic_prompts import (
+from stmc.evaluation.benchmarks.atomic_prompts import (
     LONGEST,
     SHORTEST,
     AtomicPrompt,
@@ -21,7 +21,7 @@ from stmc.benchmarks.atomic_prompts import (
     sample_timelines,
     write_atomic_prompts,
 )
-from stmc.body import BodyPart
+from stmc.motion.body import BodyPart
 from stmc.timeline import Timeline, TimelineError
 
 

@@ -8,16 +8,16 @@ from conftest import data_file
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.benchmarks.atomic_prompts import read_texts
-from stmc.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words, same_meaning
-from stmc.benchmarks.published_timelines import sample_published_timelines
-from stmc.body import JOINTS, NUM_ROTATIONS
-from stmc.body_model import Skeleton
 from stmc.data.sources.contents import CONTENTS
-from stmc.geometry import axis_angle_to_matrix, rotation_z
-from stmc.metrics.gestures import longest, looked_left, reversals, visits
-from stmc.metrics.steps import jumps_with_both_feet, path_length, turned
-from stmc.motion import Motion
+from stmc.evaluation.benchmarks.atomic_prompts import read_texts
+from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words, same_meaning
+from stmc.evaluation.benchmarks.published_timelines import sample_published_timelines
+from stmc.evaluation.metrics.gestures import longest, looked_left, reversals, visits
+from stmc.evaluation.metrics.steps import jumps_with_both_feet, path_length, turned
+from stmc.motion.body import JOINTS, NUM_ROTATIONS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, rotation_z
+from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 
 FPS, FRAMES, TALL = 20, 120, 0.9

@@ -9,13 +9,13 @@ from helpers.tiny_model import tiny
 from test_mtt_checks import bumps, moved, walking
 
 import stmc
-from stmc.benchmarks import Benchmark, MttOpen, mtt_open, resampling
-from stmc.benchmarks.mtt_checks import MTT_CHECKS
 from stmc.data.cache import Cache, Clip
-from stmc.motion import Motion
-from stmc.representation import SmplRepresentation
-from stmc.results.naming import MEASURES
-from stmc.settings import SettingError
+from stmc.evaluation.benchmarks import Benchmark, MttOpen, mtt_open, resampling
+from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
+from stmc.evaluation.results.naming import MEASURES
+from stmc.motion.motion import Motion
+from stmc.motion.representation import SmplRepresentation
+from stmc.settings.records import SettingError
 from stmc.timeline import Prompt, Timeline, TimelineError
 
 WALK, RAISE, BOW = "walk forwards", "raise the left arm", "bow"

@@ -8,9 +8,9 @@ import pytest
 from helpers.motions import walking
 from scipy.spatial.transform import Rotation
 
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.export import write
-from stmc.export.mujoco import depth_first
+from stmc.formats import write
+from stmc.formats.mujoco import depth_first
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.timeline import Timeline
 
 WALK = walking(seconds=2.0)

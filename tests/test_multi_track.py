@@ -22,19 +22,19 @@ from test_evaluators import evaluator
 from torch import Tensor
 
 import stmc
-from stmc.benchmarks import Benchmark, MultiTrack, resampling
-from stmc.benchmarks.atomic_prompts import LONGEST, AtomicPrompt, read_atomic_prompts, sample_timelines
-from stmc.benchmarks.ground_truth import cache_reference_motions
-from stmc.benchmarks.multi_track import open_mtt
-from stmc.body import BodyPart
 from stmc.data.cache import HELD_OUT, Cache, CacheError, Clip
 from stmc.data.sources.contents import CONTENTS, describe
 from stmc.data.sources.segments import splits
 from stmc.denoisers import FlowMdm
-from stmc.metrics.retrieval import cosines
-from stmc.motion import Motion
-from stmc.results import Result, read_results
-from stmc.results.naming import MEASURES
+from stmc.evaluation.benchmarks import Benchmark, MultiTrack, resampling
+from stmc.evaluation.benchmarks.atomic_prompts import LONGEST, AtomicPrompt, read_atomic_prompts, sample_timelines
+from stmc.evaluation.benchmarks.ground_truth import cache_reference_motions
+from stmc.evaluation.benchmarks.multi_track import open_mtt
+from stmc.evaluation.metrics.retrieval import cosines
+from stmc.evaluation.results import Result, read_results
+from stmc.evaluation.results.naming import MEASURES
+from stmc.motion.body import BodyPart
+from stmc.motion.motion import Motion
 from stmc.run import save, save_evaluator
 from stmc.timeline import Prompt, Timeline, TimelineError
 
@@ -261,7 +261,7 @@ class AnyText(Oracle):
 
 
 def test_the_open_benchmark_takes_its_real_motion_from_held_out_clips_of_several_caches(tmp_path, monkeypatch):
-    monkeypatch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
+    monkeypatch.setattr("stmc.evaluation.benchmarks.multi_track.PER_TEXT", 2)
     texts = [prompt.text for prompt in read_atomic_prompts(BUNDLED / "prompts.json")]
     for name, some in (("one", texts[::2]), ("other", texts[1::2])):
         prepared(some).write(tmp_path / name)
@@ -392,8 +392,8 @@ def quick(monkeypatch, work) -> None:
 
 def quicken(patch: pytest.MonkeyPatch, work: Path) -> None:
     """Two of the bundled timelines and their prompts, FID with few real clips: they are not what is tested."""
-    patch.setattr("stmc.benchmarks.multi_track.PER_TEXT", 2)
-    patch.setattr("stmc.benchmarks.multi_track.files", lambda package: work)
+    patch.setattr("stmc.evaluation.benchmarks.multi_track.PER_TEXT", 2)
+    patch.setattr("stmc.evaluation.benchmarks.multi_track.files", lambda package: work)
 
 
 @pytest.mark.slow
@@ -495,7 +495,7 @@ def share(rank: int, work: Path, *settings: str) -> None:
 def test_two_processes_at_once_evaluate_without_losing_a_record(work, tmp_path):
     several = (
         "experiment.settings.steps=[2,3,4]",
-        "experiment.table._target_=stmc.results.sweep_table",
+        "experiment.table._target_=stmc.evaluation.results.sweep_table",
         "+experiment.table.varied=[steps]",
     )
     fresh = get_context("spawn")  # a fork of a process whose threads have computed may wait for them for ever

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from stmc.benchmarks.novelty import nearest_cosines, success_by_distance
+from stmc.evaluation.benchmarks.novelty import nearest_cosines, success_by_distance
 
 
 class Angles:

@@ -10,9 +10,9 @@ from helpers.strategies import quietly, timelines
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from stmc.body import BodyPart
-from stmc.planning import Crop, Plan, Tile, plan
+from stmc.motion.body import BodyPart
 from stmc.timeline import Prompt, Timeline, TimelineError
+from stmc.timeline.planning import Crop, Plan, Tile, plan
 
 # What the published code answers, and ours in the same form
 

@@ -16,7 +16,7 @@ import stmc
 from stmc.data import preparation
 from stmc.data.cache import FEATURES, TABLE, Cache
 from stmc.data.report import NUMBERS, TEXT
-from stmc.files import LOCK, FolderInUse, locked
+from stmc.io.files import LOCK, FolderInUse, locked
 from stmc.run import CARD
 
 TIMELINE = "walk # 0 # 2 # legs\nraise the right arm # 0.5 # 1.5 # right arm\n"

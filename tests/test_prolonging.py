@@ -6,10 +6,10 @@ import pytest
 import torch
 from helpers.scripts import configured
 
-from stmc.commands.training_data import read_training_data
+from stmc.cli.training_data import read_training_data
 from stmc.data.cache import Cache, Clip
-from stmc.data.prolonging import NEAR, Prolonging
-from stmc.representation.layout import SMPL_LAYOUT
+from stmc.motion.representation.layout import SMPL_LAYOUT
+from stmc.training.data.prolonging import NEAR, Prolonging
 
 FPS = 20
 PERIOD = 20  # frames
@@ -113,7 +113,7 @@ def test_held_out_clips_and_clips_without_texts_lend_and_get_no_rest():
 def test_denoisers_and_evaluators_are_trained_on_prolonged_clips(name, tmp_path):
     cache(*[("run", True, features(65, swing=0.4))] * 5).write(tmp_path / "cache")
     places = (f"data.folder={tmp_path / 'cache'}", f"text_cache={tmp_path / 'texts'}", "run=none")
-    prolonging = "data.prolonging={_target_: stmc.data.prolonging.Prolonging, seconds: 10}"
+    prolonging = "data.prolonging={_target_: stmc.training.data.prolonging.Prolonging, seconds: 10}"
     for settings, frames in (((), 65), ((prolonging,), 200)):
         _, dataset = read_training_data(configured(name, *places, *settings), None, torch.device("cpu"))
         assert {clip.end - clip.start for clip in dataset.clips} == {frames}

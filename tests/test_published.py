@@ -17,9 +17,9 @@ from test_text import RunsCode
 
 import stmc
 from stmc.denoisers import MdmDecoder, MdmSmpl
-from stmc.published import CheckpointError, convert, read
-from stmc.published.checkpoint import fill, read_checkpoint
-from stmc.tensors import sinusoids
+from stmc.diffusion.tensors import sinusoids
+from stmc.run.published import CheckpointError, convert, read
+from stmc.run.published.torch_checkpoint import fill, read_checkpoint
 
 WRITERS = [checkpoints.mdm_smpl, checkpoints.mdm, checkpoints.motion_diffuse]
 FILES = {
@@ -467,7 +467,8 @@ def test_a_checkpoint_whose_key_would_be_hashed_for_minutes_is_refused_at_once(t
             key = b")" + b"q\x00h\x00\x86" * 34
             forged.writestr(name, b"\x80\x02}" + key + b"K\x01s." if name.endswith("data.pkl") else whole.read(name))
     code = (
-        "import sys; from pathlib import Path; from stmc.published.checkpoint import CheckpointError, read_checkpoint\n"
+        "import sys; from pathlib import Path\n"
+        "from stmc.run.published.torch_checkpoint import CheckpointError, read_checkpoint\n"
         "try: read_checkpoint(Path(sys.argv[1]))\n"
         "except CheckpointError as error: print(error)\n"
     )

@@ -15,18 +15,18 @@ from test_evaluators import SIZES, drawn, evaluator, small
 from torch.testing import assert_close
 
 import stmc
-from stmc.benchmarks.atomic_prompts import read_atomic_prompts
-from stmc.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions
-from stmc.body import JOINTS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.data.sources.amass import read_recording, unmirrored
+from stmc.data.sources.amass.amass_recordings import read_recording, unmirrored
+from stmc.diffusion.statistics import Statistics
+from stmc.evaluation.benchmarks.atomic_prompts import read_atomic_prompts
+from stmc.evaluation.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions
+from stmc.evaluation.metrics.timeline_metrics import PUBLISHED
+from stmc.evaluation.results import read_results
 from stmc.evaluators import Evaluator
-from stmc.metrics.timelines import PUBLISHED
-from stmc.representation import HumanML3DRepresentation
-from stmc.representation.humanml3d import features_to_joints, joints_to_features, z_up
-from stmc.results import read_results
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.representation import HumanML3DRepresentation
+from stmc.motion.representation.humanml3d import features_to_joints, joints_to_features, z_up
 from stmc.run import save, save_evaluator
-from stmc.statistics import Statistics
 
 TEXTS = """\
 raise the left arm # left hand
@@ -109,7 +109,7 @@ def evaluator_of_humanml3d() -> Evaluator:
     config = {
         "network": {"_target_": "stmc.evaluators.Tmr", "features": 263, "text_width": 384, **SIZES},
         "text_encoder": {"_target_": "stmc.text.MiniLM", "pooling": "tokens"},
-        "representation": {"_target_": "stmc.representation.HumanML3DRepresentation"},
+        "representation": {"_target_": "stmc.motion.representation.HumanML3DRepresentation"},
     }
     standing = torch.from_numpy(np.concatenate(ground_truth()).mean(axis=0))
     statistics = Statistics(standing, torch.full((263,), 0.1)), Statistics(torch.zeros(384), torch.ones(384))

@@ -20,23 +20,23 @@ from helpers.tiny_model import CONFIG, WIDTH, tiny
 from hydra.utils import instantiate
 from torch import Tensor
 
-from stmc.benchmarks import Benchmark, PublishedCompositions
 from stmc.data import preparation
 from stmc.data.cache import Cache, Clip
 from stmc.data.preparation import LayoutError
 from stmc.data.sources import caption_tags
+from stmc.data.sources.babel.composition_lists import Composition, read_compositions, sample_compositions
+from stmc.data.sources.babel.composition_references import References, babel_references, humanml3d_references
 from stmc.data.sources.caption_tags import TagError, Tags
-from stmc.data.sources.composition_lists import Composition, read_compositions, sample_compositions
-from stmc.data.sources.composition_references import References, babel_references, humanml3d_references
 from stmc.denoisers import FlowMdm
+from stmc.diffusion.statistics import Statistics
+from stmc.evaluation.benchmarks import Benchmark, PublishedCompositions
+from stmc.evaluation.metrics.smoothness import JERKED
+from stmc.evaluation.results import Result, published_results, read_results
 from stmc.evaluators import GuoEvaluator, MatchingEvaluator
-from stmc.metrics.smoothness import JERKED
 from stmc.model import Model
-from stmc.published import CheckpointError, read_guo_evaluator
-from stmc.representation import BabelRepresentation
-from stmc.results import Result, published_results, read_results
+from stmc.motion.representation import BabelRepresentation
 from stmc.run import save
-from stmc.statistics import Statistics
+from stmc.run.published import CheckpointError, read_guo_evaluator
 
 TEXTS = ("a person walks in a circle.", "someone walks 000003", "raises an arm")
 SHORT = [[TEXTS[number % 3] for number in range(32)], [40 + number % 5 for number in range(32)]]
@@ -390,7 +390,7 @@ def flow_of_babel() -> Model:
         "denoiser": {"_target_": "stmc.denoisers.FlowMdm", "features": 135, "text_width": WIDTH} | sizes,
         "schedule": CONFIG["schedule"],
         "text_encoder": CONFIG["text_encoder"] | {"pooling": "mean"},
-        "representation": {"_target_": "stmc.representation.BabelRepresentation"},
+        "representation": {"_target_": "stmc.motion.representation.BabelRepresentation"},
     }
     return dataclasses.replace(
         tiny(30, 200),

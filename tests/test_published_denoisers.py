@@ -6,8 +6,8 @@ from torch import Tensor, nn
 
 from stmc.denoisers import Denoiser, MdmDecoder, MdmEncoder, MotionDiffuse, Network
 from stmc.denoisers.layers import DecoderLayer, PostNormLayer
-from stmc.statistics import WIDEST, Statistics
-from stmc.tensors import mask
+from stmc.diffusion.statistics import WIDEST, Statistics
+from stmc.diffusion.tensors import mask
 
 SIZES = {"features": 7, "text_width": 5, "width": 16, "feedforward": 32, "layers": 2, "heads": 4}
 READING = {"text_latent_width": 8, "text_feedforward": 16, "text_layers": 2, "text_heads": 2}

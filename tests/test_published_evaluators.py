@@ -6,8 +6,8 @@ from helpers.motions import walking
 from helpers.tiny_model import Hashes
 
 from stmc.evaluators import GuoEvaluator, Tmr
-from stmc.published import CheckpointError, convert, read, read_guo
 from stmc.run import load_evaluator
+from stmc.run.published import CheckpointError, convert, read, read_guo
 
 
 def tmr_run(folder, **sizes):

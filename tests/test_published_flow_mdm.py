@@ -15,10 +15,10 @@ import stmc
 from stmc.denoisers import FlowMdm
 from stmc.denoisers.flow_mdm_layers import frequencies
 from stmc.diffusion import Schedule
-from stmc.published.checkpoint import CheckpointError
-from stmc.published.conversion import convert, read
-from stmc.representation import BabelRepresentation, HumanML3DRepresentation
-from stmc.tensors import sinusoids
+from stmc.diffusion.tensors import sinusoids
+from stmc.motion.representation import BabelRepresentation, HumanML3DRepresentation
+from stmc.run.published.conversion import convert, read
+from stmc.run.published.torch_checkpoint import CheckpointError
 
 FILE = {"humanml": "model000500000.pt", "babel": "model001300000.pt"}
 FEATURES = {"humanml": 263, "babel": 135}

@@ -12,7 +12,7 @@ from torch import Tensor
 import stmc
 from stmc.composing import METHODS
 from stmc.denoisers import MdmEncoder, MdmSmpl, MotionDiffuse
-from stmc.published import convert
+from stmc.run.published import convert
 
 LIMIT = 2e-5
 """Of the largest clean value, in normalised features."""

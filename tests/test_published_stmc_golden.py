@@ -8,12 +8,12 @@ from conftest import checked, golden, golden_sets
 from helpers.published_networks import close, drawn, frames, limit_at, mdm, motion_diffuse, words_of
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing import NULL, canvas_lengths, collage, crop_lengths, guided_crops
 from stmc.diffusion import Schedule
-from stmc.planning import Plan, plan
-from stmc.representation import HUMANML3D_LAYOUT
+from stmc.motion.body import BodyPart
+from stmc.motion.representation import HUMANML3D_LAYOUT
 from stmc.timeline import Prompt, Timeline
+from stmc.timeline.planning import Plan, plan
 
 pytestmark = pytest.mark.golden
 SETS = pytest.mark.parametrize("folder", golden_sets("mdm"))

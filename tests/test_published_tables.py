@@ -7,9 +7,16 @@ from helpers.scripts import ROOT, configured, run
 from hydra.utils import instantiate
 
 import stmc
-from stmc.results import Result, ResultError, published_results, single_text_table, sweep_table, with_published
-from stmc.results.published import normal_estimate
-from stmc.sampling import Sampling
+from stmc.composing.sampling import Sampling
+from stmc.evaluation.results import (
+    Result,
+    ResultError,
+    published_results,
+    single_text_table,
+    sweep_table,
+    with_published,
+)
+from stmc.evaluation.results.paper_results import normal_estimate
 
 TIMELINES = """\
 walk # 0.0 # 4.0 # legs

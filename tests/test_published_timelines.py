@@ -7,8 +7,8 @@ import pytest
 from conftest import data_file
 from test_mtt import ATOMIC_PROMPTS, atomic_prompt
 
-from stmc.benchmarks.atomic_prompts import read_atomic_prompts
-from stmc.benchmarks.published_timelines import LONGEST, sample_published_timelines
+from stmc.evaluation.benchmarks.atomic_prompts import read_atomic_prompts
+from stmc.evaluation.benchmarks.published_timelines import LONGEST, sample_published_timelines
 from stmc.timeline import Timeline, TimelineError
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from helpers.scripts import ROOT
 
-from stmc.commands.dispatch import found
+from stmc.cli.dispatch import found
 from stmc.model import Model
 from stmc.run import WEIGHTS, bundled
-from stmc.settings import about
+from stmc.settings.records import about
 
 README = (ROOT / "README.md").read_text("utf-8")
 CELLS = re.findall(r"^```python\n(.*?)^```$", README, flags=re.DOTALL | re.MULTILINE)

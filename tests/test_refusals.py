@@ -10,8 +10,8 @@ import torch
 from helpers.tiny_model import tiny
 
 import stmc
-from stmc.constraints import constraint_of
-from stmc.settings import SettingError
+from stmc.editing.constraints import constraint_of
+from stmc.settings.records import SettingError
 
 WRONG = {
     "a path's end": ({"path": {"points": [[0, 0], [0, 1]], "end": 1e308}}, "path at 0.0..1e+308 s: seconds from 0 to"),

@@ -1,6 +1,6 @@
 """Configs of earlier versions with today's names."""
 
-from stmc.renamed import with_new_names, with_new_paths
+from stmc.settings.renamed import with_new_names, with_new_paths
 
 
 def test_old_keys_have_todays_names_wherever_they_stand_and_todays_win():
@@ -22,7 +22,7 @@ def test_settings_of_an_earlier_training_have_todays_paths_and_no_other_setting_
         "training.steps": 4,
         "denoiser.rate": 2.0,
         "data.dataset.min_clips": 2,
-        "data.dataset._target_": "stmc.data.dataset.Dataset",
+        "data.dataset._target_": "stmc.training.data.dataset.Dataset",
     }
 
 

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from stmc.body import JOINTS, BodyPart
-from stmc.body_model import Skeleton
-from stmc.geometry import axis_angle_to_matrix, rotation_z, wrap
-from stmc.motion import Motion
-from stmc.representation import HUMANML3D_LAYOUT, SMPL_LAYOUT, Field, Layout, SmplRepresentation
+from stmc.motion.body import JOINTS, BodyPart
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, rotation_z, wrap
+from stmc.motion.motion import Motion
+from stmc.motion.representation import HUMANML3D_LAYOUT, SMPL_LAYOUT, Field, Layout, SmplRepresentation
 
 REPRESENTATION = SmplRepresentation()
 GOLDEN = pytest.mark.parametrize("folder", golden_sets("stmc"))

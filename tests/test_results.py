@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_hex
 
-from stmc.benchmarks.resampling import DRAWS, resampled
-from stmc.results import (
+from stmc.composing.sampling import Sampling
+from stmc.evaluation.benchmarks.resampling import DRAWS, resampled
+from stmc.evaluation.results import (
     Result,
     ResultError,
     by_setting,
@@ -23,9 +24,8 @@ from stmc.results import (
     sweep_table,
     write_results,
 )
-from stmc.results.charts import bars, quality_against_cost, sweep
-from stmc.results.intervals import bootstrap
-from stmc.sampling import Sampling
+from stmc.evaluation.results.charts import bars, quality_against_cost, sweep
+from stmc.evaluation.results.intervals import bootstrap
 
 SETTINGS = {"steps": 100, "sampler": "ddpm", "overlap": 0.5, "guidance": 2.5}
 

@@ -12,14 +12,14 @@ from test_model import WALK_WAVE, apart
 from torch import Tensor
 
 import stmc
-from stmc.body import BodyPart
 from stmc.composing.retiming import FASTEST, _along, paced, retimed
-from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rows, rows_to_matrix, wrap
-from stmc.metrics.kinematics import hand_step
-from stmc.planning import Plan, cross_fade
-from stmc.representation import Field, Layout, SmplRepresentation
-from stmc.statistics import Statistics
+from stmc.diffusion.statistics import Statistics
+from stmc.motion.body import BodyPart
+from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rows, rows_to_matrix, wrap
+from stmc.motion.kinematics import hand_step
+from stmc.motion.representation import Field, Layout, SmplRepresentation
 from stmc.timeline import Timeline
+from stmc.timeline.planning import Plan, cross_fade
 
 LAYOUT = SmplRepresentation().layout
 STATISTICS = Statistics(torch.linspace(-0.2, 0.2, LAYOUT.width), torch.linspace(0.5, 2.0, LAYOUT.width))

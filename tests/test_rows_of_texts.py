@@ -8,17 +8,17 @@ import torch
 from helpers.toy_data import LetterCounts
 from test_training import QUICK
 
-from stmc.data import sequences
-from stmc.data.batches import ClipBatches, Sampling
 from stmc.data.cache import Cache, Clip
-from stmc.data.dataset import NULL, Dataset
-from stmc.data.joining import Arrangement
-from stmc.data.pairs import PairBatches
-from stmc.data.sequences import following
 from stmc.denoisers import FlowMdm
 from stmc.diffusion.schedule import Schedule
-from stmc.representation import SmplRepresentation
+from stmc.motion.representation import SmplRepresentation
 from stmc.training import Denoising, Settings, Trainer
+from stmc.training.data import sequence_rows as sequences
+from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.dataset import NULL, Dataset
+from stmc.training.data.joining import Arrangement
+from stmc.training.data.pair_batches import PairBatches
+from stmc.training.data.sequence_rows import following
 
 FADE, FRAMES = 10, 40
 ROTATIONS = SmplRepresentation().layout["rotations"]

@@ -15,12 +15,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing import collage, crop_lengths, guided_crops, inpaint, kept_shares, slerp, smooth_seams
 from stmc.diffusion import Schedule, ddim, ddpm
-from stmc.geometry import matrix_to_rows, rows_to_matrix
-from stmc.planning import Crop, Plan, Tile, cross_fade, handshake, multi_diffusion, plan, second_take, transition_spans
-from stmc.representation import SMPL_LAYOUT
+from stmc.motion.body import BodyPart
+from stmc.motion.geometry import matrix_to_rows, rows_to_matrix
+from stmc.motion.representation import SMPL_LAYOUT
+from stmc.timeline.planning import (
+    Crop,
+    Plan,
+    Tile,
+    cross_fade,
+    handshake,
+    multi_diffusion,
+    plan,
+    second_take,
+    transition_spans,
+)
 
 SCHEDULE = Schedule.cosine(12)
 SETS = pytest.mark.parametrize("folder", golden_sets("flow"))

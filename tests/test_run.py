@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from safetensors.torch import load_file, save_file
 
 import stmc
+from stmc.composing.sampling import DEFAULT, Sampling
 from stmc.diffusion import ddim
 from stmc.model import Model
 from stmc.run import (
@@ -29,7 +30,6 @@ from stmc.run import (
     bundled,
     fingerprint,
 )
-from stmc.sampling import DEFAULT, Sampling
 from stmc.text import MiniLM
 from stmc.timeline import Timeline
 

@@ -7,8 +7,8 @@ from typing import Unpack, get_type_hints
 import pytest
 
 import stmc
-from stmc.sampling import DEFAULT, Sampling, SamplingArguments
-from stmc.settings import SettingError, about, record_of
+from stmc.composing.sampling import DEFAULT, Sampling, SamplingArguments
+from stmc.settings.records import SettingError, about, record_of
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.bandai_files import about, bvh_text, posed
+from helpers.motions import standing_still
 from helpers.scripts import configured, loaded, script
 from helpers.scripts import run as in_this_process
 from helpers.source_folders import Serial
@@ -23,7 +24,7 @@ import stmc
 from stmc.data import preparation
 from stmc.data.cache import Cache
 from stmc.run import CARD, CONFIG, STATISTICS, WEIGHTS, fingerprint
-from stmc.settings import SettingError
+from stmc.settings.records import SettingError
 
 TIMELINES = """\
 walk forwards # 0 # 2 # legs
@@ -449,49 +450,46 @@ def test_two_runs_in_one_folder_leave_each_motion_with_its_own_record(sample, ru
     assert sorted(path.suffix for path in (tmp_path / "out").iterdir()) == [".bvh", ".csv", ".json", ".npz"]
 
 
-def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp_path):
+def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp_path, monkeypatch):
     config = settings(f"model={run}", "steps=2", "sampler=ddim", "clean_feet=false")
     timelines = [stmc.Timeline.parse("nod # 0 # 1 # head")] * 5
     jobs = [sample.Job(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
-    model, tried = tiny(), []
+    model, tried, generate = tiny(), [], stmc.Model.generate
 
-    class Small:
-        schedule = model.schedule
+    def on_little_memory(self, timelines, **arguments):
+        tried.append(len(timelines))
+        if len(timelines) > 2:
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        return generate(self, timelines, **arguments)
 
-        def generate(self, timelines, **arguments):
-            tried.append(len(timelines))
-            if len(timelines) > 2:
-                raise torch.OutOfMemoryError("CUDA out of memory")
-            return model.generate(timelines, **arguments)
-
+    monkeypatch.setattr(stmc.Model, "generate", on_little_memory)
     with sample.Progress(disable=True) as progress:
-        made = list(sample.sampled(Small(), jobs, {job.name for job in jobs}, 4, config, progress))
+        made = list(sample.sampled(model, jobs, {job.name for job in jobs}, 4, config, progress))
     assert tried == [4, 2, 2, 1]
     assert [job for job, _ in made] == jobs
+    monkeypatch.undo()
     whole = model.generate(timelines, seed=0, steps=2, sampler=stmc.ddim, clean_feet=False)
     for (_, motion), expected in zip(made, whole, strict=True):
         torch.testing.assert_close(motion.joints, expected.joints, atol=1e-4, rtol=0)
 
 
-def test_in_bf16_a_run_that_goes_on_makes_the_batches_of_one_that_was_not_stopped(sample, run):
+def test_in_bf16_a_run_that_goes_on_makes_the_batches_of_one_that_was_not_stopped(sample, run, monkeypatch):
     timelines = [stmc.Timeline.parse(f"nod # 0 # {seconds} # head") for seconds in (2, 2, 1)]
     jobs = [sample.Job(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
     tried = []
 
-    class Watched:
-        schedule = tiny().schedule
+    def watched(self, timelines, seed, **_):
+        tried.append(list(seed))
+        return [standing_still(number + 1) for number in seed]
 
-        def generate(self, timelines, seed, **_):
-            tried.append(list(seed))
-            return list(seed)
-
+    monkeypatch.setattr(stmc.Model, "generate", watched)
     for precision, expected in (("bf16", [[0, 1]]), ("fp32", [[1]])):
         tried.clear()
         config = settings(f"model={run}", "steps=2", f"precision={precision}")
         with sample.Progress(disable=True) as progress:
-            made = list(sample.sampled(Watched(), jobs, {"nod_1"}, 2, config, progress))
+            made = list(sample.sampled(tiny(), jobs, {"nod_1"}, 2, config, progress))
         assert tried == expected
-        assert [(job.name, motion) for job, motion in made] == [("nod_1", 1)]
+        assert [(job.name, len(motion)) for job, motion in made] == [("nod_1", 2)]
 
 
 def test_sampling_tells_each_motion_in_a_line_and_writes_the_frame_rate_that_was_asked_for(

@@ -9,9 +9,6 @@ from helpers.scripts import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.benchmarks.mtt_checks import MTT_CHECKS
-from stmc.benchmarks.novelty import nearest_cosines
-from stmc.body import BodyPart
 from stmc.data.sources.contents import (
     ALWAYS_STYLED,
     CONTENTS,
@@ -23,8 +20,11 @@ from stmc.data.sources.contents import (
     mirrored_content,
 )
 from stmc.data.sources.joined import PER_PAIR, join, joined_sentences
-from stmc.vocabulary import sentence_encoder
-from stmc.vocabulary.sentences import embed_sentences
+from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
+from stmc.evaluation.benchmarks.novelty import nearest_cosines
+from stmc.motion.body import BodyPart
+from stmc.text.vocabulary import sentence_encoder
+from stmc.text.vocabulary.sentences import embed_sentences
 
 LABELS = (
     "walk", "walk-back", "walk-left", "walk-right", "walk-turn-left", "walk-turn-right", "run", "dash",

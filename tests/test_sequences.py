@@ -8,11 +8,11 @@ from helpers.strategies import timelines as any_timeline
 from hypothesis import given
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing import SequenceDenoiser, body_sequences, compose_tracks, guided_sequences
 from stmc.denoisers import Denoiser, FlowMdm
 from stmc.diffusion import Noise, Schedule, ddim, ddpm
-from stmc.tensors import mask
+from stmc.diffusion.tensors import mask
+from stmc.motion.body import BodyPart
 from stmc.training.loss import Batch, Denoising, draw_noise
 
 SCHEDULE = Schedule.cosine(20)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from stmc.settings import SettingError, about, check, record_of, setting
+from stmc.settings.records import SettingError, about, check, record_of, setting
 
 
 @dataclass(frozen=True)

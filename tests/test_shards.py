@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stmc
-from stmc.benchmarks.samples import Samples
-from stmc.files import FolderInUse, locked
-from stmc.settings import SettingError
-from stmc.shards import Shard, listed
+from stmc.evaluation.benchmarks.samples import Samples
+from stmc.io.files import FolderInUse, locked
+from stmc.settings.records import SettingError
+from stmc.settings.shards import Shard, listed
 
 counts = st.integers(min_value=1, max_value=80)
 

@@ -15,14 +15,14 @@ from helpers.tiny_model import tiny
 from torch.testing import assert_close
 
 import stmc
-from stmc.arrays import ArraysError
-from stmc.benchmarks import Benchmark, SingleText
 from stmc.data.preparation import LayoutError
-from stmc.data.sources.humanml3d_clips import read_captioned_clips
-from stmc.published import CheckpointError, read_guo_evaluator
-from stmc.representation import HumanML3DRepresentation
-from stmc.results import read_results
+from stmc.data.sources.humanml3d.humanml3d_clips import read_captioned_clips
+from stmc.evaluation.benchmarks import Benchmark, SingleText
+from stmc.evaluation.results import read_results
+from stmc.io.arrays import ArraysError
+from stmc.motion.representation import HumanML3DRepresentation
 from stmc.run import save
+from stmc.run.published import CheckpointError, read_guo_evaluator
 from stmc.text.glove import Glove
 
 

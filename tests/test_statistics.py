@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from stmc import statistics
-from stmc.statistics import Statistics
+from stmc.diffusion import statistics
+from stmc.diffusion.statistics import Statistics
 
 
 @pytest.mark.parametrize("at_once", [1, 7, 100])

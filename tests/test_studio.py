@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from starlette.testclient import TestClient
 
 import stmc
-from stmc.body import JOINTS
-from stmc.studio import Asked, Documents, Jobs, Motions, Sessions, application
-from stmc.studio.guard import MOST_BYTES
-from stmc.studio.jobs import MOST_WAITING
-from stmc.studio.refusals import Refused
-from stmc.studio.stores import ID
+from stmc.motion.body import JOINTS
+from stmc.viewing.studio import Asked, Documents, Jobs, Motions, Sessions, application
+from stmc.viewing.studio.guard import MOST_BYTES
+from stmc.viewing.studio.jobs import MOST_WAITING
+from stmc.viewing.studio.refusals import Refused
+from stmc.viewing.studio.stores import ID
 
 BOTH = {"prompts": [*WALK["prompts"], {"text": "wave with the right hand", "start": 0.5, "end": 1.5, "parts": []}]}
 
@@ -405,7 +405,7 @@ def test_a_film_that_needs_what_is_not_installed_is_refused_with_what_to_install
     def missing(*args):
         raise ModuleNotFoundError("videos need imageio-ffmpeg: pip install 'stmc[film]'; .webp does without")
 
-    monkeypatch.setattr("stmc.studio.stores.render_film", missing)
+    monkeypatch.setattr("stmc.viewing.studio.stores.render_film", missing)
     [told] = made(sampled(client, steps="preview"))
     answer = client.get(f"/api/motions/{told['motion']['id']}.mp4")
     assert answer.status_code == 501 and "pip install" in answer.json()["error"]
@@ -446,8 +446,8 @@ def test_a_file_that_is_no_motion_is_refused(client, content):
 
 
 def test_motions_outlive_the_server_and_old_ones_go_unless_a_document_names_them(tmp_path, monkeypatch):
-    monkeypatch.setattr("stmc.studio.stores.MOST_MOTIONS", 1)
-    monkeypatch.setattr("stmc.studio.stores.REMEMBERED", 1)
+    monkeypatch.setattr("stmc.viewing.studio.stores.MOST_MOTIONS", 1)
+    monkeypatch.setattr("stmc.viewing.studio.stores.REMEMBERED", 1)
     motion = tiny().generate("walk # 0 # 0.5", steps=1)[0]
     before = Motions(tmp_path)
     names = [before.add(motion) for _ in range(3)]

@@ -17,9 +17,9 @@ from helpers.studio import knowing
 from PIL import Image
 
 import stmc
-from stmc.studio import Documents, Sessions, application
-from stmc.studio.connections import server_of
-from stmc.studio.refusals import Refused
+from stmc.viewing.studio import Documents, Sessions, application
+from stmc.viewing.studio.connections import server_of
+from stmc.viewing.studio.refusals import Refused
 
 pytestmark = [
     pytest.mark.browser,
@@ -316,7 +316,7 @@ def test_a_motion_is_made_kept_made_anew_constrained_taken_away_and_restored(tab
 def rotations(tab: browser.Tab, motion: str) -> dict[str, np.ndarray]:
     """Of each joint of a motion of the server: [frames, 3, 3]."""
     read = motion_of(tab, motion)
-    return dict(zip(stmc.body.JOINTS, read.rotations.transpose(0, 1).numpy(), strict=False))
+    return dict(zip(stmc.motion.body.JOINTS, read.rotations.transpose(0, 1).numpy(), strict=False))
 
 
 def motion_of(tab: browser.Tab, motion: str) -> stmc.Motion:

@@ -24,7 +24,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import stmc
-from stmc.studio import Documents, Motions, Sessions, application, connections, guard
+from stmc.viewing.studio import Documents, Motions, Sessions, application, connections, guard
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +54,8 @@ def refused(answer, *statuses: int) -> str:
 PUTS = """
 import sys, time
 from pathlib import Path
-from stmc.studio.refusals import Refused
-from stmc.studio.stores import Documents
+from stmc.viewing.studio.refusals import Refused
+from stmc.viewing.studio.stores import Documents
 documents, me, gate = Documents(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
 while not gate.exists():
     time.sleep(0.001)
@@ -86,7 +86,7 @@ def test_of_two_processes_that_save_one_version_only_one_is_told_that_it_is_kept
 
 @pytest.mark.slow
 def test_a_second_studio_on_a_folder_ends_with_a_line_that_says_who_has_it(tmp_path):
-    with stmc.files.locked(tmp_path / "studio"):
+    with stmc.io.files.locked(tmp_path / "studio"):
         done = script("studio", f"folder={tmp_path / 'studio'}", "port=0", "open=false", folder=tmp_path, check=False)
     assert done.returncode == 2
     [line] = done.stdout.strip().splitlines()
@@ -120,7 +120,7 @@ def test_what_the_disk_does_not_take_is_refused_in_a_sentence_and_is_taken_later
     body, address = {"base": 0, "content": {"name": "x"}}, f"/api/documents/disk{number}"
     with monkeypatch.context() as patch:
         for name in ("write_text", "write"):
-            patch.setattr(f"stmc.studio.stores.{name}", failing(OSError(number, os.strerror(number))))
+            patch.setattr(f"stmc.viewing.studio.stores.{name}", failing(OSError(number, os.strerror(number))))
         assert words in refused(client.put(address, json=body), status)
         assert words in refused(client.post("/api/motions", content=npz(motion)), status)
         job = client.post("/api/jobs", json={"timeline": WALK}).json()["job"]
@@ -133,12 +133,12 @@ def test_what_the_disk_does_not_take_is_refused_in_a_sentence_and_is_taken_later
 
 
 def test_too_little_memory_is_a_sentence(client, monkeypatch):
-    monkeypatch.setattr("stmc.studio.server.checked", failing(MemoryError()))
+    monkeypatch.setattr("stmc.viewing.studio.server.checked", failing(MemoryError()))
     assert "memory" in refused(client.post("/api/check", json={"timeline": WALK}), 503)
 
 
 def test_a_defect_of_the_studio_itself_is_told_in_a_sentence_too(client, monkeypatch):
-    monkeypatch.setattr("stmc.studio.server.checked", failing(KeyError("surprise")))
+    monkeypatch.setattr("stmc.viewing.studio.server.checked", failing(KeyError("surprise")))
     assert "terminal" in refused(client.post("/api/check", json={"timeline": WALK}), 500)
 
 
@@ -175,8 +175,8 @@ def test_what_is_no_file_among_documents_and_motions_stops_nothing(model, tmp_pa
 
 
 def test_old_motions_go_while_the_studio_runs_and_those_of_documents_stay(tmp_path, motion, monkeypatch):
-    monkeypatch.setattr("stmc.studio.stores.MOST_MOTIONS", 3)
-    monkeypatch.setattr("stmc.studio.stores.PRUNE_AFTER", 5)
+    monkeypatch.setattr("stmc.viewing.studio.stores.MOST_MOTIONS", 3)
+    monkeypatch.setattr("stmc.viewing.studio.stores.PRUNE_AFTER", 5)
     named: list[str] = []
     motions = Motions(tmp_path, lambda: " ".join(named))
     named.append(motions.add(motion))
@@ -188,7 +188,7 @@ def test_old_motions_go_while_the_studio_runs_and_those_of_documents_stay(tmp_pa
 
 
 def test_motions_are_bounded_in_bytes_too(tmp_path, motion, monkeypatch):
-    monkeypatch.setattr("stmc.studio.stores.MOST_MOTION_BYTES", 1)
+    monkeypatch.setattr("stmc.viewing.studio.stores.MOST_MOTION_BYTES", 1)
     motions = Motions(tmp_path)
     motions.add(motion)
     motions.prune()
@@ -296,7 +296,7 @@ def test_a_film_is_bounded_and_drawn_alone(client, motion, monkeypatch):
         assert may.wait(timeout=60)
         path.write_bytes(b"film")
 
-    monkeypatch.setattr("stmc.studio.stores.render_film", drawn)
+    monkeypatch.setattr("stmc.viewing.studio.stores.render_film", drawn)
     answers: list = []
     first = threading.Thread(target=lambda: answers.append(client.get(f"/api/motions/{name}.webp")))
     first.start()
@@ -306,7 +306,7 @@ def test_a_film_is_bounded_and_drawn_alone(client, motion, monkeypatch):
     may.set()
     first.join()
     assert answers[0].content == b"film"
-    monkeypatch.setattr("stmc.studio.stores.MOST_FILM_FRAMES", 5)
+    monkeypatch.setattr("stmc.viewing.studio.stores.MOST_FILM_FRAMES", 5)
     assert "frames" in refused(client.get(f"/api/motions/{name}.webp"), 422)
 
 

@@ -16,12 +16,10 @@ from helpers.motions import walking
 from helpers.scripts import loaded, run, script
 from hypothesis import given
 from hypothesis import strategies as st
+from omegaconf import OmegaConf
 
 import stmc
-from stmc.body import JOINTS, PARENTS
-from stmc.geometry import rotation_z
-from stmc.motion import Motion
-from stmc.study import (
+from stmc.evaluation.study import (
     AnswersError,
     Aspect,
     Key,
@@ -37,8 +35,11 @@ from stmc.study import (
     survey_page,
     wilson,
 )
-from stmc.study.clips import Clip
-from stmc.study.surveys import stranger
+from stmc.evaluation.study.clips import Clip
+from stmc.evaluation.study.surveys import stranger
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.geometry import rotation_z
+from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 
 METHODS = ("collage", "rival")
@@ -581,7 +582,7 @@ def test_the_scripts_leave_nothing_in_the_folder_that_they_are_called_in(asked, 
 def test_a_study_is_not_overwritten_and_an_analysis_needs_answers(tmp_path):
     (tmp_path / "key.json").write_text("{}")
     with pytest.raises(StudyError, match="holds a study already, whose key its answers need"):
-        loaded("study").made({}, tmp_path)
+        loaded("study").made(OmegaConf.create(), tmp_path)
     Key(METHODS, {}).write(tmp_path / "key.json")
     with pytest.raises(StudyError, match="has no answer files"):
         loaded("analyse_study").analysed(tmp_path, tmp_path / "answers")

@@ -13,8 +13,8 @@ from helpers import browser
 from helpers.motions import walking
 from test_study import pair
 
-from stmc.study import Aspect, Key, Kind, Question, Survey, Vote, analyse, design, read_answers, survey_page
-from stmc.study.clips import Clip
+from stmc.evaluation.study import Aspect, Key, Kind, Question, Survey, Vote, analyse, design, read_answers, survey_page
+from stmc.evaluation.study.clips import Clip
 from stmc.timeline import Timeline
 
 pytestmark = [

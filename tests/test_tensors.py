@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from stmc.tensors import mask, pad, sinusoids
+from stmc.diffusion.tensors import mask, pad, sinusoids
 
 
 def test_padded_sequences_keep_their_frames_and_end_in_zeros():

@@ -20,7 +20,7 @@ from safetensors.torch import load_file, save_file
 from tokenizers import Tokenizer, models, pre_tokenizers, processors
 from torch import Tensor
 
-from stmc.tensors import pad
+from stmc.diffusion.tensors import pad
 from stmc.text import (
     Cached,
     Clip,

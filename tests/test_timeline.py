@@ -14,7 +14,7 @@ from helpers.strategies import quietly, timelines
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stmc.body import BodyPart
+from stmc.motion.body import BodyPart
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning, one_text, single_track
 from stmc.timeline.overlaps import Precedence
 

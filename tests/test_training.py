@@ -16,8 +16,6 @@ from helpers.toy_data import LAYOUT, LetterCounts, cache
 from jaxtyping import TypeCheckError
 from torch import nn
 
-from stmc.data.batches import ClipBatches, Sampling
-from stmc.data.dataset import Dataset
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion.schedule import Schedule
 from stmc.training import (
@@ -36,6 +34,8 @@ from stmc.training import (
     loop,
     squared_errors,
 )
+from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.dataset import Dataset
 from stmc.training.logs import Table
 from stmc.training.speed import ByteDropout, quick_attention, quicken_dropout
 

@@ -6,10 +6,10 @@ import sys
 
 import pytest
 
-from stmc.benchmarks.atomic_prompts import _fields
-from stmc.data.sources.humanml3d_clips import read_captioned_clips
-from stmc.data.sources.humanml3d_texts import read_captions, read_index
-from stmc.untrusted import UnreadableError, cut, load_json, read_bytes, read_text, shown
+from stmc.data.sources.humanml3d.humanml3d_clips import read_captioned_clips
+from stmc.data.sources.humanml3d.humanml3d_texts import read_captions, read_index
+from stmc.evaluation.benchmarks.atomic_prompts import _fields
+from stmc.io.untrusted import UnreadableError, cut, load_json, read_bytes, read_text, shown
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="links and pipes")
 

@@ -16,13 +16,13 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.patches import FancyBboxPatch, Rectangle
 from test_body_model import write_body
 
-from stmc.body import JOINTS, BodyPart
-from stmc.body_model import Skeleton, load_body
-from stmc.geometry import rotation_z
-from stmc.motion import Motion
-from stmc.planning import plan
-from stmc.skins import PARTS, Skin, build_mannequin, skin_of
+from stmc.motion.body import JOINTS, BodyPart
+from stmc.motion.body_model import Skeleton, load_body
+from stmc.motion.geometry import rotation_z
+from stmc.motion.motion import Motion
+from stmc.motion.skins import PARTS, Skin, build_mannequin, skin_of
 from stmc.timeline import Timeline
+from stmc.timeline.planning import plan
 from stmc.viewing import film_strip, plot_plan, plot_timeline, render_html, view
 from stmc.viewing.camera import framing
 from stmc.viewing.colours import NEUTRAL, as_rgb, ink, owners, palette, part_colours, transitions

@@ -14,11 +14,10 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 import stmc
-from stmc.body import BodyPart
 from stmc.data.sources.contents import CONTENTS
+from stmc.motion.body import BodyPart
 from stmc.run import VOCABULARY, RunError, bundled
-from stmc.timeline import UnknownPromptWarning
-from stmc.vocabulary import (
+from stmc.text.vocabulary import (
     Content,
     Sentence,
     Vocabulary,
@@ -31,7 +30,8 @@ from stmc.vocabulary import (
     suggest,
     write_vocabulary,
 )
-from stmc.vocabulary import vocabulary as vocabulary_module
+from stmc.text.vocabulary import vocabulary as vocabulary_module
+from stmc.timeline import UnknownPromptWarning
 
 PROMPTS = json.loads((ROOT / "tests/helpers/prompts.json").read_text("utf-8"))
 WALK, WAVE = Content("walk", frozenset({BodyPart.LEGS}), True), Content("wave", frozenset({BodyPart.RIGHT_ARM}))

@@ -14,9 +14,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing.inpainting import Known
-from stmc.planning import Crop, Plan, Tile
+from stmc.motion.body import BodyPart
+from stmc.timeline.planning import Crop, Plan, Tile
 
 
 class Action(NamedTuple):

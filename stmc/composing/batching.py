@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stmc.diffusion import Prediction, Schedule, guide
-from stmc.tensors import PerDevice, mask, pad
+from stmc.diffusion.tensors import PerDevice, mask, pad
 
 
 @dataclass(frozen=True, eq=False)

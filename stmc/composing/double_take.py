@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.composing.stitching import Columns
-from stmc.planning import Plan, transition_spans
+from stmc.timeline.planning import Plan, transition_spans
 
 
 def kept_shares(

@@ -17,7 +17,7 @@ from stmc.composing.sequences import Segment, body_sequences
 from stmc.composing.stitching import crop_lengths
 from stmc.denoisers import Denoiser
 from stmc.diffusion import Prediction, Schedule
-from stmc.planning import Plan
+from stmc.timeline.planning import Plan
 
 NULL = ""
 """The text that stands for no text: its embedding is what the network saw when the text was dropped in training."""

@@ -13,11 +13,11 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing.stitching import Columns
-from stmc.geometry import matrix_to_rows, rows_to_matrix
-from stmc.planning import Plan
-from stmc.representation import Layout
+from stmc.motion.body import BodyPart
+from stmc.motion.geometry import matrix_to_rows, rows_to_matrix
+from stmc.motion.representation import Layout
+from stmc.timeline.planning import Plan
 
 
 def smooth_seams(

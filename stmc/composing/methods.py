@@ -22,13 +22,13 @@ from stmc.composing.inpainting import inpaint
 from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.retiming import retimed
 from stmc.composing.running import Run, settings_taken
+from stmc.composing.sampling import INDEPENDENT, Sampling
 from stmc.composing.sequences import compose_tracks
 from stmc.diffusion import SAMPLERS, Predict
-from stmc.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, second_take
-from stmc.sampling import INDEPENDENT, Sampling
-from stmc.settings import SettingError, shown
-from stmc.tensors import mask
+from stmc.diffusion.tensors import mask
+from stmc.settings.records import SettingError, shown
 from stmc.timeline import Timeline, one_text, single_track
+from stmc.timeline.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, second_take
 
 Features = Float[Tensor, "batch frames features"]
 Rule = Callable[[Plan], Plan]
@@ -85,7 +85,7 @@ def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: 
     `more`: as of `Method`; the label is the rule's own name unless said.
 
     Examples:
-        >>> method = stmc.stitched(stmc.planning.cross_fade, label="Cross-faded")
+        >>> method = stmc.stitched(stmc.timeline.planning.cross_fade, label="Cross-faded")
         >>> stmc.load().generate("walk # 0 # 1\\njump # 1 # 2", method=method, stitch_from=0.5, steps=2)
         [Motion(40 frames at 20 fps, 2.00 s)]
     """

@@ -16,13 +16,13 @@ from einops import rearrange
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.diffusion import Predict
-from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rows, rows_to_matrix
-from stmc.planning import Plan, Span, transition_spans
-from stmc.representation import Layout
-from stmc.statistics import Statistics
-from stmc.tensors import PerDevice
+from stmc.diffusion.statistics import Statistics
+from stmc.diffusion.tensors import PerDevice
+from stmc.motion.body import BodyPart
+from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rows, rows_to_matrix
+from stmc.motion.representation import Layout
+from stmc.timeline.planning import Plan, Span, transition_spans
 
 ARMS = (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)
 """Legs are not retimed, since feet would slide, nor is what the arms hang on."""

@@ -20,6 +20,7 @@ from torch import Tensor
 from stmc.composing.autoregression import Action, action_rounds, seen_before
 from stmc.composing.batching import Guided
 from stmc.composing.inpainting import Known, impute
+from stmc.composing.sampling import Sampling
 from stmc.composing.stitching import (
     Columns,
     canvas_lengths,
@@ -31,12 +32,11 @@ from stmc.composing.stitching import (
     sinc,
 )
 from stmc.diffusion import SAMPLERS, Draw, Noise, Predict, Sampler, Schedule, Seed
-from stmc.planning import Plan, plan
-from stmc.representation import Layout
-from stmc.sampling import Sampling
-from stmc.settings import SettingError
-from stmc.statistics import Statistics
+from stmc.diffusion.statistics import Statistics
+from stmc.motion.representation import Layout
+from stmc.settings.records import SettingError
 from stmc.timeline import Timeline
+from stmc.timeline.planning import Plan, plan
 
 Progress = Callable[..., Iterable[Any]]
 """(denoising steps, total=their number) → the same steps: how a caller shows progress, e.g. `tqdm`."""

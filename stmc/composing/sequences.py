@@ -16,11 +16,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing.stitching import Columns
 from stmc.diffusion import Predict
-from stmc.planning import Plan
-from stmc.tensors import PerDevice
+from stmc.diffusion.tensors import PerDevice
+from stmc.motion.body import BodyPart
+from stmc.timeline.planning import Plan
 
 
 class Segment(NamedTuple):

@@ -16,10 +16,10 @@ from einops import rearrange
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.diffusion import Predict, Seed
-from stmc.planning import Plan, Tile
-from stmc.tensors import PerDevice, mask
+from stmc.diffusion.tensors import PerDevice, mask
+from stmc.motion.body import BodyPart
+from stmc.timeline.planning import Plan, Tile
 
 Columns = Mapping[BodyPart, Sequence[int]]
 """Which columns of the features each body part owns; together they own every column once."""

@@ -20,10 +20,10 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from stmc.body_model import Skeleton
-from stmc.files import write_whole
-from stmc.statistics import Statistics
-from stmc.untrusted import UnreadableError, cut, load_json, read_text
+from stmc.diffusion.statistics import Statistics
+from stmc.io.files import write_whole
+from stmc.io.untrusted import UnreadableError, cut, load_json, read_text
+from stmc.motion.body_model import Skeleton
 
 FEATURES, TABLE = "clips.safetensors", "clips.json"
 

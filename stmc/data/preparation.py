@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 
@@ -31,6 +31,7 @@ class LayoutError(ValueError):
     """A folder that is not laid out as its data set's; the message says what was expected and what was found."""
 
 
+@runtime_checkable
 class Preparation(Protocol):
     """A data set on its way to a cache."""
 

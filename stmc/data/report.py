@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stmc.data.cache import Cache
-from stmc.files import write_whole
+from stmc.io.files import write_whole
 
 TEXT, NUMBERS = "report.txt", "report.json"
 

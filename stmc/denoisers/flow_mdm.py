@@ -25,7 +25,7 @@ from stmc.denoisers.flow_mdm_layers import (
 )
 from stmc.denoisers.layers import POSITIONS
 from stmc.denoisers.network import Network
-from stmc.tensors import sinusoids
+from stmc.diffusion.tensors import sinusoids
 
 BPE_TRAINING_RATIO = 0.5
 """The share of the rows in training that have relative positions, not absolute ones (blended positional encodings)."""

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from stmc.denoisers.layers import POSITIONS, Attended, DecoderLayer, PostNormLayer, Stack, heads_of
 from stmc.denoisers.network import Network
-from stmc.tensors import sinusoids
+from stmc.diffusion.tensors import sinusoids
 
 Leading = Literal["step", "step_and_text"]
 """What a token in front of the frames tells: the step alone (in the published code since 2025), or with the text."""

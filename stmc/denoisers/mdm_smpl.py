@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from stmc.denoisers.layers import POSITIONS, PreNormLayer, Stack, heads_of
 from stmc.denoisers.network import Network
-from stmc.tensors import sinusoids
+from stmc.diffusion.tensors import sinusoids
 
 
 class MdmSmpl(Network):

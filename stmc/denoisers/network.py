@@ -11,8 +11,8 @@ from typing import ClassVar
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from stmc.denoisers.protocol import Denoiser
-from stmc.statistics import Statistics, restate
+from stmc.denoisers.denoiser import Denoiser
+from stmc.diffusion.statistics import Statistics, restate
 
 
 class Network(nn.Module, ABC):

@@ -13,14 +13,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS, BodyPart
-from stmc.body_model import Skeleton
-from stmc.bounds import MOST_SECONDS
-from stmc.motion import Motion
-from stmc.planning import assign
-from stmc.settings import SettingError
+from stmc.io.bounds import MOST_SECONDS
+from stmc.io.untrusted import shown
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS, BodyPart
+from stmc.motion.body_model import Skeleton
+from stmc.motion.motion import Motion
+from stmc.settings.records import SettingError
 from stmc.timeline import Prompt, Timeline
-from stmc.untrusted import shown
+from stmc.timeline.planning import assign
 
 BORDER = 0.5
 """Seconds, inside a change, in which the old fades into the new: in half of it, hands jump."""

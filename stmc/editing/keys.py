@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.motion import Motion
+from stmc.motion.motion import Motion
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.editing.legs import exact, like, of_legs, reach_with_legs, smooth, turn_joint
-from stmc.geometry import (
+from stmc.editing.leg_posing import exact, like, of_legs, reach_with_legs, smooth, turn_joint
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import (
     axis_angle_to_matrix,
     global_rotations,
     matrix_to_axis_angle,
@@ -28,8 +28,8 @@ from stmc.geometry import (
     quaternion_to_matrix,
     rotation_z,
 )
-from stmc.motion import Motion
-from stmc.settings import SettingError
+from stmc.motion.motion import Motion
+from stmc.settings.records import SettingError
 
 Moved = tuple[Float[Tensor, "frames 3 2"], Float[Tensor, "frames 3"]]
 """Where the ground below the pelvis and both ankles goes, and by which angles (radians) it turns."""

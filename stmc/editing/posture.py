@@ -12,14 +12,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, PARENTS
-from stmc.body_model import Skeleton
 from stmc.editing.keys import Timing, blended, check_order, frame_times, replace_frames
-from stmc.editing.legs import SIDES, joint, of_legs
+from stmc.editing.leg_posing import SIDES, joint, of_legs
 from stmc.editing.reaching import Triple, body_frame
-from stmc.feet.legs import LEG, bend_leg
-from stmc.geometry import axis_angle_to_matrix, global_rotations
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.feet.leg_bending import LEG, bend_leg
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations
+from stmc.motion.motion import Motion
 
 _NECK, _SPINE = ("neck", "head"), ("spine1", "spine2", "spine3")
 _LOWER = (0, 1, 2, 4, 5, 7, 8, 10, 11)

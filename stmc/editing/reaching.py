@@ -13,12 +13,18 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from stmc.body import JOINTS, MIRROR, PARENTS
-from stmc.body_model import Skeleton
 from stmc.editing.keys import Timing, check_order, frame_times, minimum_jerk, replace_frames
-from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, mirror_rotations, shortest_arc
-from stmc.inverse_kinematics import arm_rotations
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, MIRROR, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import (
+    axis_angle_to_matrix,
+    global_rotations,
+    matrix_to_axis_angle,
+    mirror_rotations,
+    shortest_arc,
+)
+from stmc.motion.inverse_kinematics import arm_rotations
+from stmc.motion.motion import Motion
 
 Triple = tuple[float | int, float | int, float | int]
 
@@ -149,7 +155,7 @@ def body_frame(motion: Motion, frame: str, side: str) -> tuple[Float[Tensor, "fr
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
         >>> origin, axes = stmc.editing.body_frame(motion, "chest", "left")
-        >>> wrist = motion.joints[:, stmc.body.JOINTS.index("left_wrist")]
+        >>> wrist = motion.joints[:, stmc.motion.body.JOINTS.index("left_wrist")]
         >>> ((wrist - origin)[:, None] @ axes).shape
         torch.Size([20, 1, 3])
     """

@@ -10,13 +10,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import PARENTS
-from stmc.body_model import Skeleton
-from stmc.editing.legs import exact, like, of_legs, reach_with_legs
+from stmc.editing.leg_posing import exact, like, of_legs, reach_with_legs
 from stmc.editing.paths import reverse
-from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, rotation_z
-from stmc.motion import Motion
-from stmc.settings import SettingError
+from stmc.motion.body import PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, rotation_z
+from stmc.motion.motion import Motion
+from stmc.settings.records import SettingError
 
 _RATE = 6.0
 """Per second, of the critically damped spring with which one pose becomes another: 95 % in 0.8 s."""

@@ -12,12 +12,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import PARENTS
 from stmc.editing.keys import frame_times, minimum_jerk
-from stmc.editing.legs import SIDES, exact, like, of_legs, reach_with_legs, smooth, turn_joint
-from stmc.geometry import axis_angle_to_matrix, global_rotations, rotation_z
-from stmc.motion import Motion
-from stmc.settings import SettingError
+from stmc.editing.leg_posing import SIDES, exact, like, of_legs, reach_with_legs, smooth, turn_joint
+from stmc.motion.body import PARENTS
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, rotation_z
+from stmc.motion.motion import Motion
+from stmc.settings.records import SettingError
 
 _EARLY = 0.08
 """Seconds by which the trunk begins each step before the feet."""

@@ -2,8 +2,13 @@
 
 from stmc.evaluators.evaluator import Evaluator
 from stmc.evaluators.guo import GuoEvaluator
-from stmc.evaluators.matching import MatchingEvaluator
-from stmc.evaluators.objective import TmrObjective
+from stmc.evaluators.matching_scores import MatchingEvaluator
 from stmc.evaluators.tmr import Posterior, Tmr
 
-__all__ = ["Evaluator", "GuoEvaluator", "MatchingEvaluator", "Posterior", "Tmr", "TmrObjective"]
+__all__ = [
+    "Evaluator",
+    "GuoEvaluator",
+    "MatchingEvaluator",
+    "Posterior",
+    "Tmr",
+]

@@ -14,11 +14,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stmc.diffusion.statistics import Statistics
+from stmc.diffusion.tensors import mask, pad
 from stmc.evaluators.tmr import SequenceEncoder, Tmr
-from stmc.motion import Motion
-from stmc.representation import Representation
-from stmc.statistics import Statistics
-from stmc.tensors import mask, pad
+from stmc.motion.motion import Motion
+from stmc.motion.representation import Representation
 from stmc.text import TextEncoder
 
 BATCH = 64

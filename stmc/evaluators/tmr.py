@@ -13,8 +13,8 @@ from einops import repeat
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from stmc.statistics import Statistics, restate
-from stmc.tensors import sinusoids
+from stmc.diffusion.statistics import Statistics, restate
+from stmc.diffusion.tensors import sinusoids
 
 POSITIONS = 5000
 """Rows of the sinusoidal table: an upper bound of tokens."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from stmc.settings import shown
+from stmc.settings.records import shown
 
 LARGEST, DEEPEST = 2**16, 16
 """Bytes of a config, and collections within one another. Real ones have a thousand and four."""

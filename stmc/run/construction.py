@@ -16,7 +16,7 @@ from types import UnionType
 from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from stmc.run.configs import PARTIAL, TARGET, RunError, brief
-from stmc.settings import SettingError, check_value, shown
+from stmc.settings.records import SettingError, check_value, shown
 
 _TARGET = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+", re.ASCII)
 

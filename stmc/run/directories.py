@@ -18,22 +18,22 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
-from stmc.body import JOINTS
-from stmc.body_model import Skeleton
+from stmc.composing.sampling import Sampling
+from stmc.diffusion.statistics import Statistics
+from stmc.diffusion.tensors import found_device
 from stmc.evaluators import Evaluator
-from stmc.files import sha256, write_text, write_whole
+from stmc.io.files import sha256, write_text, write_whole
 from stmc.model import Model, Precision
-from stmc.renamed import with_new_names
+from stmc.motion.body import JOINTS
+from stmc.motion.body_model import Skeleton
 from stmc.run.configs import TARGET, RunError, brief, config_text, read_config
 from stmc.run.construction import Part
 from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting, check_widths, sketch_fitting
-from stmc.run.records import EvaluatorSettings, ModelSettings, settings_of
+from stmc.run.run_record import EvaluatorSettings, ModelSettings, settings_of
 from stmc.run.weights import misfit, read_specs, specs_of
-from stmc.sampling import Sampling
-from stmc.settings import shown
-from stmc.statistics import Statistics
-from stmc.tensors import found_device
-from stmc.vocabulary import Vocabulary, VocabularyError, read_vocabulary, write_vocabulary
+from stmc.settings.records import shown
+from stmc.settings.renamed import with_new_names
+from stmc.text.vocabulary import Vocabulary, VocabularyError, read_vocabulary, write_vocabulary
 
 BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_wide", "tmr_wide"
 """What is loaded where no folder is named."""

@@ -13,7 +13,7 @@ import torch
 from stmc.denoisers import Network
 from stmc.diffusion import Schedule
 from stmc.evaluators import Tmr
-from stmc.representation import Representation
+from stmc.motion.representation import Representation
 from stmc.run.configs import RunError, check_plain
 from stmc.run.construction import Part, construct, is_ours
 from stmc.run.weights import Spec, misfit, sketch, specs_of
@@ -23,7 +23,7 @@ PARTS = {
     "denoiser": Part("stmc.denoisers", Network),
     "schedule": Part("stmc.diffusion", Schedule),
     "text_encoder": Part("stmc.text", TextEncoder),
-    "representation": Part("stmc.representation", Representation),
+    "representation": Part("stmc.motion.representation", Representation),
 }
 """The parts of a model that a config describes; the first is the network with the weights."""
 EVALUATOR_PARTS = {

@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
-from stmc.body import BodyPart
+from stmc.motion.body import BodyPart
 from stmc.run.directories import VOCABULARY, bundled
 from stmc.text import TextEncoder
+from stmc.text.vocabulary import Suggestion, read_vocabulary, sentence_encoder, suggest
 from stmc.timeline import Timeline
-from stmc.vocabulary import Suggestion, read_vocabulary, sentence_encoder, suggest
 
 Suggest = Callable[[Sequence[str]], Sequence[Suggestion]]
 """Texts → what body parts each seems to be about."""

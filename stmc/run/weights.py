@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 from stmc.run.configs import RunError, brief
-from stmc.settings import shown
+from stmc.settings.records import shown
 
 Network = TypeVar("Network", bound=nn.Module)
 

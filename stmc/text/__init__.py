@@ -9,6 +9,6 @@ from stmc.text.clip import Clip, ClipTokens
 from stmc.text.empty import EmptyAsZeros
 from stmc.text.language_models import MiniLM, Tokens
 from stmc.text.pretrained import WeightsNotFound
-from stmc.text.protocol import TextEncoder
+from stmc.text.text_encoder import TextEncoder
 
 __all__ = ["Cached", "Clip", "ClipTokens", "EmptyAsZeros", "MiniLM", "TextEncoder", "Tokens", "WeightsNotFound"]

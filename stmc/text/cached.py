@@ -16,8 +16,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from stmc.tensors import pad
-from stmc.text.protocol import TextEncoder, check
+from stmc.diffusion.tensors import pad
+from stmc.text.text_encoder import TextEncoder, check
 
 logger = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stmc.tensors import pad
-from stmc.text.protocol import TextEncoder, check
+from stmc.diffusion.tensors import pad
+from stmc.text.text_encoder import TextEncoder, check
 
 
 class EmptyAsZeros:

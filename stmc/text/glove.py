@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stmc.arrays import ArraysError, read_npy, read_places
+from stmc.io.arrays import ArraysError, read_npy, read_places
 
 MOST_WORDS = 20
 """Of a caption; what follows is left out. A start and an end are put around them."""

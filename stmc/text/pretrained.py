@@ -16,9 +16,9 @@ from jaxtyping import Float, Int
 from safetensors import SafetensorError
 from torch import Tensor
 
-from stmc.files import sha256
-from stmc.tensors import pad
-from stmc.text.protocol import check
+from stmc.diffusion.tensors import pad
+from stmc.io.files import sha256
+from stmc.text.text_encoder import check
 
 
 class WeightsNotFound(FileNotFoundError):

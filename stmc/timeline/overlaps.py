@@ -9,7 +9,7 @@ from bisect import bisect_left, insort
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 
-from stmc.body import BodyPart
+from stmc.motion.body import BodyPart
 
 Interval = tuple[int | float, int | float, list[int], list[int]]
 """Start and end, seconds or frames alike; and the indexes of the spans that ended, and that started, at its start."""

@@ -14,15 +14,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-from stmc.body import BodyPart
-from stmc.bounds import MOST_SECONDS
-from stmc.timeline import files
+from stmc.io.bounds import MOST_SECONDS
+from stmc.io.untrusted import shown
+from stmc.motion.body import BodyPart
+from stmc.timeline import timeline_files as files
 from stmc.timeline.advice import advise
-from stmc.timeline.drawing import draw, typed
-from stmc.timeline.files import Draft, Entry, TimelineError
 from stmc.timeline.overlaps import Precedence, sweep
+from stmc.timeline.printing import draw, typed
 from stmc.timeline.rows import crowded, first_fit, renumbered
-from stmc.untrusted import shown
+from stmc.timeline.timeline_files import Draft, Entry, TimelineError
 
 LATEST = MOST_SECONDS
 """Seconds: no prompt ends after four hours, for which a model's features alone take 0.25 GB at 20 fps."""

@@ -7,16 +7,18 @@ from importlib import import_module
 from typing import Any
 
 from stmc.training.checkpoint import CheckpointError, Checkpoints
+from stmc.training.contrastive_batches import Pairs
 from stmc.training.distilling import GuidedTeacher
 from stmc.training.ema import Ema
 from stmc.training.loss import Batch, Denoising, Objective, draw_noise, energy_weights, squared_errors
-from stmc.training.pairs import Pairs
 from stmc.training.resuming import SettingsChanged
+from stmc.training.tmr_objective import TmrObjective
 
 _LATER = {name: "loop" for name in ("Batches", "Callback", "Settings", "Trainer")}
 _LATER |= {name: "device" for name in ("begin", "find_accelerator")}
 
 __all__ = [
+    "TmrObjective",
     "Batch",
     "CheckpointError",
     "Checkpoints",

@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from stmc.files import write_whole
+from stmc.io.files import write_whole
 
 logger = logging.getLogger(__name__)
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import torch
 from accelerate import Accelerator
 
-from stmc.files import locked
-from stmc.tensors import found_device
+from stmc.diffusion.tensors import found_device
+from stmc.io.files import locked
 
 
 def find_accelerator(device: str) -> Accelerator:

@@ -12,9 +12,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stmc import tensors
-from stmc.denoisers.protocol import Denoiser
-from stmc.diffusion import guide
+from stmc.denoisers.denoiser import Denoiser
+from stmc.diffusion import guide, tensors
 from stmc.training.loss import Batch
 
 NEIGHBOURS = 5

@@ -6,8 +6,8 @@ import csv
 from collections.abc import Mapping
 from pathlib import Path
 
-from stmc.files import write_whole
-from stmc.renamed import RENAMED_COLUMNS
+from stmc.io.files import write_whole
+from stmc.settings.renamed import RENAMED_COLUMNS
 
 
 class Table:

@@ -21,7 +21,7 @@ from accelerate import Accelerator
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch import Tensor, nn
 
-from stmc.renamed import with_new_paths
+from stmc.settings.renamed import with_new_paths
 from stmc.training.checkpoint import CheckpointError, Checkpoints
 from stmc.training.ema import Ema
 from stmc.training.logs import Board, Table
@@ -114,7 +114,7 @@ class Trainer:
     `validation` pieces are met with the same noise every time. `described` is plain data, everything but the `settings`
     that the outcome depends on: a run that was begun with something else is refused with `SettingsChanged`, or with
     `allow_changed_settings` goes on, and `changes` says what was changed when. Two processes must not be in one folder:
-    see `stmc.files.locked`.
+    see `stmc.io.files.locked`.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from stmc.denoisers.protocol import Denoiser
+from stmc.denoisers.denoiser import Denoiser
 from stmc.diffusion.schedule import Prediction, Schedule
 
 AuxiliaryLoss = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor, "batch _ derived"]]

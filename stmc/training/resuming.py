@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from stmc.untrusted import cut
+from stmc.io.untrusted import cut
 
 MAY_CHANGE = (
     *("run", "data.folder", "data.preparation", "text_cache"),  # places: what lies there has a fingerprint

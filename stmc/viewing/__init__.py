@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and the reference
     from stmc.viewing.film import render_film
-    from stmc.viewing.plans import plot_plan
+    from stmc.viewing.plan_figure import plot_plan
     from stmc.viewing.strip import film_strip
-    from stmc.viewing.tracks import plot_timeline
+    from stmc.viewing.timeline_figure import plot_timeline
     from stmc.viewing.web import html_frame, render_html, view
 
-_LATER = {"render_film": "film", "plot_plan": "plans", "film_strip": "strip", "plot_timeline": "tracks"}
+_LATER = {"render_film": "film", "plot_plan": "plan_figure", "film_strip": "strip", "plot_timeline": "timeline_figure"}
 _LATER |= dict.fromkeys(("html_frame", "render_html", "view"), "web")
 
 __all__ = ["film_strip", "html_frame", "plot_plan", "plot_timeline", "render_film", "render_html", "view"]

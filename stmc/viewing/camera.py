@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from stmc.body import JOINTS
+from stmc.motion.body import JOINTS
 
 _ELEVATION = math.radians(18.0)
 _ROOM = 1.12

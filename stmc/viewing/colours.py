@@ -7,10 +7,10 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from stmc.body import BodyPart
-from stmc.motion import Motion
-from stmc.planning import assign
+from stmc.motion.body import BodyPart
+from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
+from stmc.timeline.planning import assign
 
 NEUTRAL = "#b9bec7"
 """Nobody's: gaps, and the middle of transitions."""

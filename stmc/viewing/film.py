@@ -11,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from stmc.body_model import Body
-from stmc.files import write_whole
-from stmc.motion import Motion
+from stmc.io.files import write_whole
+from stmc.motion.body_model import Body
+from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 from stmc.viewing.colours import ink, palette, part_colours, transition_seconds
 from stmc.viewing.film_formats import FILMS, ffmpeg

@@ -14,9 +14,9 @@ import torch
 import viser
 from jaxtyping import Float
 
-from stmc.body import BodyPart
-from stmc.motion import Motion
-from stmc.skins import PARTS, Skin
+from stmc.motion.body import BodyPart
+from stmc.motion.motion import Motion
+from stmc.motion.skins import PARTS, Skin
 from stmc.viewing.camera import framing
 
 FOV = math.radians(38.0)

@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Polygon
 
-from stmc.body_model import Body
-from stmc.motion import Motion
-from stmc.skins import PARTS, Skin, skin_of
+from stmc.motion.body_model import Body
+from stmc.motion.motion import Motion
+from stmc.motion.skins import PARTS, Skin, skin_of
 from stmc.timeline import Timeline
 from stmc.viewing.colours import as_rgb, mix, part_colours, transition_seconds
 from stmc.viewing.figure import Figure
-from stmc.viewing.tracks import FAINT, INK, draw_tracks
+from stmc.viewing.timeline_figure import FAINT, INK, draw_tracks
 
 _ELEVATION = math.radians(14.0)
 _ASIDE = math.radians(38.0)

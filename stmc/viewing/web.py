@@ -12,12 +12,12 @@ from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
-from stmc.body_model import Body
-from stmc.motion import Motion
-from stmc.skins import skin_of
+from stmc.motion.body_model import Body
+from stmc.motion.motion import Motion
+from stmc.motion.skins import skin_of
+from stmc.text.vocabulary import Recognition
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing.colours import NEUTRAL, ink, owners, palette, part_colours, transition_seconds, transitions
-from stmc.vocabulary import Recognition
 
 _ALONE = (
     '<meta http-equiv="Content-Security-Policy" content="default-src data: blob:; '

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.body import JOINTS
-from stmc.body_model import Skeleton
-from stmc.data.sources import cmu
-from stmc.geometry import axis_angle_to_matrix
+from stmc.data.sources.cmu import catalogue as cmu
+from stmc.motion.body import JOINTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix
 
 LEGS_APART = Rotation.from_euler("z", 20, degrees=True).as_matrix()
 """CMU's rest pose spreads the legs: the left one by this, the right one by its inverse."""

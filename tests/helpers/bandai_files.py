@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stmc.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.body_model import Skeleton
-from stmc.data.sources.bandai import SOURCE_JOINTS, rest_rotations
-from stmc.geometry import axis_angle_to_matrix, global_rotations, rotation_z
-from stmc.motion import Motion
+from stmc.data.sources.bandai.recordings import SOURCE_JOINTS, rest_rotations
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, rotation_z
+from stmc.motion.motion import Motion
 
 TREE = {"joint_Root": None, "Hips": "joint_Root", "Spine": "Hips", "Chest": "Spine", "Neck": "Chest", "Head": "Neck"}
 for _limb in (("Chest", "Shoulder", "UpperArm", "LowerArm", "Hand"), ("Hips", "UpperLeg", "LowerLeg", "Foot", "Toes")):

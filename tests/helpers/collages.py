@@ -3,12 +3,12 @@
 import torch
 from torch import Tensor
 
-from stmc.body import BodyPart
 from stmc.composing import distinct_texts, guided_crops
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule
-from stmc.planning import Plan, plan
+from stmc.motion.body import BodyPart
 from stmc.timeline import Prompt, Timeline
+from stmc.timeline.planning import Plan, plan
 
 FPS = 20
 COLUMNS = {part: (i, 9 - i) for i, part in enumerate(BodyPart)}

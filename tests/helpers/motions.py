@@ -4,10 +4,10 @@ import math
 
 import torch
 
-from stmc.body import JOINTS, NUM_ROTATIONS
-from stmc.body_model import Skeleton
-from stmc.geometry import axis_angle_to_matrix, matrix_to_axis_angle, rotation_z
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, NUM_ROTATIONS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle, rotation_z
+from stmc.motion.motion import Motion
 
 STANDING = axis_angle_to_matrix(torch.tensor([math.pi / 2, 0.0, 0.0], dtype=torch.float64))
 """Turns SMPL's rest pose (y up, facing z) to a z-up world: it faces -y with its left towards +x."""

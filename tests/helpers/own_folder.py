@@ -20,7 +20,7 @@ def plain(plan):
 '''
 
 BENCH = '''
-from stmc.benchmarks import Scores
+from stmc.evaluation.benchmarks import Scores
 from stmc.timeline import Timeline
 
 
@@ -48,7 +48,7 @@ FILES = {
     "configs/benchmark/reach.yaml": "_target_: mylab.bench.Reach\n_partial_: true\nseconds: 1\n",
     "configs/experiment/mine.yaml": (
         "defaults: [base, _self_]\nname: mine\nmethods: [stmc, mylab.rules.plain]\n"
-        "table: {_target_: stmc.results.sweep_table, _partial_: true, varied: [method]}\n"
+        "table: {_target_: stmc.evaluation.results.sweep_table, _partial_: true, varied: [method]}\n"
     ),
 }
 """What no page has in full."""

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from stmc.motion import Motion
-from stmc.representation import SmplRepresentation
+from stmc.motion.motion import Motion
+from stmc.motion.representation import SmplRepresentation
 
 REPRESENTATION = SmplRepresentation()
 

@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -15,10 +15,7 @@ ROOT = Path(__file__).parents[2]
 
 def loaded(script: str) -> ModuleType:
     """A script of its own, not yet run."""
-    spec = spec_from_file_location(f"{script}_script", ROOT / "scripts" / f"{script}.py")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return import_module(f"stmc.cli.{script}")
 
 
 def configured(name: str, *overrides: object) -> DictConfig:

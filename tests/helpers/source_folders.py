@@ -10,11 +10,11 @@ import torch
 from einops import rearrange
 from helpers.motions import walking
 
-from stmc.body_model import Skeleton
-from stmc.geometry import matrix_to_axis_angle
-from stmc.motion import Motion
-from stmc.representation import HumanML3DRepresentation
-from stmc.representation.humanml3d import features_to_joints
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import matrix_to_axis_angle
+from stmc.motion.motion import Motion
+from stmc.motion.representation import HumanML3DRepresentation
+from stmc.motion.representation.humanml3d import features_to_joints
 
 PUBLISHED = {
     "000000": ("KIT/3/kick_high_left02_poses", "train", (("someone walks and raises the right arm", 0.0, 3.0),)),

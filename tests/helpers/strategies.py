@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import strategies as st
 
-from stmc.body import BodyPart
+from stmc.motion.body import BodyPart
 from stmc.timeline import Prompt, Timeline
 
 TEXTS = ("walk forwards", "raise the right arm", "wave with both hands", "sit down", "nod", "turn left")

@@ -11,8 +11,8 @@ from starlette.testclient import TestClient
 import stmc
 from stmc.run import bundled
 from stmc.run.directories import VOCABULARY
-from stmc.studio import Sessions, application
-from stmc.vocabulary import read_vocabulary
+from stmc.text.vocabulary import read_vocabulary
+from stmc.viewing.studio import Sessions, application
 
 PORT = 8686
 ADDRESS = f"http://127.0.0.1:{PORT}"

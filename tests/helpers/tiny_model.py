@@ -7,15 +7,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from stmc.body import NUM_ROTATIONS
-from stmc.body_model import Skeleton
 from stmc.denoisers import MdmSmpl
 from stmc.diffusion import Schedule
+from stmc.diffusion.statistics import Statistics
+from stmc.diffusion.tensors import pad
 from stmc.model import Model
-from stmc.motion import Motion
-from stmc.representation import SmplRepresentation
-from stmc.statistics import Statistics
-from stmc.tensors import pad
+from stmc.motion.body import NUM_ROTATIONS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.motion import Motion
+from stmc.motion.representation import SmplRepresentation
 
 WIDTH = 384
 """Of a word: MiniLM's, so that the config can name a text encoder that comes with the library."""
@@ -32,7 +32,7 @@ CONFIG: dict[str, Any] = {
     },
     "schedule": {"_target_": "stmc.diffusion.Schedule.cosine", "steps": 100},
     "text_encoder": {"_target_": "stmc.text.MiniLM", "pooling": "tokens"},
-    "representation": {"_target_": "stmc.representation.SmplRepresentation"},
+    "representation": {"_target_": "stmc.motion.representation.SmplRepresentation"},
 }
 
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from stmc.data.cache import Cache, Clip
-from stmc.representation import Field, Layout
+from stmc.motion.representation import Field, Layout
 
 LAYOUT = Layout((Field("root_velocity", 2), Field("rotations", 6), Field("positions", 3, ("head",))))
 """11 features."""

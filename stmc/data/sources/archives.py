@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 from itertools import islice
 from pathlib import Path, PurePosixPath
 
-from stmc.untrusted import UnreadableError, cut, read_bytes
+from stmc.io.untrusted import UnreadableError, cut, read_bytes
 
 MOST_BYTES = 32 * 2**20
 """Of one file; the largest of Bandai's is below 1 MB, and of CMU's, three minutes at 120 frames per second, 20 MB."""

@@ -9,7 +9,7 @@ import functools
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from stmc.data.sources.humanml3d_texts import Caption, read_captions
+from stmc.data.sources.humanml3d.humanml3d_texts import Caption, read_captions
 
 MODEL = "en_core_web_sm"
 """The pipeline that HumanML3D's captions were tagged with."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from types import MappingProxyType
 
-from stmc.body import BodyPart
+from stmc.motion.body import BodyPart
 
 PLAIN_SHARE = 0.5
 """Share of the draws in which a styled clip is described without its style, so that plain texts reach every style."""

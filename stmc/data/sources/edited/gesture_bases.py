@@ -13,12 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, PARENTS
-from stmc.body_model import Skeleton
 from stmc.data.sources.edited.recipe import Base, Bases, Unusable
 from stmc.editing import copy_arm
-from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
+from stmc.motion.motion import Motion
 
 Kind = Literal["stand", "walk", "sit"]
 

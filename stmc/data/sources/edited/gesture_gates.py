@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.body import JOINTS, PARENTS
 from stmc.editing import body_frame
-from stmc.geometry import global_rotations
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.geometry import global_rotations
+from stmc.motion.motion import Motion
 
 _EAR = (0.15, 0.02, 0.06)
 _MOUTH = (0.045, -0.035, 0.175)

@@ -11,7 +11,7 @@ from stmc.data.sources.edited.measuring import both_stand
 from stmc.data.sources.edited.recipe import Bases, Draft, Recipe
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.resting import follow
-from stmc.motion import Motion
+from stmc.motion.motion import Motion
 
 
 def idle(bases: Bases, rng: np.random.Generator) -> Draft:

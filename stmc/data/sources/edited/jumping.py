@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from stmc.body import PARENTS
 from stmc.data.sources.edited.measuring import both_stand, distance, flights, forward, leftward, rests, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.standing import draw_standing
-from stmc.editing.legs import exact, of_legs, reach_with_legs, smooth
+from stmc.editing.leg_posing import exact, of_legs, reach_with_legs, smooth
 from stmc.editing.paths import change_pace, reverse, shift_sideways
 from stmc.editing.resting import add_rest, follow
-from stmc.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
-from stmc.motion import Motion
+from stmc.motion.body import PARENTS
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
+from stmc.motion.motion import Motion
 
 
 def _draw(bases: Bases, rng: np.random.Generator, shortest: float, longest: float) -> Base:

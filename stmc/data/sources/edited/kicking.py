@@ -13,17 +13,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.body import JOINTS, PARENTS
 from stmc.data.sources.edited.jumping import rested
 from stmc.data.sources.edited.measuring import foot_speed, rests, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.keys import minimum_jerk
-from stmc.editing.legs import exact, of_legs, reach_with_legs, smooth
+from stmc.editing.leg_posing import exact, of_legs, reach_with_legs, smooth
 from stmc.editing.paths import change_pace
-from stmc.geometry import axis_angle_to_matrix, global_rotations
-from stmc.metrics.kinematics import joint
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, PARENTS
+from stmc.motion.geometry import axis_angle_to_matrix, global_rotations
+from stmc.motion.kinematics import joint
+from stmc.motion.motion import Motion
 
 _APART = 0.15
 """Metres by which the kicking foot goes higher than the other one."""

@@ -16,8 +16,8 @@ from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.paths import bend_path, change_pace, reverse
 from stmc.editing.turning import turn_on_spot
-from stmc.metrics.kinematics import joint
-from stmc.motion import Motion
+from stmc.motion.kinematics import joint
+from stmc.motion.motion import Motion
 
 _EVEN = ("normal", "active", "feminine", "masculine", "youthful", "happy")
 """Styles whose walks are nothing but walks."""

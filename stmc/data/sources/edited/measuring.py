@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stmc.metrics.kinematics import joint
-from stmc.motion import Motion
+from stmc.motion.kinematics import joint
+from stmc.motion.motion import Motion
 
 STILL = 0.3
 """Metres a second below which a foot stands."""

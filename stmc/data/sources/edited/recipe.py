@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from stmc.motion import Motion
+from stmc.motion.motion import Motion
 
 Origin = Literal["recorded", "edited", "authored"]
 """Where a clip's movement comes from: a recording as it is (cut, mirrored); a recording with another path, pace or

@@ -23,7 +23,7 @@ from stmc.editing import (
     turn_trunk,
 )
 from stmc.editing.reaching import Triple
-from stmc.motion import Motion
+from stmc.motion.motion import Motion
 
 Spread = tuple[float | int, float | int]
 """The least and the greatest value of something that is drawn evenly."""

@@ -12,12 +12,12 @@ import math
 import numpy as np
 import torch
 
-from stmc.body import JOINTS, PARENTS, BodyPart
-from stmc.body_model import Skeleton
 from stmc.data.sources.edited.recipe import Base, Bases, Unusable
-from stmc.geometry import global_rotations
-from stmc.metrics.kinematics import joint
-from stmc.motion import Motion
+from stmc.motion.body import JOINTS, PARENTS, BodyPart
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import global_rotations
+from stmc.motion.kinematics import joint
+from stmc.motion.motion import Motion
 
 WAVES = ("wave-left-hand", "wave-right-hand")
 BUSY = (

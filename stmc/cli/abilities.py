@@ -1,0 +1,115 @@
+"""Measure what a model can do, by the geometry of its samples: `stmc abilities model=RUN`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+import stmc
+from stmc.cli.commands import command
+from stmc.cli.shared_settings import OnModel
+from stmc.data.cache import Cache, read_caches
+from stmc.diffusion import NoiseScale
+from stmc.evaluation.benchmarks.ability import abilities
+from stmc.evaluation.metrics.action_measures import mean_speed
+from stmc.io.files import write_text, write_whole
+from stmc.model import Precision
+from stmc.motion import kinematics
+from stmc.settings.records import setting
+from stmc.viewing import film_strip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnModel):
+    """Settings of `stmc abilities`."""
+
+    samples: int = setting(32, "motions of each ability", at_least=2)
+    seed: int = setting(0, "of the first motion", at_least=0)
+    guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
+    overlap: float | int = setting(0.5, "how long transitions are", unit="s", at_least=0)
+    steps: int | None = setting(None, "of denoising; null: as many as in training", at_least=1)
+    noise_scales: tuple[str, ...] = setting(("std", "variance"), "of DDPM's noise", choices=get_args(NoiseScale))
+    cache: tuple[str, ...] = setting((), "prepared data, to measure the test split's foot sliding beside the model's")
+    output: str = setting("outputs/abilities", "folder of pictures and numbers")
+    precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+
+
+@command("abilities", Settings, ("model", "output"))
+def main(config: DictConfig) -> None:
+    model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
+    folder.mkdir(parents=True, exist_ok=True)
+    results = {}
+    with Progress() as progress:
+        task = progress.add_task("Sampling", total=len(config.noise_scales) * len(abilities()))
+        for scale in config.noise_scales:
+            for ability in abilities():
+                motions = model.generate(
+                    [ability.timeline] * config.samples,
+                    seed=config.seed,
+                    guidance=config.guidance,
+                    overlap=config.overlap,
+                    steps=config.steps,
+                    noise_scale=scale,
+                    clean_feet=False,
+                )
+                results.setdefault(ability.name, {})[scale] = measured(ability, motions)
+                figure = partial(film_strip(motions[0], ability.timeline).savefig, format="png", dpi=80)
+                write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)
+                progress.advance(task)
+    if config.cache:
+        results["real"] = real(read_caches(list(config.cache)), model)
+    write_text(folder / "abilities.json", json.dumps(results, indent=1) + "\n")
+    report(results, config.noise_scales)
+
+
+def measured(ability, motions) -> dict[str, float]:
+    """Share of motions that show the ability, and what else they tell."""
+    return {
+        "shown": float(np.mean([ability.shown(motion) for motion in motions])),
+        "expected": ability.expected,
+        "speed": float(np.mean([mean_speed(motion) for motion in motions])),
+        "turn": float(np.degrees(np.mean([kinematics.turn(motion) for motion in motions]))),
+        "sliding_cm": 100 * float(np.nanmean([kinematics.foot_sliding(motion) for motion in motions])),
+        "diversity_cm": 100 * kinematics.diversity(motions),
+    }
+
+
+def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
+    """Foot sliding of the test split's real clips, by content."""
+    contents = {}
+    for clip in cache.clips:
+        if clip.split == "test":
+            motion = model.representation.decode(cache.features[clip.start : clip.end], cache.fps, model.skeleton)
+            contents.setdefault(clip.content, []).append(100 * kinematics.foot_sliding(motion))
+    return {content: float(np.nanmean(values)) for content, values in sorted(contents.items())}
+
+
+def report(results: dict, noise_scales: list[str]) -> None:
+    """Print the table of the results."""
+    columns = ("success", "m/s", "°", "slide cm", "div cm")
+    table = Table("", "expected", *(f"{column}, {scale}" for scale in noise_scales for column in columns))
+    for name, rows in results.items():
+        if name == "real":
+            continue
+        cells = [
+            text
+            for scale in noise_scales
+            for row in [rows[scale]]
+            for text in (
+                f"{row['shown']:.0%}", f"{row['speed']:.2f}", f"{row['turn']:.0f}", f"{row['sliding_cm']:.2f}",
+                f"{row['diversity_cm']:.1f}",
+            )
+        ]  # fmt: skip
+        table.add_row(name, f"{rows[noise_scales[0]]['expected']:.0%}", *cells)
+    Console().print(table)
+    for content, value in results.get("real", {}).items():
+        Console().print(f"real {content}: feet slide {value:.2f} cm per frame of contact")

@@ -1,0 +1,185 @@
+"""Measure time and memory against the length of a timeline, each length in its own process.
+
+The command prints a table and saves the figure and the numbers. On a CPU, times are ratios to the shortest timeline of
+the same run.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import psutil
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import stmc
+from stmc.cli.commands import command
+from stmc.cli.shared_settings import OnDevice, Threaded
+from stmc.evaluation.results.chart_axes import DASHED, dress, grid, legend
+from stmc.evaluation.results.naming import method_row
+from stmc.io.files import write_text, write_whole
+from stmc.settings.records import setting
+from stmc.viewing.colours import palette
+from stmc.viewing.timeline_figure import INK
+
+MEBIBYTE = 2**20
+TEXTS = ("walk forwards", "turn left", "wave with the right hand", "run", "raise both arms", "turn right")
+
+
+class Measured(NamedTuple):
+    """Of one timeline: seconds that sampling took (on a CPU those that the process had of it), and the peak of memory
+    in bytes, before sampling and in all."""
+
+    time: float
+    loaded: int
+    peak: int
+    device: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnDevice, Threaded):
+    """Settings of `stmc benchmark-length`."""
+
+    runs: tuple[Mapping, ...] = setting(
+        ({"method": "stmc", "model": None},), "methods, each with its model's run directory (null: the bundled one)"
+    )
+    seconds: tuple[float | int, ...] = setting((10, 30, 60, 120, 300, 600), "of each timeline", unit="s", above=0)
+    prompt: float | int = setting(5, "length of each prompt", unit="s", above=0)
+    texts: tuple[str, ...] = setting(TEXTS, "of the prompts, again and again")
+    steps: int = setting(3, "of denoising", at_least=1)
+    repeats: int = setting(3, "of every measurement; the fastest counts", at_least=1)
+    output: str = setting("outputs/length", "folder of length.png and length.json")
+
+
+@command("benchmark_length", Settings)
+def main(config: DictConfig) -> None:
+    jobs = [(run.method, run.model, seconds) for run in config.runs for seconds in sorted(config.seconds)]
+    settings = OmegaConf.to_container(config, resolve=True)
+    console = Console()
+    found = {}
+    for name, model, seconds in track(jobs, "Lengths", console=console):
+        with ProcessPoolExecutor(1, get_context("spawn")) as process:  # the maximum of memory is a process's own
+            found[name, model, seconds] = process.submit(measure, name, model, seconds, settings).result()
+    rows = records(found)
+    console.print(table(rows))
+    folder = Path(config.output).expanduser()
+    write_text(folder / "length.json", json.dumps(rows, indent=1) + "\n")
+    write_whole(folder / "length.png", lambda path: drawn(rows).savefig(path, dpi=150, format="png"))
+    console.print(f"{folder / 'length.png'}, {folder / 'length.json'}")
+
+
+def timeline(seconds: float | int, prompt: float | int, texts: list[str]) -> stmc.Timeline:
+    """One track of prompts that follow each other, the last one perhaps shorter."""
+    starts = [number * prompt for number in range(-int(-seconds // prompt))]
+    return stmc.Timeline(
+        [
+            stmc.Prompt(texts[number % len(texts)], start, min(start + prompt, seconds))
+            for number, start in enumerate(starts)
+        ]
+    )
+
+
+def measure(name: str, folder: str | None, seconds: float | int, settings: dict) -> Measured:
+    """Samples a timeline of so many seconds in this process, after one of a single prompt that loads everything."""
+    if settings["threads"]:
+        torch.set_num_threads(settings["threads"])
+    model = stmc.load(folder, device=settings["device"])
+    prompt, texts = settings["prompt"], settings["texts"]
+    asked = timeline(seconds, prompt, texts)
+    model.generate(timeline(prompt, prompt, texts), steps=1, method=name, clean_feet=False)
+    model.embed(texts)
+    loaded = peak(model.device)
+    clock = time.process_time if model.device.type == "cpu" else time.perf_counter  # other work does not count
+    spent = []
+    for _ in range(settings["repeats"]):
+        start = clock()
+        model.generate(asked, steps=settings["steps"], method=name, clean_feet=False)
+        spent.append(clock() - start)
+    return Measured(min(spent), loaded, peak(model.device), str(model.device))
+
+
+def peak(device: torch.device) -> int:
+    """The most bytes that this process ever had: on the GPU, or else altogether."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device)
+    if sys.platform == "win32":
+        return psutil.Process().memory_info().peak_wset
+    import resource  # not on Windows
+
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else 1024 * most
+
+
+def records(found: dict[tuple[str, str | None, float | int], Measured]) -> list[dict]:
+    """A row for each length: time relative to the run's shortest, and in seconds on a GPU alone."""
+    shortest: dict[tuple[str, str | None], Measured] = {}
+    rows = []
+    for (name, model, seconds), measured in found.items():
+        first = shortest.setdefault((name, model), measured)
+        row = {"method": name, "model": model, "length": seconds, "relative_time": measured.time / first.time}
+        row |= {"peak_bytes": measured.peak, "sampling_bytes": measured.peak - measured.loaded}
+        rows.append(row | {"device": measured.device})
+        if measured.device != "cpu":
+            rows[-1]["seconds"] = measured.time
+    return rows
+
+
+def table(rows: list[dict]) -> Table:
+    """The rows as text."""
+    table = Table(
+        "method", "length", "time / shortest", "seconds", "peak memory", "of it for sampling", title="Lengths"
+    )
+    for row in rows:
+        seconds = f"{row['seconds']:.2f}" if "seconds" in row else "–"
+        memory = [f"{row[name] / MEBIBYTE:.0f} MiB" for name in ("peak_bytes", "sampling_bytes")]
+        table.add_row(
+            method_row(row["method"]).label, f"{row['length']:g} s", f"{row['relative_time']:.2f}", seconds, *memory
+        )
+    return table
+
+
+def drawn(rows: list[dict]) -> Figure:
+    """Time and memory of sampling against the length, a line per run; dashed, straight lines through the origin and the
+    longest, which on these logarithmic axes all have slope one."""
+    plot, panels = grid(2, wide=4.4, tall=3.2)
+    timed = all("seconds" in row for row in rows)
+    draw(panels[0], rows, "seconds" if timed else "relative_time", 1)
+    draw(panels[1], rows, "sampling_bytes", MEBIBYTE)
+    for axes, label in zip(panels, ("seconds" if timed else "time / shortest", "memory of sampling, MiB"), strict=True):
+        axes.set_ylabel(label, color=INK, fontsize=9)
+    legend(plot, panels)
+    return plot
+
+
+def draw(axes: Axes, rows: list[dict], key: str, unit: int) -> None:
+    """One panel. What is not above 0 (memory that loading had needed already) is left out."""
+    runs = list(dict.fromkeys((row["method"], row["model"]) for row in rows))
+    for colour, run in zip(palette(len(runs)), runs, strict=True):
+        own = [row for row in rows if (row["method"], row["model"]) == run and row[key] > 0]
+        lengths, values = [row["length"] for row in own], [row[key] / unit for row in own]
+        named = [other for other, _ in runs].count(run[0]) > 1
+        label = f"{method_row(run[0]).label}, {Path(run[1] or 'bundled').name}" if named else method_row(run[0]).label
+        axes.plot(lengths, values, color=colour, marker="o", markersize=4, linewidth=1.6, label=label)
+        if own:
+            straight = [values[-1] / lengths[-1] * length for length in lengths]
+            axes.plot(lengths, straight, zorder=1, label="straight line", **DASHED)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    lengths = sorted({row["length"] for row in rows})
+    axes.set_xticks(lengths, [f"{length / 60:g} min" if length >= 60 else f"{length:g} s" for length in lengths])
+    axes.minorticks_off()
+    axes.set_xlabel("length of the timeline", color=INK, fontsize=9)
+    dress(axes, "both")

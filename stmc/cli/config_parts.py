@@ -1,0 +1,123 @@
+"""What a command builds of its configuration: the same constructor as for run directories, with a table of its own.
+
+A configuration may be anybody's: a file in `--config-dir`, or an override. It builds classes and functions of the table
+below and of packages that the command line trusts, and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from inspect import Signature
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from stmc.run import Part, construct, signature_of
+from stmc.run.configs import TARGET
+from stmc.settings.records import SettingError, shown
+
+_PLUGINS, _LOGS = ("hydra._internal.", "hydra_plugins."), ("logging.", "colorlog.")
+_SOURCES = "stmc.data.sources"
+NAMES = (
+    "stmc.training.Settings",
+    "stmc.training.Denoising",
+    "stmc.training.TmrObjective",
+    "stmc.training.data.dataset.Dataset",
+    "stmc.training.data.batches.Sampling",
+    "stmc.training.data.prolonging.Prolonging",
+    "stmc.training.data.foot_velocity.FootVelocity",
+    "stmc.data.cache.read_caches",
+    f"{_SOURCES}.amass.annotated_amass.AnnotatedAmass",
+    f"{_SOURCES}.babel.babel_rows.read_babel_labels",
+    f"{_SOURCES}.babel.babel_rows.RowConversion",
+    f"{_SOURCES}.bandai.bandai_clips.BandaiClips",
+    f"{_SOURCES}.caption_tags.Tags.read",
+    f"{_SOURCES}.cmu.cmu_clips.CmuClips",
+    f"{_SOURCES}.cmu.cmu_recordings.CmuRecordings",
+    f"{_SOURCES}.babel.composition_lists.read_compositions",
+    f"{_SOURCES}.babel.composition_references.babel_references",
+    f"{_SOURCES}.babel.composition_references.humanml3d_references",
+    f"{_SOURCES}.edited.edited_clips.EditedClips",
+    f"{_SOURCES}.humanml3d.humanml3d_folder.ProcessedHumanML3D",
+    f"{_SOURCES}.humanml3d.humanml3d_clips.read_captioned_clips",
+    f"{_SOURCES}.babel.teach_recordings.TeachRecordings",
+    "stmc.evaluation.benchmarks.Compositions",
+    "stmc.evaluation.benchmarks.PublishedCompositions",
+    "stmc.evaluation.benchmarks.SingleText",
+    "stmc.evaluation.benchmarks.mtt_open",
+    "stmc.evaluation.benchmarks.open_mtt",
+    "stmc.evaluation.benchmarks.published_mtt",
+    "stmc.run.published.read_guo_evaluator",
+    "stmc.evaluation.results.comparison_table",
+    "stmc.evaluation.results.repetition_table",
+    "stmc.evaluation.results.single_text_table",
+    "stmc.evaluation.results.sweep_table",
+    "stmc.evaluation.results.with_published",
+    "stmc.evaluation.results.charts.bars",
+    "stmc.evaluation.results.charts.quality_against_cost",
+    "stmc.evaluation.results.charts.sweep",
+    "stmc.evaluation.results.composition_charts.jerk_curves",
+    "stmc.evaluation.results.composition_charts.trade_off",
+    "stmc.motion.representation.SmplRepresentation",
+    "stmc.motion.representation.BabelRepresentation",
+    "stmc.motion.representation.HumanML3DRepresentation",
+)
+"""The classes and functions that configurations build beside the text encoders, by their names in `_target_`."""
+
+
+def build_part(config: Any, place: str, kind: type = object, **given: Any) -> Any:
+    """Build the part of a configuration that stands at `place`, such as `data.sampling`, with the arguments `given`.
+
+    Raises `RunError` for a name that is neither in the table nor of a trusted package, and for arguments that do not
+    fit.
+    """
+    return construct(described(config, place) | given, place, _part(kind), _trusted(config))
+
+
+def signature_of_part(config: Any, place: str) -> Signature:
+    """The arguments of what stands at `place`. Raises as `build_part`."""
+    return signature_of(described(config, place), place, _part(object), _trusted(config))
+
+
+def described(config: Any, place: str) -> dict[str, Any]:
+    """The description at `place` as plain data. Raises `SettingError` where there is none."""
+    node = OmegaConf.select(config, place)
+    if not OmegaConf.is_dict(node):
+        raise SettingError(f"{place}={shown(node)}: a table with `_target_` needed")
+    return OmegaConf.to_container(node, resolve=True)
+
+
+def _part(kind: type) -> Part:
+    return Part("stmc.text", kind, NAMES)
+
+
+def _trusted(config: Any) -> Sequence[str]:
+    return tuple(config.get("trusted") or ())
+
+
+def check_plugins(node: Any, place: str = "hydra") -> None:
+    """Raise `SettingError` where Hydra's own settings name anything but its launchers, sweepers and log handlers: it
+    builds these itself, before the first job."""
+    pairs = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for key, value in pairs:
+        if (
+            (key == TARGET and not _starts(value, _PLUGINS))
+            or key == "()"
+            or (key == "class" and not _starts(value, _LOGS))
+        ):
+            raise SettingError(f"{place}.{key}={shown(value)}: this is not a part of Hydra's")
+        check_plugins(value, f"{place}.{key}")
+
+
+def _starts(value: Any, beginnings: tuple[str, ...]) -> bool:
+    return isinstance(value, str) and value.startswith(beginnings)
+
+
+def check_trust(config: Mapping[str, Any], overrides: Sequence[str]) -> None:
+    """Raise `SettingError` where a file names trusted packages and the command line does not: a stranger's
+    configuration would trust itself."""
+    said = any(each.lstrip("+").partition("=")[0] == "trusted" for each in overrides)
+    if config.get("trusted") and not said:
+        raise SettingError(
+            f"trusted={shown(list(config['trusted']))}: a file may not say so; say it on the command line"
+        )

@@ -1,0 +1,129 @@
+"""Open the studio: a page on this machine to write timelines, sample, edit and export motions.
+
+    stmc studio                      with the bundled model
+    stmc studio model=runs/mine      with a model of your own
+
+The page is served to this machine alone, sends nothing anywhere, and needs no network.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Timer
+from typing import get_args
+
+from omegaconf import DictConfig
+from rich.console import Console
+
+import stmc
+from stmc.cli.commands import command
+from stmc.cli.shared_settings import OnModel, Threaded
+from stmc.io.files import locked, probe
+from stmc.model import Precision
+from stmc.settings.records import SettingError, setting
+from stmc.viewing.studio import Sessions, application
+from stmc.viewing.studio.connections import server_of
+from stmc.viewing.studio.stores import private_folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(OnModel, Threaded):
+    """Settings of `stmc studio`."""
+
+    folder: str = setting("~/.stmc/studio", "where motions and documents are kept")
+    port: int = setting(8686, "of the address; 0: any that is free", at_least=0, at_most=65535)
+    steps: int = setting(50, "steps of denoising of a motion; its preview takes fewer", at_least=1, at_most=1000)
+    precision: str | None = setting(
+        None, "of the denoiser; null: what is faster on this machine, tried out", choices=get_args(Precision)
+    )
+    open: bool = setting(True, "open the page in the web browser")
+    trusted: tuple[str, ...] = setting((), "packages of your own that the model is made of")
+
+
+@command("studio", Settings)
+def main(config: DictConfig) -> None:
+    folder = Path(config.folder).expanduser()
+    probe(private_folder(folder))
+    with locked(folder), listen(config.port) as listening:
+        serve(config, folder, listening)
+
+
+def serve(config: DictConfig, folder: Path, listening: socket.socket) -> None:
+    """The studio, until it is ended."""
+    console = Console(soft_wrap=True, highlight=False)
+    sessions, port = Sessions(), listening.getsockname()[1]
+    with console.status("loading the model"):
+        model = loaded(config)
+    app = application(model, folder, sessions, port, config.steps)
+    console.print(
+        f"the studio is at http://127.0.0.1:{port}/#token={sessions.invite()}\n"
+        f"the address can be opened once; motions and documents are kept in {config.folder}; Ctrl-C ends it",
+        markup=False,
+    )
+    with opening(folder, f"http://127.0.0.1:{port}/#token={sessions.invite()}") as page:
+        if config.open:
+            Timer(0.5, webbrowser.open, [page.as_uri()]).start()
+        server_of(app).run(sockets=[listening])
+
+
+@contextmanager
+def opening(folder: Path, address: str) -> Iterator[Path]:
+    """A file that leads a browser to an address, and that nobody else can read: everybody on the machine can read with
+    which arguments a browser is started."""
+    path = folder.resolve() / "open.html"
+    path.unlink(missing_ok=True)
+    try:
+        with open(path, "x", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
+            file.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">')
+            file.write(f'<a href="{address}">stmc studio</a>')
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def listen(port: int) -> socket.socket:
+    """A socket of this machine alone. Raises `SettingError` where the port is taken."""
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind(("127.0.0.1", port))
+        listening.listen()
+    except OSError as error:
+        listening.close()
+        raise SettingError(f"port={port}: {error.strerror}; port=0 takes one that is free") from None
+    return listening
+
+
+def loaded(config: DictConfig) -> stmc.Model:
+    """The model, in the precision that is asked for, or else in the faster one."""
+
+    def load(precision: str) -> stmc.Model:
+        return stmc.load(config.model, device=config.device, precision=precision, trusted=config.trusted)
+
+    if config.precision:
+        return load(config.precision)
+    return min(map(load, get_args(Precision)), key=seconds)
+
+
+def seconds(model: stmc.Model) -> float:
+    """How long two steps take, the first try aside."""
+
+    def try_out() -> None:
+        model.generate("walk # 0 # 5", steps=2)
+
+    try_out()
+    return timed(try_out)
+
+
+def timed(work: Callable[[], None]) -> float:
+    """Return the seconds that `work` takes."""
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began

@@ -1,0 +1,263 @@
+"""Train a denoiser: `stmc train runs/mine data.folder=CACHE`; on several devices: `accelerate launch -m stmc train`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import torch
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+import stmc
+from stmc import training
+from stmc.cli.commands import command
+from stmc.cli.config_parts import build_part
+from stmc.cli.shared_settings import Trained
+from stmc.cli.training_data import read_training_data
+from stmc.composing.sampling import Sampling
+from stmc.data.cache import Cache
+from stmc.diffusion import NoiseScale, tensors
+from stmc.io.files import write_whole
+from stmc.model import Model
+from stmc.run import PARTS, build, check
+from stmc.run.configs import PARTIAL, TARGET
+from stmc.settings.records import SettingError, check_value, record_of, setting, shown
+from stmc.text import Cached
+from stmc.text.vocabulary import sentence_encoder
+from stmc.training import Denoising, GuidedTeacher
+from stmc.training.data.batches import ClipBatches
+from stmc.training.data.batches import Sampling as ClipSampling
+from stmc.training.data.dataset import Dataset
+from stmc.training.data.vocabularies import vocabulary_of
+
+if TYPE_CHECKING:  # an extra, which the help does without
+    import accelerate
+
+DRAWN = (
+    "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
+    "turn left # 0 # 5 # legs",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(Trained):
+    """Settings of `stmc train`."""
+
+    objective: Mapping = setting(
+        {"prediction": "x0", "weights": {}},
+        "prediction: what the denoiser says (x0, eps, v or score); weights: of fields that count more or less than 1; "
+        "timestep_alpha: more than 1 trains noisy steps more often; energy_floor: small motions count as much as "
+        "large; distilled_guidance: weight of the texts with which the teacher predicts what is learned",
+    )
+    noise_scale: str = setting(
+        "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
+    )
+    guidance: float | int | None = setting(
+        None, "weight of the texts when the model is sampled, unless told otherwise; null: 2.5, of a distilled model 1"
+    )
+    init_from: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
+    teacher: str | None = setting(
+        None, "run directory of another denoiser whose predictions are learned with distilled_guidance; null: init_from"
+    )
+    draw_every: int = setting(2000, "steps between pictures", at_least=1)
+    draw: tuple[str, ...] = setting(DRAWN, "timelines of which pictures are drawn")
+
+
+@command("train", Settings, ("run",))
+def main(config: DictConfig) -> None:
+    with training.begin(config.run, config.device) as accelerator:
+        train(config, accelerator)
+
+
+def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
+    """All of it, from the data to the run directory."""
+    settings, sampling = (
+        build_part(config, "training", training.Settings),
+        build_part(config, "data.sampling", ClipSampling),
+    )
+    check_parts(config)
+    started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
+    distilled = to_distil(config, stmc.load(config.teacher, trusted=config.trusted) if config.teacher else started)
+    cache, dataset = read_training_data(
+        config,
+        started.text_statistics if started else None,
+        accelerator.device,
+        distilled.motion_statistics if distilled else None,
+    )
+    held_out = ClipBatches(dataset, "val", sampling, settings.seed)
+    torch.manual_seed(settings.seed)
+    with open_dict(config):
+        config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
+    model = record(config, dataset, cache, own_sampling(config, distilled))
+    denoiser = model.denoiser
+    if started:
+        denoiser.load_state_dict(started.denoiser.state_dict())
+        denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
+    if sampling.several_texts and not denoiser.per_frame_text:
+        raise ValueError(
+            f"data.sampling.texts_per_row={list(sampling.texts_per_row)} and order={sampling.order}: rows of several "
+            f"texts need a denoiser with per_frame_text, such as "
+            f"denoiser=flow_mdm_small, not {type(denoiser).__name__}; others see one text a row: [1, 1]"
+        )
+    check(model, config.trusted)  # before the first step: what could not be loaded is not trained
+    described = OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint}
+    if config.teacher is None:
+        del described["teacher"]  # trainings that began before there were teachers go on
+    trainer = training.Trainer(
+        denoiser,
+        objective(config, dataset, model, distilled),
+        ClipBatches(dataset, "train", sampling, settings.seed),
+        Path(config.run).expanduser(),
+        settings,
+        validation=[piece for step in range(config.validation) for piece in held_out(step)],
+        callbacks=[
+            training.Callback(
+                settings.checkpoint_every,
+                lambda step, network: export(config, replace(model, denoiser=network), step, trainer.changes),
+            ),
+            training.Callback(
+                config.draw_every, lambda step, network: draw(config, replace(model, denoiser=network), step)
+            ),
+        ],
+        accelerator=accelerator,
+        described=described,
+        allow_changed_settings=config.allow_changed_settings,
+    )
+    trainer.run()
+
+
+def check_parts(config: DictConfig) -> None:
+    """Refuse a denoiser, a schedule and an objective that cannot be built, before the data are read."""
+    described = OmegaConf.to_container(config, resolve=True)
+    reading = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
+    widths = {"features": reading["representation"].width, "text_width": reading["text_encoder"].width}
+    if not isinstance(described["denoiser"], dict):
+        raise SettingError(f"denoiser={shown(described['denoiser'])}: a table with `_target_` needed")
+    described["denoiser"] |= widths
+    with torch.random.fork_rng(devices=[]):
+        built = build(described, {part: PARTS[part] for part in ("denoiser", "schedule")}, config.trusted)
+    settings = dict(config.objective)
+    check_value("objective.distilled_guidance", settings.pop("distilled_guidance", None), float | int | None)
+    settings.pop("weights", None)  # of fields that the data may add
+    checked = OmegaConf.create({"objective": {TARGET: "stmc.training.Denoising", PARTIAL: True} | settings})
+    build_part(checked, "objective")(schedule=built["schedule"])
+
+
+def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
+    """The model whose guided predictions are what is learned; None where the data are.
+
+    Raises `ValueError` where there is none, and for one that does not predict what this training's networks do: other
+    motions, at other noise, with a text for every frame, or, where training begins with it, of other texts.
+    """
+    guidance = config.objective.get("distilled_guidance")
+    if guidance is None:
+        if config.teacher:
+            raise SettingError(f"teacher={config.teacher} needs objective.distilled_guidance, such as 2")
+        return None
+    if teacher is None:
+        raise SettingError(
+            f"objective.distilled_guidance={guidance} needs init_from=RUN or teacher=RUN: the model to be distilled"
+        )
+    described = OmegaConf.to_container(config, resolve=True)
+    reading = () if config.teacher else ("text_encoder",)  # another model reads the texts in its own way
+    asked = {part: described[part] for part in ("schedule", "representation", *reading)}
+    asked |= {"objective.prediction": config.objective.prediction}
+    has = {**teacher.config, "objective.prediction": teacher.prediction}
+    differing = [f"{part} is {has[part]} there and {value} here" for part, value in asked.items() if has[part] != value]
+    named = taught_by(config)
+    if differing:
+        raise ValueError(f"{named} cannot be distilled by this training: {'; '.join(differing)}")
+    if teacher.network.per_frame_text:
+        raise ValueError(
+            f"{named} cannot be distilled: {type(teacher.denoiser).__name__} has a text for every frame; "
+            "choose a denoiser of one text a row, such as MdmSmpl"
+        )
+    return teacher
+
+
+def taught_by(config: DictConfig) -> str | None:
+    """The name of the model that is to be distilled."""
+    return config.teacher or config.init_from
+
+
+def objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Model | None) -> Denoising:
+    """What `model` learns: the data or, where there is a model to be distilled, its guided predictions."""
+    auxiliary, settings = config.data.auxiliary_loss, dict(config.objective)
+    guidance = settings.pop("distilled_guidance", None)
+    auxiliary_loss = build_part(config, "data.auxiliary_loss", dataset=dataset) if auxiliary else None
+    fields = dict(dataset.layout.slices)
+    if auxiliary_loss:
+        fields[auxiliary_loss.name] = slice(dataset.features_width, None)
+    teacher = taught(config, dataset, distilled, guidance) if distilled else None
+    return Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, teacher=teacher, **settings)
+
+
+def taught(config: DictConfig, dataset: Dataset, distilled: Model, guidance: float | int) -> GuidedTeacher:
+    """The model that is distilled as a teacher of the data set's sentences, which it reads with its own encoder."""
+    if distilled.fps != dataset.fps:
+        raise ValueError(f"{taught_by(config)} has {distilled.fps:g} frames a second, the data {dataset.fps:g}")
+    device = dataset.motion.mean.device
+    reading = replace(distilled, text_encoder=Cached(distilled.text_encoder, config.text_cache))
+    texts, words = tensors.pad(list(reading.embed(dataset.sentences).values()))
+    denoiser = distilled.to(device).denoiser
+    if config.training.compile:
+        denoiser.compile(dynamic=True)
+    return GuidedTeacher(denoiser, guidance, texts.to(device), words.to(device))
+
+
+def own_sampling(config: DictConfig, distilled: Model | None = None) -> Sampling:
+    """How the model is sampled unless told otherwise: a distilled one as its teacher, but without guidance."""
+    guidance = 1 if distilled and config.guidance is None else config.guidance
+    own = record_of(Sampling, {"noise_scale": config.noise_scale, "guidance": guidance})
+    return own.over(distilled.sampling) if distilled else own
+
+
+def record(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sampling) -> Model:
+    """The model as it would be loaded from the run's folder, with fresh weights."""
+    described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, trusted=config.trusted)
+    representation, encoder = parts["representation"], Cached(parts["text_encoder"], config.text_cache)
+    return Model(
+        denoiser=parts["denoiser"],
+        schedule=parts["schedule"],
+        text_encoder=encoder,
+        representation=representation,
+        motion_statistics=dataset.motion.to("cpu"),
+        text_statistics=dataset.text.to("cpu"),
+        skeleton=dataset.skeleton or representation.skeleton,
+        fps=dataset.fps,
+        longest=int(build_part(config, "data.sampling", ClipSampling).longest * dataset.fps),
+        prediction=config.objective.prediction,
+        sampling=sampling,
+        vocabulary=vocabulary_of(cache, dataset.min_clips, sentence_encoder(encoder)),
+        config={part: described[part] for part in PARTS},
+    )
+
+
+def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) -> None:
+    """The moving average so far as a run directory, and beside it everything that was asked for, and what was changed
+    while it was trained."""
+    folder = Path(config.run).expanduser()
+    settings = OmegaConf.to_yaml(config, resolve=True)
+    card = f"# Trained with stmc train, step {step}\n\n"
+    if guidance := config.objective.get("distilled_guidance"):
+        card += (
+            f"Distilled from {taught_by(config)}: one pass predicts what that model does with guidance {guidance}. "
+            f"Its own guidance is {model.own_sampling.guidance:g}.\n\n"
+        )
+    card += f"```yaml\n{settings}```\n"
+    changed = "".join(f"\nSettings changed {change}\n" for change in changes)
+    stmc.save(model, folder, card + changed, trusted=config.trusted)
+
+
+def draw(config: DictConfig, model: Model, step: int) -> None:
+    """Pictures of the timelines in `config.draw`, always of the same seed: how the model comes along."""
+    folder = Path(config.run).expanduser() / "pictures"
+    timelines = [stmc.Timeline.parse(text) for text in config.draw]
+    motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim, clean_feet=False)
+    for number, (timeline, motion) in enumerate(zip(timelines, motions, strict=True)):
+        picture = partial(stmc.film_strip(motion, timeline).savefig, format="png", dpi=80)
+        write_whole(folder / f"{number}_{step:07d}.png", picture)

@@ -1,0 +1,168 @@
+"""Train TMR, the evaluator: `stmc train_tmr runs/tmr data.folder=CACHE`."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from stmc import training
+from stmc.cli.commands import command
+from stmc.cli.config_parts import build_part
+from stmc.cli.shared_settings import Trained
+from stmc.cli.training_data import read_training_data
+from stmc.evaluation.metrics.retrieval import Retrieval, cosines, small_batches, t2m_m2t
+from stmc.evaluators import Evaluator
+from stmc.io.files import write_text
+from stmc.run import EVALUATOR_PARTS, build, check, load_evaluator, save_evaluator
+from stmc.settings.records import setting
+from stmc.text import Cached, TextEncoder
+from stmc.training import Objective
+from stmc.training.data.batches import ClipBatches
+from stmc.training.data.batches import Sampling as ClipSampling
+from stmc.training.data.dataset import Dataset
+from stmc.training.data.pair_batches import PairBatches
+from stmc.training.logs import Table
+
+if TYPE_CHECKING:  # an extra, which the help does without
+    import accelerate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(Trained):
+    """Settings of `stmc train-tmr`."""
+
+    objective: Mapping = setting({"_target_": "stmc.training.TmrObjective"}, "what is minimised")
+    false_negative_encoder: Mapping | None = setting(
+        None,
+        "encoder of whole sentences (+text_encoder@false_negative_encoder=minilm) for data whose texts are not shared",
+    )
+    false_negative_threshold: float | int = setting(
+        0.8, "texts that it scores above this are no wrong answers to each other", at_most=1
+    )
+    init_from: str | None = setting(None, "run directory of the same network to begin with; null: fresh weights")
+
+
+@command("train_tmr", Settings, ("run",))
+def main(config: DictConfig) -> None:
+    with training.begin(config.run, config.device) as accelerator:
+        train(config, accelerator)
+
+
+def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
+    """All of it, from the data to the run directory."""
+    settings, sampling = (
+        build_part(config, "training", training.Settings),
+        build_part(config, "data.sampling", ClipSampling),
+    )
+    objective = build_part(config, "objective", Objective)
+    sentences = (
+        Cached(build_part(config, "false_negative_encoder", TextEncoder), config.text_cache)
+        if config.false_negative_encoder
+        else None
+    )
+    started = load_evaluator(config.init_from, trusted=config.trusted) if config.init_from else None
+    cache, dataset = read_training_data(config, started.text_statistics if started else None, accelerator.device)
+    batches, held_out = (
+        PairBatches(ClipBatches(dataset, split, sampling, settings.seed), sentences, config.false_negative_threshold)
+        for split in ("train", "val")
+    )
+    torch.manual_seed(settings.seed)
+    with open_dict(config):
+        config.network.update(features=dataset.features_width, text_width=dataset.text_width)
+    folder = Path(config.run).expanduser()
+    evaluator = record(config, dataset)
+    if started:
+        evaluator.network.load_state_dict(started.network.state_dict())
+        evaluator.network.restate(started.motion_statistics, dataset.motion.to("cpu"))
+    check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
+    trainer = training.Trainer(
+        evaluator.network,
+        objective,
+        batches,
+        folder,
+        settings,
+        validation=[piece for step in range(config.validation) for piece in held_out(step)],
+        callbacks=[
+            training.Callback(
+                settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))
+            ),
+            training.Callback(
+                settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))
+            ),
+        ],
+        accelerator=accelerator,
+        described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
+        allow_changed_settings=config.allow_changed_settings,
+    )
+    columns = tuple(f"{way}_R{count}" for way in ("t2m", "m2t") for count in (1, 3, 10))
+    table = Table(folder / "retrieval.csv", columns, trainer.step)
+
+    def watch(step: int, evaluator: Evaluator) -> None:
+        """How well the validation split's clips are found, as training goes on."""
+        found = measured(evaluator, held_out, "val")["true"]
+        table.write(step, {f"{way}_R{count}": found[way]["recall"][count] for way in found for count in (1, 3, 10)})
+
+    def export(step: int, evaluator: Evaluator) -> None:
+        """The moving average so far as a run directory, with what the test split says of it."""
+        results = {"step": step, "test": measured(evaluator, held_out, "test")}
+        text = json.dumps(results, indent=1) + "\n"
+        write_text(folder / "results.json", text)
+        made = f"# Trained with stmc train_tmr, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
+        changed = "".join(f"\n\nSettings changed {change}" for change in trainer.changes)
+        card = f"{made}{changed}\n\nOn the test split:\n\n```json\n{text}```\n"
+        save_evaluator(evaluator, folder, card, trusted=config.trusted)
+
+    trainer.run()
+
+
+def record(config: DictConfig, dataset: Dataset) -> Evaluator:
+    """The evaluator as it would be loaded from the run's folder, with fresh weights."""
+    described = OmegaConf.to_container(config, resolve=True)
+    parts = build(described, EVALUATOR_PARTS, config.trusted)
+    return Evaluator(
+        network=parts["network"],
+        text_encoder=Cached(parts["text_encoder"], config.text_cache),
+        representation=parts["representation"],
+        motion_statistics=dataset.motion.to("cpu"),
+        text_statistics=dataset.text.to("cpu"),
+        fps=dataset.fps,
+        config={part: described[part] for part in EVALUATOR_PARTS},
+    )
+
+
+def measured(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:
+    """Retrieval among the clips of a split, each with one of its sentences, by three protocols: "all" (its own pair
+    alone is right), "true" (every pair whose text is true of the motion), "guo" (as "all" in batches of 32); and the
+    contents that are taken for others most often."""
+    dataset = pairs.batches.dataset
+    clips, sentences = pairs.drawn(split)
+    chosen = [dataset.clips[clip] for clip in clips]
+    longest = int(pairs.batches.sampling.longest * dataset.fps)
+    motions = evaluator.motions([dataset.features[clip.start : clip.end][:longest].cpu() for clip in chosen])
+    texts = evaluator.texts([dataset.sentences[sentence] for sentence in sentences])
+    table, right = cosines(texts, motions), pairs.true_of(sentences, clips)
+    ways = {"all": t2m_m2t(table), "true": t2m_m2t(table, right)}
+    if len(chosen) >= 32:
+        ways["guo"] = small_batches(table, [clip.name for clip in chosen])
+    return {name: dict(zip(("t2m", "m2t"), map(described, found), strict=True)) for name, found in ways.items()} | {
+        "confused": confused([clip.content for clip in chosen], table)
+    }
+
+
+def described(found: Retrieval) -> dict:
+    """The retrieval measures as plain data."""
+    return {"recall": found.recall, "median_rank": found.median_rank, "candidates": found.candidates}
+
+
+def confused(contents: list[str], table: torch.Tensor) -> list[tuple[str, str, int]]:
+    """Of the motions whose best text is about another content: what they show, what is read, how often."""
+    read = [contents[best] for best in table.argmax(dim=0).tolist()]
+    mistakes = Counter((shown, taken) for shown, taken in zip(contents, read, strict=True) if shown != taken)
+    return [(*pair, count) for pair, count in mistakes.most_common(12)]

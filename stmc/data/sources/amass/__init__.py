@@ -1,0 +1,1 @@
+"""AMASS: its recordings, and the annotations that name them."""

@@ -1,0 +1,1 @@
+"""BABEL, and the lists of compositions that papers evaluate on."""

@@ -1,0 +1,1 @@
+"""The Bandai Namco Research motion dataset: its recordings, and clips of them."""

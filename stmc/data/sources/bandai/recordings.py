@@ -1,0 +1,282 @@
+"""The Bandai Namco Research motion dataset: its files, its skeleton, and the way from it to SMPL's.
+
+Knows where the clips lie (the published archive or the unpacked folder), what their names say, and the constant
+rotation between each of their joints and SMPL's. Source: Kobayashi et al. 2023, arXiv 2306.08861, CC BY-NC 4.0.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from einops import einsum
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.data.cache import Cache, Clip, assemble
+from stmc.data.preparation import in_parallel
+from stmc.data.sources.archives import read_texts
+from stmc.data.sources.contents import CONTENTS, STYLES, describe, mirrored_content
+from stmc.data.sources.segments import Segment, read_segments
+from stmc.formats.bvh_parser import Bvh, BvhError, parse_bvh
+from stmc.io.untrusted import UnreadableError, shown
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.motion import Motion
+from stmc.motion.representation.smpl import SmplRepresentation
+
+SOURCE_JOINTS: dict[str, str] = {
+    "pelvis": "Hips", "spine1": "Spine", "spine3": "Chest", "neck": "Neck", "head": "Head",
+    "left_collar": "Shoulder_L", "left_shoulder": "UpperArm_L", "left_elbow": "LowerArm_L", "left_wrist": "Hand_L",
+    "right_collar": "Shoulder_R", "right_shoulder": "UpperArm_R", "right_elbow": "LowerArm_R", "right_wrist": "Hand_R",
+    "left_hip": "UpperLeg_L", "left_knee": "LowerLeg_L", "left_ankle": "Foot_L", "left_foot": "Toes_L",
+    "right_hip": "UpperLeg_R", "right_knee": "LowerLeg_R", "right_ankle": "Foot_R", "right_foot": "Toes_R",
+}  # fmt: skip
+"""SMPL's joint → the dataset's. SMPL's spine2 lies between Spine and Chest, moves with spine1; hands follow wrists."""
+
+CLIPS = 3076
+"""How many clips the published archive holds."""
+
+FARTHEST = 1e4
+"""Metres from the origin that no person goes in a clip, nor in a second: float32 then has a millimetre left."""
+
+UNLABELLED = ""
+"""The key of clips that no sentence describes: they are learnt from, but not by name."""
+
+MISNAMED = frozenset(
+    f"dataset-2_walk-turn-{number}"
+    for number in (
+        *("left_masculine_006", "left_masculine_007", "left_normal_031", "left_normal_032", "left_normal_033"),
+        *("right_masculine_006", "right_masculine_007"),
+        *("right_normal_004", "right_normal_032", "right_normal_033"),
+    )
+)
+"""Turns that go to the other side than their names say, or twice as far as all others (184 to 222 degrees)."""
+
+FOOT_SLOPE, TOES_SLOPE = math.radians(39.6), math.radians(23.0)
+"""How far the foot's and the toes' bones point below the horizontal while they stand flat: medians over all frames in
+which neither ankle nor toes moves."""
+
+
+def _pitched(slope: float) -> tuple[tuple[float, float, float], ...]:
+    return (0.0, -math.sin(slope), math.cos(slope)), (1.0, 0.0, 0.0)
+
+
+LEFT, UP, FORWARD = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+RIGHT, DOWN = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)
+T_POSE: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "Hips": (UP, RIGHT), "Spine": (UP, FORWARD), "Chest": (UP, FORWARD), "Neck": (UP, FORWARD), "Head": (UP, FORWARD),
+    "Shoulder": (LEFT, UP), "UpperArm": (LEFT, UP), "LowerArm": (LEFT, UP), "Hand": (LEFT, UP),
+    "UpperLeg": (DOWN, LEFT), "LowerLeg": (DOWN, LEFT), "Foot": _pitched(FOOT_SLOPE), "Toes": _pitched(TOES_SLOPE),
+}  # fmt: skip
+"""Where the local x and y axes of each joint point in SMPL's rest pose: midline and left, whose bones run along +x.
+Bones of the right side run along -x."""
+
+
+@dataclass(frozen=True)
+class ClipName:
+    """What a file's name says, as in `dataset-2_raise-up-right-hand_active_001.bvh`."""
+
+    name: str
+    content: str
+    style: str
+
+    @classmethod
+    def parse(cls, name: str) -> ClipName:
+        """Raises `ValueError` where the name is not the dataset's, or its content or style is unknown."""
+        match = re.fullmatch(r"(dataset-[12]_([a-z-]+)_([a-z-]+)_\d+)", name)
+        if not match:
+            raise ValueError(f"{shown(name)} is not dataset-N_content_style_NNN")
+        if match[2] not in CONTENTS:
+            raise ValueError(f"unknown content {shown(match[2])}; known are {', '.join(CONTENTS)}")
+        if match[3] not in STYLES:
+            raise ValueError(f"unknown style {shown(match[3])}; known are {', '.join(STYLES)}")
+        return cls(*match.groups())
+
+
+def read_sources(source: Path) -> Iterator[tuple[str, str | UnreadableError]]:
+    """Every clip's name and BVH text, or why it cannot be read. Raises as `read_texts`, and `ValueError` for a folder
+    or an archive without BVH files."""
+    name = None
+    for place, text in read_texts(Path(source), (".bvh",)):
+        name = place.stem
+        yield name, text
+    if name is None:
+        raise ValueError(f"{source} holds no .bvh file; it should be the dataset's .tar.xz or its unpacked folder")
+
+
+def rest_rotations(names: Iterable[str]) -> Float[Tensor, "joints 3 3"]:
+    """World rotation of each named joint's frame in SMPL's rest pose: the constants of the retargeting."""
+    rotations = []
+    for name in names:
+        x, y = (torch.tensor(axis, dtype=torch.float64) for axis in T_POSE[name.removesuffix("_L").removesuffix("_R")])
+        if name.endswith("_R"):  # the right side's axes are the left side's mirror images, reversed
+            mirror = torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)
+            x, y = mirror * x, mirror * y
+        rotations.append(torch.stack([x, y, torch.linalg.cross(x, y)], dim=-1))
+    return torch.stack(rotations)
+
+
+def retarget(bvh: Bvh, skeleton: Skeleton) -> Motion:
+    """The clip on SMPL's joints, at the clip's frame rate: metres, z up, the lowest joint of the clip at zero.
+
+    Each SMPL joint turns with the dataset's joint, undone by that joint's constant rotation in the rest pose; so at the
+    dataset's own proportions, forward kinematics gives the clip's own joint positions.
+    Raises `BvhError` where the clip lacks one of the joints.
+    """
+    missing = sorted(set(SOURCE_JOINTS.values()) - set(bvh.names))
+    if missing:
+        raise BvhError(f"joints {', '.join(missing)} are missing; this is not a clip of the dataset")
+    rotations, positions = bvh.world()
+    index = [bvh.names.index(SOURCE_JOINTS.get(joint, "Spine")) for joint in JOINTS[:NUM_ROTATIONS]]
+    rest = rest_rotations([bvh.names[joint] for joint in index])
+    up = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)  # y up → z up
+    world = einsum(up, rotations[:, index], rest, "a b, frames joints b c, joints d c -> frames joints a d")
+    local = torch.stack([
+        world[:, joint] if parent < 0 else world[:, parent].mT @ world[:, joint]
+        for joint, parent in enumerate(PARENTS[:NUM_ROTATIONS])
+    ], dim=1)  # fmt: skip
+    centimetre = 0.01
+    pelvis = einsum(up, positions[:, bvh.names.index("Hips")] * centimetre, "a b, frames b -> frames a")
+    motion = Motion.posed(local, pelvis, bvh.fps, skeleton)
+    floor = motion.joints[..., 2].min()
+    return Motion.posed(local, pelvis - torch.tensor([0.0, 0.0, floor]), bvh.fps, skeleton)
+
+
+def split(clips: Iterable[ClipName]) -> dict[str, str]:
+    """Clip name → "train", "val" or "test", 80 : 10 : 10 within every content, spread over its styles.
+
+    A pure function of the set of names. Contents of fewer than ten clips are for training alone.
+    """
+    contents: dict[str, list[ClipName]] = {}
+    for clip in clips:
+        contents.setdefault(clip.content, []).append(clip)
+    result = {}
+    for members in contents.values():
+        members.sort(key=lambda clip: (clip.style, hashlib.sha256(clip.name.encode()).hexdigest()))
+        for position, clip in enumerate(members):
+            result[clip.name] = {4: "val", 9: "test"}.get(position % 10, "train") if len(members) >= 10 else "train"
+    return result
+
+
+def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Tensor, "frames features"]]]:
+    """One file as the rows of a cache: the clip and its mirror image at `fps`, as 205 features on the default skeleton.
+
+    The split is still to be set. Raises `ValueError` (`BvhError` among them) with what is wrong with the file.
+    """
+    named = ClipName.parse(name)
+    skeleton, representation = Skeleton.default(), SmplRepresentation()
+    motion = retarget(parse_bvh(text), skeleton).resampled(fps)
+    rows = []
+    for mirrored, content, moved in (
+        (False, named.content, motion),
+        (True, mirrored_content(named.content), motion.mirrored()),
+    ):
+        posed = Motion.posed(moved.rotations, moved.translation, fps, skeleton)
+        cuts = read_segments("bandai").get(name, ())
+        unlabelled = name in MISNAMED or content in {cut.content for cut in cuts}  # one of several actions
+        clip = Clip(
+            name=f"M/{name}" if mirrored else name,
+            content=content,
+            style=named.style,
+            texts=UNLABELLED if unlabelled else f"{content}/{named.style}",
+            parts=tuple(sorted(CONTENTS[content].parts)),
+            cyclic=CONTENTS[content].cyclic,
+            mirrored=mirrored,
+            split="",
+            start=0,
+            end=posed.frames,
+        )
+        features = representation.encode(posed).float()
+        if not (features.abs() < FARTHEST).all():
+            raise BvhError(f"its features are not all finite and below {FARTHEST:g} (metres, metres per second)")
+        rows.append((clip, features))
+        rows += [_cut(clip, features, number, cut, fps) for number, cut in enumerate(cuts)]
+    return rows
+
+
+def _cut(
+    clip: Clip, features: Float[Tensor, "frames features"], number: int, segment: Segment, fps: float | int
+) -> tuple[Clip, Float[Tensor, "_ features"]]:
+    """The part of a clip that a segment names: one action of several, or its actor standing still."""
+    content = mirrored_content(segment.content) if clip.mirrored else segment.content
+    part = dataclasses.replace(
+        clip,
+        name=f"{clip.name}/{number}",
+        content=content,
+        style="normal",
+        texts=f"{content}/normal",
+        parts=tuple(sorted(CONTENTS[content].parts)),
+        cyclic=CONTENTS[content].cyclic,
+    )
+    return part, features[round(segment.start * fps) : round(segment.end * fps)]
+
+
+def read_clips(source: Path, fps: float | int, workers: int) -> Iterator[tuple[str, list | str]]:
+    """Converts every clip, in parallel: its name, and its rows or the reason why it had to be skipped."""
+    return in_parallel(((name, (_converted, name, text, fps)) for name, text in read_sources(source)), workers)
+
+
+def _converted(name: str, text: str | UnreadableError, fps: float | int) -> list[tuple[Clip, Tensor]]:
+    if isinstance(text, UnreadableError):
+        raise text
+    return convert(name, text, fps)
+
+
+def gather(clips: Iterable[tuple[str, list | str]], fps: float | int) -> Cache:
+    """The cache of all converted clips, in the order of their names, without a fingerprint. Raises `ValueError` where
+    all were skipped."""
+    converted, skipped = {}, []
+    for name, rows in clips:
+        if isinstance(rows, str):
+            skipped.append((name, rows))
+        elif name in converted:
+            skipped.append((name, "a second clip of this name"))
+        else:
+            converted[name] = rows
+    if not converted:
+        raise ValueError(f"not one clip could be read; the first: {skipped[0][0]}: {skipped[0][1]}")
+    splits = split(ClipName.parse(name) for name in converted)
+    rows = [
+        (dataclasses.replace(clip, split=splits[name]), features)
+        for name in sorted(converted)
+        for clip, features in converted[name]
+    ]
+    table, features = assemble(rows)
+    labels = sorted({(clip.texts, clip.content, clip.style) for clip in table if clip.texts != UNLABELLED})
+    return Cache(
+        fps=fps,
+        representation="smpl",
+        features=features,
+        clips=table,
+        texts={UNLABELLED: ()} | {key: describe(content, style) for key, content, style in labels},
+        skipped=tuple(skipped),
+    )
+
+
+def measured_offsets(bvh: Bvh) -> dict[str, tuple[float, float, float]]:
+    """Every joint's rest offset to its parent, in metres and SMPL's axes: the proportions of the dataset's skeleton.
+
+    What `assets/skeleton.json` holds. The hands (8 cm beyond the wrists) and the rest position of the pelvis (SMPL's
+    neutral body's) are not the dataset's, which knows neither.
+    """
+    index = {joint: bvh.names.index(name) for joint, name in SOURCE_JOINTS.items()}
+    local = bvh.positions.mean(dim=0) * 0.01
+    offsets = {"pelvis": (-0.0018, -0.2233, 0.0282), "left_hand": (0.08, 0.0, 0.0), "right_hand": (-0.08, 0.0, 0.0)}
+    for joint in JOINTS[1:NUM_ROTATIONS]:
+        if joint.startswith("right_"):  # half a millimetre apart from the left ones
+            x, y, z = offsets[joint.replace("right", "left")]
+            offsets[joint] = (-x + 0.0, y, z)
+            continue
+        source = "spine3" if joint == "spine2" else joint
+        parent = bvh.names[bvh.parents[index[source]]]
+        offset = rest_rotations([parent])[0] @ local[index[source]]
+        offset = offset / 2 if joint in ("spine2", "spine3") else offset  # spine2 halves the way from Spine to Chest
+        offsets[joint] = tuple(round(value, 4) + 0.0 for value in offset.tolist())
+    return {joint: offsets[joint] for joint in JOINTS}

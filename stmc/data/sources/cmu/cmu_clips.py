@@ -1,0 +1,155 @@
+"""CMU's motion capture database as one of those that `stmc prepare` knows.
+
+Knows what preparing is and which segments of the recordings show what; how recordings are read and converted is
+`cmu`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.data.cache import TOUCHING, Cache, Clip, fingerprint
+from stmc.data.preparation import Job, Watch, find_source, in_parallel
+from stmc.data.sources.cmu import catalogue as cmu
+from stmc.data.sources.contents import CONTENTS, describe, mirrored_content
+from stmc.data.sources.segments import Segment, read_segments, splits
+from stmc.motion.body_model import Skeleton
+from stmc.motion.motion import Motion
+from stmc.motion.representation.smpl import SmplRepresentation
+
+STYLE = "normal"
+"""Of all clips: CMU labels none."""
+
+CACHE_VERSION = 1
+"""Of what this module makes of the same files. Raise it by one with every change that makes other features, clips or
+texts of them: caches that were prepared before are then made again."""
+
+Rows = list[tuple[list[Clip], Float[Tensor, "frames features"]]]
+"""Parts of recordings, each with its clips, which may touch and overlap."""
+
+
+@dataclass(frozen=True)
+class CmuClips:
+    """`source` is a folder with subjects' `.asf` and `.amc` files, conversions to `.bvh`, or both, in any folders below
+    it; or a `.tar.xz` of one. A `Preparation`. Takes a few minutes; nothing of a run that was killed is kept."""
+
+    source: str | Path
+    fps: float | int
+
+    def check(self) -> Path:
+        """The archive or folder. Raises `LayoutError` where there is none."""
+        return find_source(self.source, "a folder of recordings or a .tar.xz")
+
+    def fingerprint(self) -> str:
+        """Of the archive or every file of the folder, the version of the cache, the segments and the frame rate."""
+        assets = Path(__file__).parents[3] / "assets"
+        inputs = [self.check(), *(assets / f"{name}.json" for name in ("contents", "segments", "skeleton"))]
+        return fingerprint(inputs, [self.fps, CACHE_VERSION])
+
+    def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
+        """See `Preparation`. Recordings without segments are left alone; others that cannot be used are named."""
+        wanted, left_out = read_segments("cmu"), list[tuple[str, str]]()
+
+        def jobs() -> Iterator[tuple[str, Job]]:
+            for source in cmu.read_sources(self.check()):
+                if isinstance(source, tuple):
+                    left_out.append(source)
+                elif source.name in wanted:
+                    yield source.name, (convert, source, self.fps)
+
+        converted = dict(watch(in_parallel(jobs(), workers), len(wanted)))
+        found = converted.keys() | {name for name, _ in left_out}
+        left_out += [(name, "not among the recordings") for name in wanted if name not in found]
+        return gather(converted, self.fps, left_out)
+
+
+def convert(source: cmu.Source, fps: float | int) -> Rows:
+    """The segments of one recording and their mirror images as 205 features on the default skeleton: parts of it from
+    one segment on to the last that touches the others.
+
+    The recording is encoded as a whole, and heights are those above its own floor: a segment that does not touch the
+    ground does not know where that is. Raises `ValueError` with what is wrong with the recording.
+    """
+    skeleton = Skeleton(Skeleton.default().offsets.double())
+    motion = cmu.read(source, skeleton, fps)
+    rows: Rows = []
+    for mirrored, moved in ((False, motion), (True, motion.mirrored())):
+        features = encoded(Motion.posed(moved.rotations, moved.translation, fps, skeleton))
+        clips = []
+        for number, segment in enumerate(read_segments("cmu")[source.name]):
+            first, last = round(segment.start * fps), min(round(segment.end * fps), len(features))
+            if last - first < 2:
+                raise cmu.CmuError(f"{len(features) / fps:g} s are too short for a segment from {segment.start:g} s on")
+            clips.append(replace(_clip(segment, number, mirrored), start=first, end=last))
+        rows += [_part(part, features) for part in _touching(clips, fps)]
+    return rows
+
+
+def _touching(clips: Sequence[Clip], fps: float | int) -> Iterator[list[Clip]]:
+    """Clips of one recording, those together that pass into each other."""
+    part, end = list[Clip](), 0
+    for clip in sorted(clips, key=lambda clip: clip.start):
+        if part and clip.start - end > TOUCHING * fps:
+            yield part
+            part = []
+        part.append(clip)
+        end = max(clip.end, end)
+    yield part
+
+
+def _part(clips: list[Clip], features: Float[Tensor, "frames features"]) -> tuple[list[Clip], Tensor]:
+    first, last = clips[0].start, max(clip.end for clip in clips)
+    moved = [replace(clip, start=clip.start - first, end=clip.end - first, recording=clips[0].name) for clip in clips]
+    return moved, features[first:last]
+
+
+def encoded(motion: Motion) -> Float[Tensor, "frames features"]:
+    """Its features, with the pelvis' height above the floor (z = 0) and not above the motion's lowest joint. Raises
+    `CmuError` where they are not finite."""
+    representation = SmplRepresentation()
+    features = representation.encode(motion)
+    features[:, representation.layout["root_height"]] = motion.translation[:, 2:]
+    if not features.isfinite().all():
+        raise cmu.CmuError("its features are not all finite")
+    return features.float()
+
+
+def gather(recordings: Mapping[str, Rows | str], fps: float | int, left_out: Sequence[tuple[str, str]] = ()) -> Cache:
+    """The cache of all converted recordings, in the order of their names, without a fingerprint; in the place of a
+    recording's rows may be the reason why there are none. Raises `ValueError` where none is left."""
+    skipped = [*left_out, *((name, rows) for name, rows in recordings.items() if isinstance(rows, str))]
+    converted = [rows for _, rows in sorted(recordings.items()) if not isinstance(rows, str)]
+    if not converted:
+        first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
+        raise ValueError(f"no recording could be used, {len(skipped)} were skipped{first}")
+    clips, start = list[Clip](), 0
+    for part, features in (row for rows in converted for row in rows):
+        clips += [replace(clip, start=start + clip.start, end=start + clip.end) for clip in part]
+        start += len(features)
+    every = torch.cat([features for rows in converted for _, features in rows])
+    texts = {clip.texts: describe(clip.content, clip.style) for clip in clips}
+    return Cache(fps, "smpl", every, tuple(clips), texts, tuple(skipped))
+
+
+def _clip(segment: Segment, number: int, mirrored: bool) -> Clip:
+    """Of a segment, or of its mirror image; where its frames are is still to be set."""
+    name, content = f"{segment.recording}/{number}", segment.content
+    content = mirrored_content(content) if mirrored else content
+    return Clip(
+        name=f"M/{name}" if mirrored else name,
+        content=content,
+        style=STYLE,
+        texts=f"{content}/{STYLE}",
+        parts=tuple(sorted(CONTENTS[content].parts)),
+        cyclic=CONTENTS[content].cyclic,
+        mirrored=mirrored,
+        split=splits().get(segment.recording, "train"),
+        start=0,
+        end=1,
+    )

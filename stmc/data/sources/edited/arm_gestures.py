@@ -1,0 +1,285 @@
+"""Recipes of gestures: arms, heads and trunks that are led by keys on calm recorded bodies.
+
+Goals are metres in the axes of chest or head (outwards, up, forward) of the default body, whose arm is 0.466 m long.
+Every gesture rests before it begins; those that do not return stay until the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stmc.data.sources.edited import gesture_gates as gates
+from stmc.data.sources.edited.body_gestures import dodge, golf, pick_up, punch, throw
+from stmc.data.sources.edited.gesture_bases import Kind, draw_base
+from stmc.data.sources.edited.recipe import Bases, Draft, Recipe, Unusable
+from stmc.data.sources.edited.script import Script, Spot, turned
+from stmc.editing import Oscillation, WristKey
+from stmc.motion.motion import Motion
+
+EAR = Spot((0.15, 0.0, 0.04), (0.18, 0.04, 0.09), "head", ((0.4, -1, 0.1), (0.9, -1, 0.5)), (2, 7), (0.03, 0, 0.1))
+PLATE = Spot((0.05, -0.34, 0.24), (0.14, -0.26, 0.31), pole=((0.4, -1, -0.2), (0.8, -1, -0.2)))
+MOUTH = Spot((0.03, -0.05, 0.16), (0.06, -0.02, 0.19), "head", ((0.6, -0.8, 0), (1, -0.8, 0)))
+CUP = Spot((0.03, -0.26, 0.24), (0.11, -0.18, 0.30), pole=((0.4, -1, -0.2), (0.8, -1, -0.2)))
+SIP = Spot((0.03, -0.04, 0.16), (0.06, -0.01, 0.18), "head", ((0.8, -1.0, 0), (1, -0.6, 0.1)), (2, 6))
+BESIDE_HEAD = Spot(
+    (0.22, 0.02, 0.06), (0.26, 0.06, 0.10), "head", ((1, -0.2, 0.5), (1, -0.2, 0.5)), (4, 8), (0, 0, 0.08)
+)
+NAPE = Spot((0.13, 0.02, -0.12), (0.165, 0.07, -0.08), "head", ((1, 0.2, 0.1), (1, 0.6, 0.5)), (8, 16))
+TABLE = Spot((0.09, -0.26, 0.31), (0.16, -0.20, 0.35), pole=((0.5, -1, 0), (1, -1, 0)))
+PANE = Spot((0.08, -0.18, 0.34), (0.14, -0.07, 0.38), pole=((0.5, -1, 0), (1, -1, 0)), shrug=(0, 5))
+CLAP = Spot((0.098, -0.16, 0.24), (0.106, -0.06, 0.29), pole=((1, -1, -0.1), (1, -1, -0.1)))
+NECK = Spot((0.30, -0.19, 0.20), (0.34, -0.14, 0.25), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
+STRINGS = Spot((0.0, -0.26, 0.20), (0.05, -0.22, 0.23), pole=((1, -0.6, -0.5), (1, -0.6, -0.3)))
+SCROLL = Spot((0.25, -0.04, 0.26), (0.30, 0.03, 0.30), pole=((0.15, -1, 0), (0.3, -1, 0)), shrug=(2, 6))
+BOW = Spot((0.08, -0.06, 0.28), (0.11, -0.03, 0.31), pole=((1, -0.4, -0.1), (1, -0.2, 0)), shrug=(0, 4))
+
+WIPING, CLAPPING, STRUMMING, BOWING, RUBBING = (0.7, 0.95), (2.0, 2.5), (1.5, 2.0), (0.5, 0.75), (1.6,)
+"""Times a second of what is periodic: few, and always begun at arrival, so that a network can learn the phase."""
+
+SHORTEST, LONGEST = 3.5, 7.5
+"""Seconds of the shortest and the longest clip."""
+
+STANDING: dict[Kind, float] = {"stand": 1.0}
+ANYWHERE: dict[Kind, float] = {"stand": 0.7, "walk": 0.18, "sit": 0.12}
+ON_FEET: dict[Kind, float] = {"stand": 0.82, "walk": 0.18}
+STANDING_OR_SEATED: dict[Kind, float] = {"stand": 0.85, "sit": 0.15}
+
+
+@dataclass(frozen=True)
+class _Gesture:
+    """Makes clips of one action: draws a script, a body of its length, and performs it."""
+
+    script: Callable[[np.random.Generator], Script]
+    kinds: dict[Kind, float]
+
+    def __call__(self, bases: Bases, rng: np.random.Generator) -> Draft:
+        script = self.script(rng)
+        if script.seconds > LONGEST:
+            raise Unusable(f"a script of {script.seconds:.1f} s")
+        kind: Kind = str(rng.choice(list(self.kinds), p=list(self.kinds.values())))
+        base = draw_base(bases, rng, max(SHORTEST, script.seconds), kind)
+        return Draft(script.perform(base.motion, rng), base.recording)
+
+
+def _before(rng: np.random.Generator) -> float:
+    """Seconds of rest."""
+    return float(rng.uniform(0.3, 1.0))
+
+
+def _ended(rng: np.random.Generator, time: float, returning: float) -> tuple[tuple[WristKey, ...], float]:
+    """The key that leads a hand back, in a fraction `returning` of the draws, and the seconds of the whole clip."""
+    if rng.uniform() >= returning:
+        return (), time + rng.uniform(0.2, 0.6)
+    takes = rng.uniform(0.6, 0.95)
+    return (WristKey(time + takes, takes, skew=rng.uniform(1.0, 1.3)),), time + takes + _before(rng)
+
+
+def _at(rng: np.random.Generator, choices: tuple[float, ...]) -> float:
+    return float(choices[rng.integers(len(choices))])
+
+
+def phone(rng: np.random.Generator) -> Script:
+    """The hand goes to the ear and stays; the head leans to it and turns a little while talking."""
+    begins, takes, stays = _before(rng), rng.uniform(0.6, 0.9), rng.uniform(2.2, 3.8)
+    there, ear = begins + takes, EAR.drawn(rng)
+    back, seconds = _ended(rng, there + stays, 0.5)
+    roll, nods = rng.uniform(4, 13), [turned(there, takes * 0.8, roll=rng.uniform(4, 13))]
+    time = there + rng.uniform(0.2, 0.6)
+    while time < there + stays - 0.9:
+        time += rng.uniform(0.7, 1.2)
+        nods.append(turned(time, rng.uniform(0.5, 0.7), rng.uniform(-12, 8), rng.uniform(-3, 7), roll))
+    ends = [turned(max(back[0].time, time), 0.6)] if back else []
+    drift = Oscillation(0.4, (0.002, 0.003, 0.002), (0.002, 0, 0.003))
+    return Script(seconds, left=(ear.key(there, takes, rng.uniform(1.1, 1.5), drift), *back), head=(*nods, *ends))
+
+
+def eat(rng: np.random.Generator) -> Script:
+    """From the plate to the mouth and back, two to four times; the head comes to meet the hand."""
+    time, count = _before(rng) + rng.uniform(0.6, 0.8), int(rng.integers(2, 5))
+    pace, plate, mouth = (1.0 if count < 4 else 0.75) * rng.uniform(0.85, 1.1), PLATE.drawn(rng), MOUTH.drawn(rng)
+    keys, nods, pitch = [plate.key(time, 0.6)], [], rng.uniform(6, 14)
+    for _ in range(count):
+        up, stay, down = pace * rng.uniform(0.45, 0.6), pace * rng.uniform(0.15, 0.3), pace * rng.uniform(0.45, 0.6)
+        at = time + pace * rng.uniform(0.15, 0.3) + up
+        keys.append(mouth.near(rng, 0.005).key(at, up, rng.uniform(1.0, 1.3)))
+        nods += [turned(at, up, pitch=pitch), turned(at + stay + down, down, pitch=0.3 * pitch)]
+        time = at + stay + down
+        keys.append(plate.near(rng, 0.02).key(time, down, rng.uniform(1.1, 1.4)))
+    back, seconds = _ended(rng, time + rng.uniform(0.1, 0.3), 0.6)
+    bent = [turned(keys[0].time, 0.7, pitch=rng.uniform(1, 5)), *([turned(back[0].time, 0.7)] if back else [])]
+    nods += [turned(back[0].time, 0.6)] if back else []
+    return Script(seconds, left=(*keys, *back), head=tuple(nods), trunk=tuple(bent))
+
+
+def drink(rng: np.random.Generator) -> Script:
+    """A cup is brought to the mouth once or twice, and the head tips back while the elbow comes up."""
+    time, keys, nods = _before(rng), [], []
+    cup, count, first = CUP.drawn(rng), int(rng.integers(1, 3)), rng.uniform(0.5, 0.7)
+    if rng.uniform() < 0.7:
+        time += first
+        keys.append(cup.key(time, first))
+        time += rng.uniform(0.1, 0.5)
+    sip = SIP.drawn(rng)
+    for _ in range(count):
+        up, stay, down = rng.uniform(0.55, 0.8), rng.uniform(0.85, 1.6 - 0.3 * count), rng.uniform(0.5, 0.75)
+        time += up
+        keys.append(sip.near(rng, 0.004).key(time, up, rng.uniform(1.1, 1.4)))
+        nods += [turned(time + 0.25, 0.5, pitch=-rng.uniform(11, 19)), turned(time + stay + 0.3, 0.5)]
+        time += stay + down
+        keys.append(cup.near(rng, 0.02).key(time, down, rng.uniform(1.0, 1.3)))
+        time += rng.uniform(0.1, 0.4)
+    back, seconds = _ended(rng, time, 0.65)
+    return Script(seconds, left=(*keys, *back), head=tuple(nods))
+
+
+def touch_head(rng: np.random.Generator) -> Script:
+    """The hand goes past the ear to the back of the head and stays there, in half of the draws rubbing."""
+    begins, takes, stays = _before(rng), rng.uniform(0.8, 1.1), rng.uniform(1.6, 2.8)
+    there, nape = begins + takes, NAPE.drawn(rng)
+    rub = Oscillation(_at(rng, RUBBING), (0.004, 0.014, 0.0)) if rng.uniform() < 0.5 else None
+    via = BESIDE_HEAD.drawn(rng).key(begins + 0.72 * takes, 0.72 * takes, 1.2)
+    back, seconds = _ended(rng, there + stays, 0.55)
+    if back:
+        out = BESIDE_HEAD.drawn(rng).key(back[0].time - 0.35, 0.5)
+        back = (out, back[0])
+    ends = [turned(back[-1].time, 0.7)] if back else []
+    nod = turned(there, takes * 0.7, rng.uniform(-6, 6), rng.uniform(4, 16), rng.uniform(-2, 4))
+    return Script(seconds, left=(via, nape.key(there, 0.5 * takes, 1.2, rub), *back), head=(nod, *ends))
+
+
+def point(rng: np.random.Generator) -> Script:
+    """The stretched arm is raised to a place ahead or aside, and the head looks there."""
+    begins, takes, stays = _before(rng), rng.uniform(0.45, 0.75), rng.uniform(1.3, 2.8)
+    azimuth, elevation = np.radians(rng.uniform(-15, 45)), np.radians(rng.uniform(-8, 18))
+    length, there = 0.466 * rng.uniform(0.955, 0.985), begins + takes
+    x, y = length * np.sin(azimuth) * np.cos(elevation), length * np.sin(elevation)
+    goal = (float(x), float(y), float(length * np.cos(azimuth) * np.cos(elevation)))
+    spot = Spot(goal, goal, "shoulder", ((0.5, -1, -0.2), (0.5, -1, -0.2)), tuple([rng.uniform(0, 6)] * 2))
+    back, seconds = _ended(rng, there + stays, 0.6)
+    share = rng.uniform(0.3, 0.9) * np.degrees(azimuth)
+    look = [turned(there - rng.uniform(0.0, 0.2), takes * 0.8, float(share), -float(np.degrees(elevation)) * 0.4)]
+    look += [turned(back[0].time, 0.6)] if back else []
+    twist = [turned(there, takes, float(rng.uniform(-6, 2)))] + ([turned(back[0].time, 0.7)] if back else [])
+    key = spot.key(there, takes, rng.uniform(1.2, 1.7), roundness=0.7)
+    return Script(seconds, left=(key, *back), head=tuple(look), trunk=tuple(twist))
+
+
+def wipe(rng: np.random.Generator) -> Script:
+    """A table or a pane is wiped, to and fro or in circles."""
+    begins, takes, hertz = _before(rng), rng.uniform(0.6, 0.85), _at(rng, WIPING)
+    there, table = begins + takes, rng.uniform() < 0.5
+    wide, narrow = rng.uniform(0.075, 0.105), rng.uniform(0.01, 0.05)
+    around = Oscillation(hertz, (wide, 0.0, 0.0), (0.0, 0.25 * narrow, narrow) if table else (0.0, narrow, 0.0))
+    back, seconds = _ended(rng, there + rng.uniform(3.4, 4.6), 0.5)
+    spot = (TABLE if table else PANE).drawn(rng)
+    pitch, nod = (rng.uniform(10, 18), rng.uniform(6, 14)) if table else (rng.uniform(0, 5), 0.0)
+    ends = [turned(back[0].time, 0.8)] if back else []
+    return Script(
+        seconds,
+        left=(spot.key(there, takes, 1.3, around), *back),
+        head=(turned(there, takes, float(rng.uniform(-4, 6)), nod), *ends),
+        trunk=(turned(there, takes, -4, pitch), *ends),
+        tremor=(0.0012, 0.0020),
+    )
+
+
+def look(rng: np.random.Generator) -> Script:
+    """The head turns to the left, the chest a little with it, and looks for a while."""
+    begins, takes, yaw = _before(rng), rng.uniform(0.4, 0.75), rng.uniform(50, 72)
+    there, stays, pitch = begins + takes, rng.uniform(1.0, 2.4), rng.uniform(-6, 8)
+    keys, chest = [turned(there, takes, 0.82 * yaw, pitch, skew=1.35)], [turned(there + 0.1, takes, 0.18 * yaw)]
+    if rng.uniform() < 0.4:
+        keys.append(
+            turned(there + 0.5 * stays + 0.4, 0.4, 0.82 * yaw + rng.uniform(-12, 8), pitch + rng.uniform(-8, 8))
+        )
+    leaves, back = max(there + stays, keys[-1].time + 0.3), rng.uniform(0.45, 0.8)
+    if rng.uniform() < 0.6:
+        keys.append(turned(leaves + back, back))
+        chest.append(turned(leaves + back + 0.1, back))
+    seconds = max(3.5, leaves + back + rng.uniform(0.5, 1.2))
+    return Script(seconds, head=tuple(keys), trunk=tuple(chest))
+
+
+def applause(rng: np.random.Generator) -> Script:
+    """Both hands clap in front of the chest."""
+    begins, takes, hertz = _before(rng), rng.uniform(0.5, 0.75), _at(rng, CLAPPING)
+    there, wide, lead = begins + takes, rng.uniform(0.044, 0.052), rng.uniform(0.004, 0.02)
+    back, seconds = _ended(rng, there + rng.uniform(3.0, 4.4), 0.5)
+    spot = CLAP.drawn(rng)
+    hands = []
+    for up in (lead, -lead):
+        goal = (spot.low[0], spot.low[1] + up, spot.low[2])
+        clap = Oscillation(hertz, (wide, 0.4 * up, -0.008))
+        hands.append((Spot(goal, goal, pole=spot.pole).key(there, takes, 1.3, clap), *back))
+    nod = turned(there, takes, float(rng.uniform(-8, 8)), float(rng.uniform(-3, 6)))
+    return Script(seconds, left=hands[0], right=hands[1], head=(nod,))
+
+
+def guitar(rng: np.random.Generator) -> Script:
+    """The right hand strums, the left one changes its place on the neck every two strums."""
+    begins, takes, hertz = _before(rng), rng.uniform(0.6, 0.85), _at(rng, STRUMMING)
+    there, neck = begins + takes, NECK.drawn(rng)
+    back, seconds = _ended(rng, there + rng.uniform(3.2, 4.6), 0.4)
+    strum = Oscillation(hertz, (0.0, rng.uniform(0.05, 0.065), 0.012), (0.012, 0.0, 0.0))
+    left, change, inner = [neck.key(there, takes)], there, False
+    last = back[0].time - 1.2 if back else seconds - 0.3
+    while (change := change + 2 / hertz) < last:
+        inner = not inner
+        x, y, z = neck.low
+        goal = (x - 0.09 * inner, y - 0.03 * inner, z)
+        left.append(Spot(goal, goal, pole=neck.pole).key(change, 0.3))
+    head = turned(there, takes, float(rng.uniform(2, 14)), float(rng.uniform(10, 20)))
+    ends = (turned(back[0].time, 0.7),) if back else ()
+    right = (STRINGS.drawn(rng).key(there, takes, 1.25, strum), *back)
+    return Script(seconds, left=(*left, *back), right=right, head=(head, *ends))
+
+
+def violin(rng: np.random.Generator) -> Script:
+    """The left hand holds the neck out to the side, the right one draws the bow, the head leans on the chin rest."""
+    begins, takes, hertz = _before(rng), rng.uniform(0.7, 0.95), _at(rng, BOWING)
+    there, size = begins + takes, rng.uniform(0.12, 0.16)
+    back, seconds = _ended(rng, there + rng.uniform(3.8, 5.0), 0.35)
+    bow = Oscillation(hertz, (0.8 * size, -0.15 * size, 0.45 * size), (0.0, 0.008, 0.0))
+    vibrato = Oscillation(hertz, (0.006, 0.0, 0.004))
+    head = turned(there, takes, float(rng.uniform(12, 22)), float(rng.uniform(6, 12)), float(rng.uniform(10, 18)))
+    ends = (turned(back[0].time, 0.7),) if back else ()
+    left = (SCROLL.drawn(rng).key(there, takes, 1.2, vibrato), *back)
+    right = (BOW.drawn(rng).key(there, takes, 1.2, bow), *back)
+    return Script(seconds, left=left, right=right, head=(head, *ends), tremor=(0.0008, 0.0014))
+
+
+GOES_ON = ("wipe-left", "applause", "guitar", "violin")
+"""Actions that any part of a clip shows."""
+
+
+def _recipe(
+    action: str,
+    script: Callable[[np.random.Generator], Script],
+    accept: Callable[[Motion], bool],
+    kinds: dict[Kind, float] = STANDING,
+    clips: int = 70,
+) -> Recipe:
+    return Recipe(action, "authored", _Gesture(script, kinds), accept, clips, once=action not in GOES_ON)
+
+
+RECIPES: tuple[Recipe, ...] = (
+    _recipe("punch-left", punch, gates.punches),
+    _recipe("throw-left", throw, gates.throws),
+    _recipe("pick-up-left", pick_up, gates.picks_up),
+    _recipe("point-left", point, gates.points, ANYWHERE),
+    _recipe("wipe-left", wipe, gates.wipes, ON_FEET),
+    _recipe("eat-left", eat, gates.eats, ANYWHERE),
+    _recipe("drink-left", drink, gates.drinks, ANYWHERE),
+    _recipe("phone-left", phone, gates.phones, ANYWHERE),
+    _recipe("touch-head-left", touch_head, gates.touches_head, ANYWHERE),
+    _recipe("look-left", look, gates.looks, ANYWHERE),
+    _recipe("applause", applause, gates.claps, STANDING_OR_SEATED),
+    _recipe("guitar", guitar, gates.plays_guitar, STANDING_OR_SEATED),
+    _recipe("violin", violin, gates.plays_violin, STANDING_OR_SEATED),
+    _recipe("golf", golf, gates.swings_club),
+    _recipe("dodge", dodge, gates.dodges),
+)
+"""One for each action; right forms are the mirror images."""

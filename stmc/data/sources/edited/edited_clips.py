@@ -1,0 +1,200 @@
+"""Motions made by editing recordings, as one of the data sets that scripts/prepare.py knows.
+
+Knows prepared caches, recipes and texts; how a motion is made is the recipes' matter (`edited`).
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.data.cache import FEATURES, TABLE, Cache, Clip, assemble, fingerprint, read_caches
+from stmc.data.preparation import LayoutError, Piece, Watch, converted, find_source
+from stmc.data.sources.cmu.cmu_clips import encoded
+from stmc.data.sources.contents import CONTENTS, describe, mirrored_content
+from stmc.data.sources.edited import RECIPES
+from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
+from stmc.motion.body_model import Skeleton
+from stmc.motion.feet import clean_feet
+from stmc.motion.motion import Motion
+from stmc.motion.representation.smpl import SmplRepresentation
+from stmc.settings.records import SettingError
+
+MAX_DRAWS = 40
+"""Draws of one clip before it is given up."""
+
+SHORTEST = 1.5
+"""Seconds of the shortest clip."""
+
+CACHE_VERSION = 1
+"""Version of the clips that the same caches give. Raise it by one with every change that gives other clips, features or
+texts: caches that were prepared before are then made again."""
+
+Rows = list[tuple[Clip, Float[Tensor, "_ features"]]]
+
+
+@dataclass(frozen=True)
+class EditedClips:
+    """`source` is one folder of a prepared data set or several: a sequence, or their names with commas between. Their
+    features must be `SmplRepresentation`'s on the default skeleton. A `Preparation`. It takes minutes; a run that
+    was killed resumes."""
+
+    source: str | Path | Sequence[str | Path]
+
+    def check(self) -> list[Path]:
+        """The folders. Raises `LayoutError` where one is missing."""
+        expected = "the folders of prepared data sets, commas between them, such as cache/bandai,cache/cmu"
+        if not self.source:
+            raise LayoutError(f"source={self.source} is empty; it should be {expected}")
+        names = str(self.source).split(",") if isinstance(self.source, str | Path) else self.source
+        return [find_source(name, expected) for name in names]
+
+    def fingerprint(self) -> str:
+        """Of the caches, the version and the sentences."""
+        assets = Path(__file__).parents[3] / "assets"
+        inputs = [folder / name for folder in self.check() for name in (FEATURES, TABLE)]
+        return fingerprint([*inputs, *(assets / f"{name}.json" for name in ("contents", "skeleton"))], [CACHE_VERSION])
+
+    def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
+        """See `Preparation`. A recipe is a piece; a clip that no draw makes usable is skipped."""
+        folders, inputs = tuple(self.check()), self.fingerprint()
+        names = [f"{recipe.action}/{recipe.origin}" for recipe in RECIPES]
+        pieces = [
+            Piece(name, fingerprint([], [inputs, name]), partial(_made_from, folders, number))
+            for number, name in enumerate(names)
+        ]
+        return converted(pieces, len(pieces), scratch, workers, watch)
+
+
+@lru_cache(maxsize=1)
+def _read(folders: tuple[Path, ...]) -> RecordedBases:
+    """Raises `LayoutError` for recordings of other features or another body than recipes edit."""
+    cache = read_caches(folders)
+    if cache.representation != "smpl" or cache.skeleton is not None:
+        raise LayoutError(f"recordings to edit are 205 features on the default skeleton, not {cache.representation}")
+    return RecordedBases(cache)
+
+
+def _made_from(folders: tuple[Path, ...], number: int) -> Cache:
+    """The cache of a recipe, by its number: recipes hold functions that cannot be pickled."""
+    bases = _read(folders)
+    return gather(*make(RECIPES[number], bases, bases.splits, bases.fps), bases.fps)
+
+
+class RecordedBases(Mapping[str, Sequence[Base]]):
+    """The unmirrored clips of a cache as motions on the default skeleton, in double precision; see `recipe.Bases`.
+
+    An action's clips are decoded when they are first asked for. `splits` tells the split of each recording.
+    """
+
+    def __init__(self, cache: Cache) -> None:
+        self.fps, self.splits = cache.fps, dict[str, str]()
+        self._features, self._clips = cache.features, dict[str, list[Clip]]()
+        self._decoded = dict[str, tuple[Base, ...]]()
+        for clip in cache.clips:
+            if not clip.mirrored:
+                self._clips.setdefault(clip.content, []).append(clip)
+                self.splits[_recording(clip)] = clip.split
+
+    def __getitem__(self, action: str) -> tuple[Base, ...]:
+        if action not in self._decoded:
+            self._decoded[action] = tuple(map(self._base, self._clips[action]))
+        return self._decoded[action]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._clips)
+
+    def __len__(self) -> int:
+        return len(self._clips)
+
+    def _base(self, clip: Clip) -> Base:
+        features = self._features[clip.start : clip.end].double()
+        motion = SmplRepresentation().decode(features, self.fps, _skeleton())
+        return Base(clip.name, _recording(clip), clip.style, motion)
+
+
+def _recording(clip: Clip) -> str:
+    """The name of the recording that a clip was cut from: segments have numbers behind it."""
+    return clip.name.partition("/")[0]
+
+
+def _skeleton() -> Skeleton:
+    return Skeleton(Skeleton.default().offsets.double())
+
+
+def make(
+    recipe: Recipe, bases: Bases, splits: Mapping[str, str], fps: float | int
+) -> tuple[Rows, list[tuple[str, str]]]:
+    """Make all clips of a recipe and their mirror images with their features; name the clips that no draw made usable,
+    with the last reason.
+
+    A clip depends on the bases and on its own name alone. It has the split of the recording that it was made from; rest
+    that a recipe adds may come from a recording of another split. Raises `ValueError` if not one clip is usable.
+    """
+    rows, skipped = Rows(), list[tuple[str, str]]()
+    for number in range(recipe.clips):
+        name = f"{recipe.action}/{recipe.origin}/{number:03d}"
+        rng = np.random.default_rng(zlib.crc32(name.encode()))
+        try:
+            draft = _draw(recipe, bases, rng)
+        except Unusable as error:
+            skipped.append((name, str(error)))
+            continue
+        split = splits.get(draft.recording, "train")
+        for mirrored, motion in ((False, draft.motion), (True, draft.motion.mirrored())):
+            posed = Motion.posed(motion.rotations, motion.translation, fps, _skeleton())
+            rows.append((_clip(recipe, f"{name}/{draft.recording}", mirrored, split, posed.frames), encoded(posed)))
+    if not rows:
+        raise ValueError(f"not one of {recipe.clips} clips could be made: {skipped[0][1]}")
+    return rows, skipped
+
+
+def _draw(recipe: Recipe, bases: Bases, rng: np.random.Generator) -> Draft:
+    """The first draw that is usable once its feet are clean. Raises `Unusable` after `MAX_DRAWS` of them."""
+    reason = ""
+    for _ in range(MAX_DRAWS):
+        try:
+            draft = recipe.make(bases, rng)
+        except (Unusable, SettingError) as error:
+            reason = str(error)
+            continue
+        motion = clean_feet(draft.motion)
+        if motion.duration < SHORTEST:
+            reason = f"shorter than {SHORTEST:g} s"
+        elif recipe.accept(motion):
+            return replace(draft, motion=motion)
+        else:
+            reason = "not accepted"
+    raise Unusable(f"no usable draw out of {MAX_DRAWS}: the last {reason}")
+
+
+def _clip(recipe: Recipe, name: str, mirrored: bool, split: str, frames: int) -> Clip:
+    action = mirrored_content(recipe.action) if mirrored else recipe.action
+    content = CONTENTS[action]
+    return Clip(
+        name=f"M/{name}" if mirrored else name,
+        content=action,
+        style=recipe.origin,
+        texts=f"{action}/normal",
+        parts=tuple(sorted(content.parts)),
+        cyclic=content.cyclic,
+        mirrored=mirrored,
+        split=split,
+        start=0,
+        end=frames,
+        from_start=recipe.once or recipe.origin == "authored",
+    )
+
+
+def gather(rows: Rows, skipped: Sequence[tuple[str, str]], fps: float | int) -> Cache:
+    """The cache of made clips, in their order, without a fingerprint."""
+    clips, features = assemble(rows)
+    texts = {clip.texts: describe(clip.content, "normal") for clip in clips}
+    return Cache(fps, "smpl", features, clips, texts, tuple(skipped))

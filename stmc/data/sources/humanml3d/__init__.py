@@ -1,0 +1,1 @@
+"""HumanML3D as it is published: folders of features and texts."""

@@ -1,0 +1,80 @@
+"""Padding, masks and positions: sequences of different lengths as one batch, wherever it is.
+
+Knows nothing of what the frames mean.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
+
+import torch
+from einops import rearrange
+from jaxtyping import Bool, Float, Int, Shaped
+from torch import Tensor
+
+from stmc.io.untrusted import shown
+
+Value = TypeVar("Value")
+
+
+def pad(
+    sequences: Sequence[Shaped[Tensor, "_ ..."]],
+) -> tuple[Shaped[Tensor, "batch frames ..."], Int[Tensor, " batch"]]:
+    """Sequences stacked in a batch, zeros after the end of each, and their lengths.
+
+    Every sequence is [frames, ...] with the same trailing shape, dtype and device. Returns the batch, as long as the
+    longest sequence, and the lengths [batch] as int64 on the same device. Raises `ValueError` for no sequence at all.
+    """
+    if not sequences:
+        raise ValueError("nothing to pad: the batch needs at least one sequence")
+    batch = torch.nn.utils.rnn.pad_sequence(list(sequences), batch_first=True)
+    return batch, torch.tensor([len(sequence) for sequence in sequences], device=batch.device)
+
+
+def mask(lengths: Int[Tensor, " batch"], frames: int | None = None) -> Bool[Tensor, "batch frames"]:
+    """True where a frame exists, False in the padding; as long as the longest sequence if `frames` does not say."""
+    frames = int(lengths.max()) if frames is None else frames
+    return torch.arange(frames, device=lengths.device) < lengths[:, None]
+
+
+def sinusoids(rows: int, width: int) -> Float[Tensor, "rows width"]:
+    """Positional table: sines in the even columns, cosines in the odd ones, wavelengths 2 pi to 20,000 pi."""
+    frequency = torch.exp(torch.arange(0, width, 2).float() * (-math.log(10000.0) / width))
+    angle = torch.arange(rows).float()[:, None] * frequency
+    return rearrange([angle.sin(), angle.cos()], "two rows half -> rows (half two)")
+
+
+class PerDevice(Generic[Value]):
+    """A cache of `make(x)`, tensors that follow x: made once for each device and dtype that x comes in."""
+
+    def __init__(self, make: Callable[[Tensor], Value]) -> None:
+        self._make = make
+        self._values: dict[tuple[torch.device, torch.dtype], Value] = {}
+
+    def at(self, x: Tensor) -> Value:
+        """The value for tensors like `x`."""
+        key = (x.device, x.dtype)
+        if key not in self._values:
+            self._values[key] = self._make(x)
+        return self._values[key]
+
+
+def found_device(device: torch.device | str) -> torch.device | str:
+    """A device that there is; "auto" is an accelerator if there is one, and of several the one for this process among
+    those that `accelerate launch` or `torchrun` started on this machine (LOCAL_RANK)."""
+    cuda, mps = torch.cuda.is_available(), torch.backends.mps.is_available()
+    if device == "auto":
+        rank = os.environ.get("LOCAL_RANK", "")
+        own = f"cuda:{int(rank) % torch.cuda.device_count()}" if cuda and rank.isdecimal() else "cuda"
+        return own if cuda else "mps" if mps else "cpu"
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError, ValueError) as error:
+        choices = ", ".join(["auto", "cpu", *["cuda"] * cuda, *["mps"] * mps])
+        raise ValueError(
+            f"device {shown(str(device))} is unknown or not available here; choose from {choices}"
+        ) from error
+    return device

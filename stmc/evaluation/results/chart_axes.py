@@ -1,0 +1,117 @@
+"""What the figures of results are made of: panels, lines, legends, and how they are dressed.
+
+Knows records and matplotlib's axes; knows no particular figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from stmc.evaluation.results.intervals import Estimate, estimates
+from stmc.evaluation.results.naming import REAL, Measure, measures, method_row
+from stmc.evaluation.results.result_records import Result, ResultError, Setting
+from stmc.viewing.colours import palette
+from stmc.viewing.figure import Figure
+from stmc.viewing.timeline_figure import FAINT, INK
+
+GRID = "#e6e8ec"
+DASHED = {"color": INK, "linewidth": 1, "linestyle": (0, (4, 3))}
+
+Groups = dict[Setting, list[Result]]
+Point = tuple[float | int, Estimate]
+
+
+def lines(
+    axes: Axes,
+    measure: Measure,
+    groups: Groups,
+    name: Callable[[Setting], str],
+    cost: Callable[[Setting, list[Result]], float | int],
+    label: str,
+) -> None:
+    """A line for each name, its points by their cost, with 95 % intervals; dressed and labelled."""
+    named: dict[str, list[Point]] = {}
+    for setting, runs in groups.items():
+        found = estimates(runs).get(measure.key)
+        if found is not None:
+            named.setdefault(name(setting), []).append((cost(setting, runs), found))
+    for colour, (line, points) in zip(palette(len(named)), sorted(named.items()), strict=True):
+        points = sorted(points, key=lambda point: point[0])
+        half = np.array([point.half or 0.0 for _, point in points])
+        axes.errorbar(
+            [at for at, _ in points], [point.mean for _, point in points], half if half.any() else None, color=colour,
+            marker="o", markersize=4, linewidth=1.6, elinewidth=1.1, capsize=2.5, label=line,
+        )  # fmt: skip
+    axes.set_xlabel(label, color=INK, fontsize=9)
+    axes.set_ylabel(title(measure), color=INK, fontsize=9)
+    dress(axes, "both")
+
+
+def real_line(axes: Axes, measure: Measure, groups: Groups) -> None:
+    """Real motion's value, where it was measured, as a dashed line."""
+    for setting, runs in groups.items():
+        found = estimates(runs)
+        if setting.method == REAL and measure.key in found:
+            axes.axhline(found[measure.key].mean, label=method_row(REAL).label, **DASHED)
+
+
+def shown(groups: Groups, keys: Sequence[str] | None = None) -> tuple[Measure, ...]:
+    """The measures to draw: those that the records have, of `keys` if given. Raises `ResultError` for none."""
+    columns = measures(name for runs in groups.values() for name in estimates(runs) if keys is None or name in keys)
+    if not columns:
+        wanted = "" if keys is None else f" of {', '.join(keys)}"
+        raise ResultError(f"no record has a metric to draw{wanted}")
+    return columns
+
+
+def grid(count: int, wide: float, tall: float) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels, at most four in a row; `wide` and `tall` are one panel's inches."""
+    columns = min(count, 4)
+    rows = -(-count // columns)
+    plot = Figure(figsize=(wide * columns, tall * rows), layout="constrained")
+    found = list(plot.subplots(rows, columns, squeeze=False).flat)
+    for spare in found[count:]:
+        spare.remove()
+    return plot, found[:count]
+
+
+def dress(axes: Axes, along: str) -> None:
+    """Quiet: no frame, grey lines `along` "x", "y" or "both"."""
+    axes.grid(axis=along, color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(FAINT)
+    axes.tick_params(labelsize=8.5, colors=INK, length=0)
+
+
+def legend(plot: Figure, panels: Iterable[Axes]) -> None:
+    """One for all panels, each name once, where there is something to tell apart; no wider than the figure, which grows
+    by what the legend is high."""
+    named = {}
+    for axes in panels:
+        named |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if len(named) < 2:
+        return
+    for columns in range(len(named), 0, -1):
+        shown = plot.legend(
+            named.values(), named.keys(), loc="outside lower center", ncols=columns, frameon=False, fontsize=9
+        )
+        extent = shown.get_window_extent()
+        if columns == 1 or extent.width <= plot.bbox.width:
+            plot.set_figheight(plot.get_figheight() + extent.height / plot.dpi)
+            return
+        shown.remove()
+
+
+def who(setting: Setting) -> str:
+    """Denoiser and method."""
+    return ", ".join(filter(None, (setting.denoiser, method_row(setting.method).label)))
+
+
+def title(measure: Measure) -> str:
+    """Its heading, unit and better direction."""
+    unit = f", {measure.unit}" if measure.unit else ""
+    return f"{measure.heading}{unit} {measure.arrow}"

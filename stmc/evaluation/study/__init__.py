@@ -1,0 +1,33 @@
+"""The perceptual study (STMC, sections 4.2 and 4.4): pages that show two methods' motions of one timeline side by side,
+and what the raters' answers say about the methods.
+
+Knows motions, timelines and answers; knows no model and no way to make motions.
+"""
+
+from stmc.evaluation.study.analysis import Analysis, Preference, Vote, analyse, wilson
+from stmc.evaluation.study.answers import Answers, AnswersError, read_answers
+from stmc.evaluation.study.comparisons import Pair, read_pairs
+from stmc.evaluation.study.key import Aspect, Key, Kind, StudyError
+from stmc.evaluation.study.pages import survey_page
+from stmc.evaluation.study.surveys import Question, Survey, design
+
+__all__ = [
+    "Analysis",
+    "Answers",
+    "AnswersError",
+    "Aspect",
+    "Key",
+    "Kind",
+    "Pair",
+    "Preference",
+    "Question",
+    "StudyError",
+    "Survey",
+    "Vote",
+    "analyse",
+    "design",
+    "read_answers",
+    "read_pairs",
+    "survey_page",
+    "wilson",
+]

@@ -1,0 +1,80 @@
+"""Two methods' motions of the same timelines, from two folders as `stmc sample` fills them.
+
+Knows the records that it leaves beside the motions; knows nothing of surveys.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stmc.evaluation.study.key import StudyError
+from stmc.formats import read
+from stmc.motion.motion import Motion
+from stmc.timeline import Timeline
+
+Content = tuple[tuple[str, float, float, tuple[str, ...]], ...]
+"""A timeline as the records have it: text, start, end and parts of each prompt."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A timeline and one motion of it by each method; `name` is unique in a study."""
+
+    name: str
+    timeline: Timeline
+    first: Motion
+    second: Motion
+
+
+def read_pairs(first: str | Path, second: str | Path, timelines: Sequence[Timeline]) -> list[Pair]:
+    """The motions of every timeline that both folders have, of several seeds the lowest, in the timelines' order.
+
+    A motion's timeline is told by the record beside it. Raises `StudyError` for a motion without one, for a timeline
+    that only one of the folders has, and where they have none of the timelines at all.
+    """
+    folders = [Path(first), Path(second)]
+    found = [_motions(folder) for folder in folders]
+    pairs = []
+    for timeline in {_content(timeline): timeline for timeline in timelines}.values():
+        paths = [motions.get(_content(timeline)) for motions in found]
+        if paths == [None, None]:
+            continue
+        if None in paths:
+            has, lacks = (folders[0], folders[1]) if paths[1] is None else (folders[1], folders[0])
+            texts = ", ".join(repr(prompt.text) for prompt in timeline.prompts)
+            raise StudyError(f"timeline {timeline.name!r} ({texts}): {has} has a motion of it, {lacks} has none")
+        pairs.append(Pair(paths[0].stem, timeline, read(paths[0]), read(paths[1])))
+    if not pairs:
+        raise StudyError(f"neither {folders[0]} nor {folders[1]} has a motion of any of the {len(timelines)} timelines")
+    return pairs
+
+
+def _motions(folder: Path) -> dict[Content, Path]:
+    """Where the motion of each timeline lies, by what the records say."""
+    chosen: dict[Content, tuple[int, Path]] = {}
+    for path in sorted(folder.glob("*.npz")):
+        seed, content = _record(path.with_suffix(".json"))
+        if content not in chosen or seed < chosen[content][0]:
+            chosen[content] = (seed, path)
+    if not chosen:
+        raise StudyError(f"{folder} has no motions (.npz)")
+    return {content: path for content, (_, path) in chosen.items()}
+
+
+def _record(path: Path) -> tuple[int, Content]:
+    if not path.is_file():
+        raise StudyError(f"{path} is missing: the sampling script writes one beside each motion, with its timeline")
+    try:
+        data: Any = json.loads(path.read_text(encoding="utf-8"))
+        content = tuple((str(text), float(a), float(b), tuple(sorted(parts))) for text, a, b, parts in data["prompts"])
+        return int(data["seed"]), content
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise StudyError(f"{path} is not a record as the sampling script writes it ({error!r})") from None
+
+
+def _content(timeline: Timeline) -> Content:
+    return tuple((prompt.text, prompt.start, prompt.end, tuple(sorted(prompt.parts))) for prompt in timeline.prompts)

@@ -1,0 +1,144 @@
+"""Which questions make a survey, in which order, and what stands on which side: all drawn from one seed.
+
+Knows pairs and the key; knows no page.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stmc.evaluation.study.clips import Clip
+from stmc.evaluation.study.comparisons import Pair
+from stmc.evaluation.study.key import RIGHT, WRONG, Entry, Key, Kind, StudyError
+from stmc.timeline import Timeline
+
+WARM_UPS = 3
+_APART = WARM_UPS + 2
+"""Questions of a survey whose pairs are not under study there: warm-ups and honeypots."""
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """A timeline and two clips, left and right, each with an id that says nothing."""
+
+    id: str
+    timeline: Timeline
+    sides: tuple[tuple[str, Clip], tuple[str, Clip]]
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What one page asks."""
+
+    id: str
+    questions: tuple[Question, ...]
+
+
+def design(pairs: Sequence[Pair], methods: tuple[str, str], seed: int = 0, size: int = 10) -> tuple[list[Survey], Key]:
+    """Surveys in which every pair stands at least once, and their key (STMC, section 4.2).
+
+    A survey asks 15 questions where `size` is 10: three warm-ups, then in random order `size` pairs and two honeypots.
+    Warm-ups and honeypots are made of pairs that the survey does not ask about, so no timeline is shown twice. One
+    honeypot shows the first method's motion beside the second's with its limbs stretched; the other shows the first
+    method's motion beside its motion of another timeline, one with other words that lasts about as long. Where the
+    pairs do not fill the last survey, it asks again about pairs of the first.
+
+    In each survey a method stands on the left for half of the pairs. All is drawn from `seed` and the names of methods
+    and pairs, whatever the order of `pairs`: a study is the same on every machine, and ids of one mean nothing in that
+    of other methods or seeds. Raises `StudyError` for too few pairs, equal methods or names.
+    """
+    _check(pairs, methods, size)
+    named = sorted(pairs, key=lambda pair: pair.name)
+    rng = random.Random(json.dumps([seed, methods, [pair.name for pair in named]]))
+    order = rng.sample(named, len(named))
+    surveys, entries = [], {}
+    for start in range(0, len(order), size):
+        asked = [order[place % len(order)] for place in range(start, start + size)]
+        survey, own = _survey(asked, order, methods, rng)
+        surveys.append(survey)
+        entries[survey.id] = own
+    return surveys, Key(methods, entries)
+
+
+def stranger(timeline: Timeline, others: Sequence[Pair]) -> Pair:
+    """Of pairs with other texts, the one whose words and duration make for the clearest wrong answer: few of the
+    timeline's words, and about as long; of equally good ones, the first by name. Raises `StudyError` where all share a
+    text with it."""
+    texts = {prompt.text for prompt in timeline.prompts}
+    candidates = [pair for pair in others if texts.isdisjoint(prompt.text for prompt in pair.timeline.prompts)]
+    if not candidates:
+        raise StudyError(f"no timeline without {', '.join(map(repr, sorted(texts)))} for a honeypot")
+
+    def likeness(pair: Pair) -> tuple[float, str]:
+        own, other = _words(timeline), _words(pair.timeline)
+        longer = abs(pair.timeline.duration - timeline.duration) / timeline.duration
+        return len(own & other) / len(own | other) + longer, pair.name
+
+    return min(candidates, key=likeness)
+
+
+def _survey(
+    asked: Sequence[Pair], pairs: Sequence[Pair], methods: tuple[str, str], rng: random.Random
+) -> tuple[Survey, dict[str, Entry]]:
+    names = {pair.name for pair in asked}
+    others = rng.sample([pair for pair in pairs if pair.name not in names], _APART)
+    first = rng.sample([index % 2 == 0 for index in range(len(asked))], len(asked))
+    counted = [_compared(Kind.PAIR, pair, methods, left, rng) for pair, left in zip(asked, first, strict=True)]
+    warm = [_compared(Kind.WARM_UP, pair, methods, rng.random() < 0.5, rng) for pair in others[:WARM_UPS]]
+    limbs, lost = others[WARM_UPS:]
+    counted.append(_honeypot(Kind.REALISM_HONEYPOT, limbs, Clip.of(limbs.second).stretched(), rng))
+    other = stranger(lost.timeline, [pair for pair in pairs if pair is not lost])
+    counted.append(_honeypot(Kind.TIMELINE_HONEYPOT, lost, Clip.of(other.first), rng))
+    questions = [*warm, *rng.sample(counted, len(counted))]
+    survey = Survey(_id(rng), tuple(question for question, _ in questions))
+    return survey, {question.id: entry for question, entry in questions}
+
+
+def _compared(
+    kind: Kind, pair: Pair, methods: tuple[str, str], first_left: bool, rng: random.Random
+) -> tuple[Question, Entry]:
+    clips = (Clip.of(pair.first), Clip.of(pair.second))
+    return _question(kind, pair, clips, methods, first_left, rng)
+
+
+def _honeypot(kind: Kind, pair: Pair, wrong: Clip, rng: random.Random) -> tuple[Question, Entry]:
+    return _question(kind, pair, (Clip.of(pair.first), wrong), (RIGHT, WRONG), rng.random() < 0.5, rng)
+
+
+def _question(
+    kind: Kind,
+    pair: Pair,
+    clips: tuple[Clip, Clip],
+    behind: tuple[str, str],
+    first_left: bool,
+    rng: random.Random,
+) -> tuple[Question, Entry]:
+    ids = (_id(rng), _id(rng))
+    sides = tuple(zip(ids, clips, strict=True))
+    question = Question(_id(rng), pair.timeline, sides if first_left else sides[::-1])
+    return question, Entry(kind, pair.name, dict(sorted(zip(ids, behind, strict=True))))
+
+
+def _check(pairs: Sequence[Pair], methods: tuple[str, str], size: int) -> None:
+    if methods[0] == methods[1]:
+        raise StudyError(f"both methods are called {methods[0]!r}; give them two names")
+    if size < 1:
+        raise StudyError(f"a survey of {size} pairs; at least 1")
+    if len({pair.name for pair in pairs}) < len(pairs):
+        raise StudyError("two pairs have one name")
+    if len(pairs) < size + _APART:
+        raise StudyError(
+            f"{len(pairs)} timelines with motions; a survey of {size} pairs needs {size + _APART}: {WARM_UPS} for "
+            "warm-ups and 2 for honeypots. Sample more timelines, or ask about fewer pairs"
+        )
+
+
+def _words(timeline: Timeline) -> set[str]:
+    return set(" ".join(prompt.text.lower() for prompt in timeline.prompts).split())
+
+
+def _id(rng: random.Random) -> str:
+    return f"{rng.getrandbits(64):016x}"

@@ -1,0 +1,212 @@
+"""Reads BVH motion capture: a tree of named joints and, frame by frame, where each stands in its parent.
+
+Knows the file format and nothing of any body; what the joints mean is the business of data sets (`data.sources`) and
+of `export.bvh_reader`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from einops import einsum
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.io.bounds import BoundsError, check_frames
+from stmc.io.untrusted import cut, shown
+
+MOST_VALUES = 2_000_000
+"""Of a motion: frames times joints, a hundred times what a minute of a hundred joints has at 3 frames per second."""
+
+LONGEST_HIERARCHY = 2**22
+"""Characters of everything before the frames: a hundred joints have some 10,000."""
+
+_AXES = {"X": 0, "Y": 1, "Z": 2}
+_MOST_WORDS = 9
+"""Of a line of the hierarchy: a joint has three position and three rotation channels at most."""
+
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+class BvhError(ValueError):
+    """A BVH file that cannot be read; the message says where and why."""
+
+
+@dataclass(frozen=True)
+class Bvh:
+    """A motion as its file has it: in the file's unit and axes, each joint in its parent's frame.
+
+    `parents` holds -1 for roots; a parent always stands before its children.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    positions: Float[Tensor, "frames joints 3"]
+    rotations: Float[Tensor, "frames joints 3 3"]
+    fps: float | int
+    ends: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+    """The offset of the first End Site of a joint, by the joint's index."""
+
+    def world(self) -> tuple[Float[Tensor, "frames joints 3 3"], Float[Tensor, "frames joints 3"]]:
+        """Rotations and positions of every joint in the file's world frame, by forward kinematics."""
+        rotations, positions = [], []
+        for joint, parent in enumerate(self.parents):
+            rotation, position = self.rotations[:, joint], self.positions[:, joint]
+            if parent >= 0:
+                above = rotations[parent]
+                position = positions[parent] + einsum(above, position, "frames i j, frames j -> frames i")
+                rotation = above @ rotation
+            rotations.append(rotation)
+            positions.append(position)
+        return torch.stack(rotations, dim=1), torch.stack(positions, dim=1)
+
+
+@dataclass(eq=False)
+class _Joint:
+    name: str
+    index: int
+    parent: int
+    offset: tuple[float, ...] = ()
+    channels: tuple[str, ...] = ()
+    end: _Joint | None = None
+
+
+def parse_bvh(text: str) -> Bvh:
+    """Parses the text of one BVH file.
+
+    A joint's position is its position channels where it has them (as in the Bandai data set), else its OFFSET.
+    Euler angles are intrinsic, in the order of the channels, in degrees. Raises `BvhError` for a missing section, a
+    line or a channel that is unknown, a frame count that does not match the numbers, values that are not finite in
+    float32, a motion beyond `bounds` or of more than `MOST_VALUES`, or a hierarchy above `LONGEST_HIERARCHY`.
+    """
+    header, *rest = re.split(r"^[ \t]*MOTION[ \t\r]*$", text, maxsplit=1, flags=re.MULTILINE)
+    if not rest:
+        raise BvhError("no MOTION section: the file is truncated or not a BVH file")
+    if len(header) > LONGEST_HIERARCHY:
+        raise BvhError(f"HIERARCHY has {len(header):,} characters, more than {LONGEST_HIERARCHY:,}, the limit")
+    joints = _hierarchy(header.splitlines())
+    words = rest[0].split(maxsplit=5)
+    if len(words) < 5 or words[0] != "Frames:" or words[2:4] != ["Frame", "Time:"]:
+        raise BvhError(f"expected 'Frames: N Frame Time: S' after MOTION, found {shown(' '.join(words[:5]))}")
+    frames, seconds = _number(words[1], int), _number(words[4], float)
+    if frames < 1 or not 0.001 <= seconds <= 1:
+        asked = "at least one frame of a positive time is needed, of 0.001 to 1 s"
+        raise BvhError(f"{shown(frames)} frames of {seconds:g} s: {asked}")
+    if frames * len(joints) > MOST_VALUES:
+        raise BvhError(f"{shown(frames)} frames of {len(joints)} joints are more than {MOST_VALUES:,}, the limit")
+    try:
+        check_frames(frames, 1 / seconds)
+    except BoundsError as error:
+        raise BvhError(str(error)) from error
+    fps = round(1 / seconds, 2)  # files round the time: 0.0333333 s
+    return _motion(joints, _values(words[5] if len(words) > 5 else "", frames, joints), fps)
+
+
+def _hierarchy(lines: Sequence[str]) -> list[_Joint]:
+    joints: list[_Joint] = []
+    path, opening = [], _Joint("", -1, -1)
+    for number, line in enumerate(lines, start=1):
+        try:
+            match line.split(maxsplit=_MOST_WORDS):
+                case ["ROOT" | "JOINT", name]:
+                    opening = _Joint(name, len(joints), path[-1].index if path else -1)
+                    joints.append(opening)
+                case ["End", "Site"]:
+                    opening = _Joint("End Site", -1, -1)  # it has an offset and no motion
+                    path[-1].end = path[-1].end or opening
+                case ["{"]:
+                    path.append(opening)
+                case ["}"]:
+                    path.pop()
+                case ["OFFSET", x, y, z]:
+                    path[-1].offset = _single(x), _single(y), _single(z)
+                case ["CHANNELS", count, *channels] if int(count) == len(channels):
+                    path[-1].channels = tuple(channels)
+                case [] | ["HIERARCHY"]:
+                    pass
+                case _:
+                    raise ValueError("not a line of a BVH hierarchy")
+        except (IndexError, ValueError) as error:
+            wrong = "no brace is open here" if isinstance(error, IndexError) else error
+            raise BvhError(f"HIERARCHY, line {number}: {shown(line.strip())}: {cut(str(wrong), 100)}") from error
+    if not joints or path:
+        raise BvhError(f"HIERARCHY has {len(joints)} joints, and {len(path)} braces that are never closed")
+    if missing := [joint.name for joint in joints if not joint.offset]:
+        raise BvhError(f"joints without an OFFSET: {cut(', '.join(missing), 100)}")
+    return joints
+
+
+def _values(text: str, frames: int, joints: Sequence[_Joint]) -> np.ndarray:
+    columns = [(channel, joint.name) for joint in joints for channel in joint.channels]
+    expected = frames * len(columns)
+    words = text.split(maxsplit=expected)
+    if len(words) != expected:
+        found = f"{len(words)} numbers" if len(words) < expected else "more numbers than expected"
+        raise BvhError(f"{found} for {frames} frames of {len(columns)} channels ({expected} expected)")
+    try:
+        values = np.array(words, dtype=np.float64)
+    except ValueError as error:
+        raise BvhError(f"MOTION holds something that is not a number: {cut(str(error), 100)}") from error
+    values = values.reshape(frames, len(columns))
+    finite = np.abs(values) <= _LARGEST  # NaN is not
+    if not finite.all():
+        frame, column = np.argwhere(~finite)[0]
+        channel, joint = columns[column]
+        number = f"{cut(channel)} of {shown(joint)} is {values[frame, column]} in frame {frame}"
+        raise BvhError(f"{number}: values must be finite, in float32 too")
+    return values
+
+
+def _motion(joints: Sequence[_Joint], values: np.ndarray, fps: float | int) -> Bvh:
+    positions = np.empty((len(values), len(joints), 3))
+    rotations = np.empty((len(values), len(joints), 3, 3))
+    column = 0
+    for index, joint in enumerate(joints):
+        positions[:, index] = joint.offset
+        order, angles = "", []
+        for channel in joint.channels:
+            axis, kind = channel[:1], channel[1:]
+            if axis not in _AXES or kind not in ("position", "rotation"):
+                raise BvhError(f"unknown channel {shown(channel)} at joint {shown(joint.name)}")
+            if kind == "position":
+                positions[:, index, _AXES[axis]] = values[:, column]
+            else:
+                order, angles = order + axis, [*angles, values[:, column]]
+            column += 1
+        rotations[:, index] = _rotations(order, angles, joint) if order else np.eye(3)
+    return Bvh(
+        names=tuple(joint.name for joint in joints),
+        parents=tuple(joint.parent for joint in joints),
+        positions=torch.from_numpy(positions),
+        rotations=torch.from_numpy(rotations),
+        fps=fps,
+        ends={joint.index: joint.end.offset for joint in joints if joint.end is not None and joint.end.offset},
+    )
+
+
+def _rotations(order: str, angles: Sequence[np.ndarray], joint: _Joint) -> np.ndarray:
+    try:
+        from scipy.spatial.transform import Rotation  # not above: it is slow to import
+
+        return Rotation.from_euler(order, np.stack(angles, axis=-1), degrees=True).as_matrix()  # upper case: intrinsic
+    except ValueError as error:
+        channels = f"the rotation channels of joint {shown(joint.name)} are {cut(', '.join(order))}"
+        raise BvhError(f"{channels}: {cut(str(error), 100)}") from error
+
+
+def _number(word: str, kind: type) -> float | int:
+    try:
+        return kind(word)
+    except ValueError as error:
+        raise BvhError(f"expected a number, found {shown(word)}") from error
+
+
+def _single(word: str) -> float:
+    number = float(word)
+    if not abs(number) <= _LARGEST:
+        raise ValueError(f"{number} is not finite in float32")
+    return number

@@ -1,0 +1,6 @@
+"""Surfaces that bodies wear: a mannequin around any skeleton, or the user's SMPL mesh. Knows no colours and no time."""
+
+from stmc.motion.skins.mannequin import build_mannequin, skin_of
+from stmc.motion.skins.skin import PARTS, Skin
+
+__all__ = ["PARTS", "Skin", "build_mannequin", "skin_of"]

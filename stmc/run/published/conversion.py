@@ -1,0 +1,82 @@
+"""From a published checkpoint to a run directory, whole or not at all. Knows each format by its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stmc import run
+from stmc.evaluators import Evaluator
+from stmc.io.files import write_whole_folder
+from stmc.run.published import import_evaluators as evaluators
+from stmc.run.published import import_flow_mdm as flow_mdm
+from stmc.run.published import import_mdm as mdm
+from stmc.run.published import import_mdm_smpl as mdm_smpl
+from stmc.run.published import import_motion_diffuse as motion_diffuse
+from stmc.run.published.torch_checkpoint import CheckpointError, Imported
+
+EXPECTED = (
+    "expected one of: STMC's run directory (config.json, logs/checkpoints/last.ckpt); MDM's or FlowMDM's folder or .pt "
+    "file (args.json, model000200000.pt); MotionDiffuse's folder (opt.txt, model/latest.tar, meta/mean.npy, "
+    "meta/std.npy); TMR's run (config.json, last_weights/motion_encoder.pt)"
+)
+
+
+def convert(
+    source: str | Path, output: str | Path, statistics: str | Path | None = None, text_model: str | None = None
+) -> Path:
+    """Writes the checkpoint at `source` as the run directory `output`, and returns it; see `read` for the rest.
+
+    `output` must not exist or be empty (`CheckpointError`). It appears when all of it is written, or not at all.
+    """
+    output = Path(output).expanduser()
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise CheckpointError(f"{output} exists already: choose another output, or remove it first")
+    imported = read(source, statistics, text_model)
+    save = run.save_evaluator if isinstance(imported.model, Evaluator) else run.save
+    write_whole_folder(output, lambda unfinished: save(imported.model, unfinished, _card(imported)))
+    return output
+
+
+def read(source: str | Path, statistics: str | Path | None = None, text_model: str | None = None) -> Imported:
+    """The model of a published checkpoint: its folder, or the file of its weights. TMR is an evaluator, not a model.
+
+    `statistics`: the folder of the mean and standard deviation that some weights come without (None: where the format
+    has them): `Mean.npy` and `Std.npy` for MDM and FlowMDM on HumanML3D, `rfeats_mean.pt` and `rfeats_std.pt` for
+    FlowMDM on BABEL, `mean.pt` and `std.pt` for TMR. `text_model`: where the text encoder's weights are, a folder or a
+    hub name (None: the published ones on the hub).
+
+    Raises `CheckpointError` for a source of no known format, and for whatever is wrong with it.
+    """
+    source = Path(source).expanduser()
+    statistics = None if statistics is None else Path(statistics).expanduser()
+    if not source.exists():
+        raise CheckpointError(f"{source} does not exist; {EXPECTED}")
+    if (_above(source, 1) / "args.json").is_file():
+        family = flow_mdm if flow_mdm.is_flow_mdm(_above(source, 1) / "args.json") else mdm
+        return family.read(source, statistics, text_model)
+    if source.is_dir() and evaluators.is_tmr(source):
+        return evaluators.read_tmr(source, statistics, text_model)
+    if statistics is not None:
+        raise CheckpointError(
+            f"{source} has no args.json beside it: only MDM's, FlowMDM's and TMR's weights take statistics from "
+            "elsewhere"
+        )
+    file = source if source.is_file() else None
+    if (_above(source, 2) / "opt.txt").is_file():
+        return motion_diffuse.read(_above(source, 2), file, text_model)
+    if (_above(source, 3) / "config.json").is_file():
+        return mdm_smpl.read(_above(source, 3), file, text_model)
+    raise CheckpointError(f"{source} is not a checkpoint that can be imported; {EXPECTED}")
+
+
+def _above(source: Path, levels: int) -> Path:
+    """The folder that a format's settings lie in: `source` itself, or so many levels above the file of the weights."""
+    return source if source.is_dir() else source.absolute().parents[min(levels, len(source.absolute().parents)) - 1]
+
+
+def _card(imported: Imported) -> str:
+    licence = (
+        "The weights are their authors', under their licence and those of the data they were trained on (HumanML3D and "
+        "AMASS: not for commercial use); this library's licence does not cover them."
+    )
+    return "\n".join([f"# {imported.title}", "", *(f"- {fact}" for fact in imported.facts), "", licence, ""])

@@ -1,0 +1,165 @@
+"""MDM as its authors publish it: `model000200000.pt`, `args.json`, and HumanML3D's `Mean.npy` and `Std.npy`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from stmc.composing.sampling import Sampling
+from stmc.denoisers import MdmDecoder, MdmEncoder
+from stmc.model import Model
+from stmc.run.published.torch_checkpoint import (
+    CheckpointError,
+    Imported,
+    built,
+    fill,
+    identity,
+    only_file,
+    read_checkpoint,
+    read_json,
+    read_statistics,
+    state_dict,
+    whole,
+    without,
+    without_tables,
+)
+from stmc.settings.records import shown
+
+DEFAULTS = {
+    "dataset": "humanml",
+    "arch": "trans_enc",
+    "text_encoder_type": "clip",
+    "emb_trans_dec": False,
+    "layers": 8,
+    "latent_dim": 512,
+    "cond_mask_prob": 0.1,
+    "unconstrained": False,
+    "noise_schedule": "cosine",
+    "diffusion_steps": 1000,
+    "sigma_small": True,
+    "mask_frames": False,
+    "use_ema": False,
+    "pred_len": 0,
+    "context_len": 0,
+    "multi_target_cond": False,
+}
+"""What the published code assumes where `args.json` says nothing."""
+CHOICES = {
+    "dataset": ("humanml",),
+    "arch": ("trans_enc", "trans_dec"),
+    "text_encoder_type": ("clip", "bert"),
+    "noise_schedule": ("cosine", "linear"),
+    "unconstrained": (False,),
+    "sigma_small": (True,),
+    "pred_len": (0,),
+    "context_len": (0,),
+    "multi_target_cond": (False,),
+}
+"""What of it this library can run."""
+TABLES = ("sequence_pos_encoder.pe", "embed_timestep.sequence_pos_encoder.pe")
+FRAMES, FPS, FEATURES = 196, 20, 263
+DISTILBERT = "distilbert/distilbert-base-uncased"
+
+
+def read(path: Path, statistics: Path | None = None, text_model: str | None = None) -> Imported:
+    """The model of a `.pt` file or of the only one in a folder, with `args.json` beside it.
+
+    `statistics`: the folder of the `Mean.npy` and `Std.npy` it was trained with, HumanML3D's own (None: beside the
+    weights). `text_model`: where the text encoder's weights are (a folder or a hub name; None: the published ones on
+    the hub). Raises `CheckpointError` for what is missing, strange, does not fit, or cannot be run.
+    """
+    path = only_file(path, "model*.pt") if path.is_dir() else path
+    settings, said = _settings(path.parent / "args.json")
+    weights = without(_weights(read_checkpoint(path), settings, path), "clip_model.")
+    leading = _leading(settings, said)
+    config = _described(settings, leading, text_model)
+    learned = {name: value for name, value in weights.items() if name not in TABLES}
+    parts = built(config, learned, path.parent / "args.json", str(path))
+    network = parts["denoiser"]
+    fill(network, without_tables(weights, TABLES, network.positions, path), str(path))
+    folder = path.parent if statistics is None else statistics
+    model = Model(
+        **parts,
+        motion_statistics=read_statistics(folder / "Mean.npy", folder / "Std.npy", FEATURES),
+        text_statistics=identity(parts["text_encoder"].width),
+        skeleton=parts["representation"].skeleton,
+        fps=FPS,
+        longest=FRAMES,
+        sampling=Sampling(guidance=2.5 if settings["cond_mask_prob"] else 1.0, noise_scale="std"),
+        config=config,
+    )
+    facts = [
+        f"MDM (Tevet et al. 2023), {settings['arch']}, {settings['diffusion_steps']} steps, trained on HumanML3D.",
+        f"Weights: {path.name}{', their moving average' if settings['use_ema'] else ''}.",
+        "Sampled as published: the textbook's DDPM, guidance 2.5"
+        + (", every crop with 196 frames in sight." if network.fixed_length else "."),
+    ]
+    if leading is not None:
+        facts.append(f"The decoder's leading token tells {leading.replace('_', ' ')}.")
+    return Imported(model, "MDM", tuple(facts))
+
+
+def _settings(path: Path) -> tuple[dict[str, Any], set[str]]:
+    """The settings with defaults for those missing, and the names of those that the file has."""
+    said = read_json(path)
+    settings = DEFAULTS | said
+    if "unconstrained" not in said and "cond_mode" in said:  # before August 2022
+        settings["unconstrained"] = "text" not in str(said["cond_mode"])
+    for name, choices in CHOICES.items():
+        if not any(settings[name] is choice or settings[name] == choice for choice in choices):
+            raise CheckpointError(
+                f"{path}: {name} is {shown(settings[name])}, but only {' or '.join(map(repr, choices))} can be imported"
+            )
+    for name in ("layers", "latent_dim", "diffusion_steps"):
+        whole(settings[name], name, path)
+    if settings["arch"] == "trans_enc" and settings["text_encoder_type"] == "bert":
+        raise CheckpointError(f"{path}: trans_enc with bert: the published encoder reads CLIP's sentences only")
+    return settings, set(said)
+
+
+def _weights(content: dict[str, Any], settings: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
+    """The flat mapping of old files, or one of the two in those with a moving average."""
+    if "model" not in content and "model_avg" not in content:
+        return state_dict(content, str(path))
+    name = "model_avg" if settings["use_ema"] else "model"
+    if name not in content:
+        raise CheckpointError(f"{path} has no {name}, which args.json asks for (use_ema {settings['use_ema']})")
+    return state_dict(content[name], f"{path}: {name}")
+
+
+def _leading(settings: Mapping[str, Any], said: set[str]) -> str | None:
+    """The code that came to know several text encoders, and says which in `args.json`, tells the step alone."""
+    if settings["arch"] == "trans_enc" or not settings["emb_trans_dec"]:
+        return None
+    return "step" if "text_encoder_type" in said else "step_and_text"
+
+
+def _described(settings: Mapping[str, Any], leading: str | None, text_model: str | None) -> dict[str, Any]:
+    encoder = MdmEncoder if settings["arch"] == "trans_enc" else MdmDecoder
+    bert = settings["text_encoder_type"] == "bert"
+    source = {} if text_model is None else {"source": text_model}
+    texts = (
+        {"_target_": "stmc.text.Tokens", "source": DISTILBERT, "width": 768} | source
+        if bert
+        else {"_target_": "stmc.text.Clip", "tokens": 22, "weights": "fp16"} | source
+    )
+    return {
+        "denoiser": {
+            "_target_": f"stmc.denoisers.{encoder.__name__}",
+            "features": FEATURES,
+            "text_width": 768 if bert else 512,
+            "width": settings["latent_dim"],
+            "layers": settings["layers"],
+            "fixed_length": None if settings["mask_frames"] else FRAMES,
+        }
+        | ({} if leading is None else {"leading": leading}),
+        "schedule": {
+            "_target_": f"stmc.diffusion.Schedule.{settings['noise_schedule']}",
+            "steps": settings["diffusion_steps"],
+        },
+        "text_encoder": {"_target_": "stmc.text.EmptyAsZeros", "encoder": texts},
+        "representation": {"_target_": "stmc.motion.representation.HumanML3DRepresentation"},
+    }

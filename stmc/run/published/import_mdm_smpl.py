@@ -1,0 +1,161 @@
+"""MDM-SMPL as STMC's authors publish it: a run of Lightning, `config.json` and `logs/checkpoints/last.ckpt`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from stmc.diffusion.statistics import Statistics
+from stmc.model import Model
+from stmc.run.published.torch_checkpoint import (
+    CheckpointError,
+    Imported,
+    built,
+    fill,
+    nudged_statistics,
+    read_checkpoint,
+    read_json,
+    size_of,
+    state_dict,
+    whole,
+)
+from stmc.settings.records import shown
+
+CHECKPOINT = Path("logs/checkpoints/last.ckpt")
+LONGEST = 10.0
+"""Seconds of the longest clips it was trained on."""
+REPRESENTATIONS = {"smplrifke": "SmplRepresentation", "guoh3dfeats": "HumanML3DRepresentation"}
+PREDICTIONS = {"x": "x0", "x0": "x0", "eps": "eps", "epsilon": "eps", "v": "v", "score": "score"}
+CLIP = ("ViT-B/32", "clip", "openai/clip-vit-base-patch32")
+
+
+def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = None) -> Imported:
+    """The model of a run directory, with the weights of `checkpoint` (None: the last one).
+
+    `text_model`: where the text encoder's weights are (a folder or a hub name; None: the published ones on the hub).
+    Raises `CheckpointError` for settings, weights or statistics that are missing, strange, or do not fit.
+    """
+    checkpoint = folder / CHECKPOINT if checkpoint is None else checkpoint
+    settings = read_json(folder / "config.json")
+    content = read_checkpoint(checkpoint)
+    if "state_dict" not in content:
+        raise CheckpointError(f"{checkpoint} has no state_dict: it is not a checkpoint of PyTorch Lightning")
+    weights = state_dict(content["state_dict"], f"{checkpoint}: state_dict")
+    denoiser = {
+        name.removeprefix("denoiser."): value for name, value in weights.items() if name.startswith("denoiser.")
+    }
+    config = _described(settings, denoiser, folder / "config.json", str(checkpoint), text_model)
+    parts = built(config, denoiser, folder / "config.json", f"{checkpoint}: denoiser")
+    network = parts["denoiser"]
+    fill(network, denoiser, f"{checkpoint}: denoiser")
+    rest = {name: value for name, value in weights.items() if not name.startswith("denoiser.")}
+    motion = _statistics(rest, "motion", parts["representation"].width, checkpoint)
+    text = _statistics(rest, "text", parts["text_encoder"].width, checkpoint)
+    if unknown := [name for name in rest if not name.startswith(("motion_normalizer.", "text_normalizer."))]:
+        raise CheckpointError(f"{checkpoint} has weights of another model: {', '.join(unknown)}")
+    fps = _setting(settings, "data.motion_loader.fps", folder / "config.json")
+    if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps <= 1000:
+        raise CheckpointError(
+            f"{folder / 'config.json'}: data.motion_loader.fps must be a positive number up to 1000, not {shown(fps)}"
+        )
+    model = Model(
+        **parts,
+        motion_statistics=motion,
+        text_statistics=text,
+        skeleton=parts["representation"].skeleton,
+        fps=fps,
+        longest=int(LONGEST * fps),
+        prediction=_prediction(settings, folder / "config.json"),
+        config=config,
+    )
+    epoch = content.get("epoch")
+    facts = (
+        "MDM-SMPL (Petrovich et al. 2024), trained with the code of STMC.",
+        f"Weights: {checkpoint.name}{f', after epoch {epoch}' if isinstance(epoch, int) else ''}.",
+        "Sampled as published: DDPM's noise scaled by the posterior's variance, guidance 2.5.",
+    )
+    return Imported(model, "MDM-SMPL", facts)
+
+
+def _described(
+    settings: Mapping[str, Any], weights: Mapping[str, Tensor], path: Path, place: str, text_model: str | None
+) -> dict[str, Any]:
+    """How to build the parts: sizes from the weights, everything else from the settings."""
+    features = _setting(settings, "motion_features", path)
+    if not isinstance(features, str) or features not in REPRESENTATIONS:
+        raise CheckpointError(f"{path}: motion_features must be {' or '.join(REPRESENTATIONS)}, not {shown(features)}")
+    text_width = size_of(weights, "tx_embedding.0.weight", 1, place)
+    options = _setting(settings, "diffusion.denoiser", path)
+    options = options if isinstance(options, Mapping) else {}
+    if options.get("activation", "gelu") != "gelu":
+        raise CheckpointError(f"{path}: activation must be gelu, not {shown(options['activation'])}")
+    layers = {name.split(".")[2] for name in weights if name.startswith("seqTransEncoder.layers.")}
+    return {
+        "denoiser": {
+            "_target_": "stmc.denoisers.MdmSmpl",
+            "features": size_of(weights, "skel_embedding.weight", 1, place),
+            "text_width": text_width,
+            "width": size_of(weights, "registers", 1, place),
+            "feedforward": size_of(weights, "seqTransEncoder.layers.0.linear1.weight", 0, place),
+            "layers": len(layers),
+            "heads": options.get("num_heads", 8),
+            "dropout": options.get("dropout", 0.1),
+            "registers": size_of(weights, "registers", 0, place),
+        },
+        "schedule": _schedule(settings, path),
+        "text_encoder": _text_encoder(settings, path, text_width, text_model),
+        "representation": {"_target_": f"stmc.motion.representation.{REPRESENTATIONS[features]}"},
+    }
+
+
+def _schedule(settings: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    described = _setting(settings, "diffusion.schedule", path)
+    found = [kind for kind in ("cosine", "linear") if kind in str(described).lower()]
+    steps = _setting(settings, "diffusion.timesteps", path)
+    if len(found) != 1:
+        raise CheckpointError(f"{path}: diffusion.schedule must be cosine or linear, not {shown(described)}")
+    own = {"s": described["s"]} if isinstance(described, Mapping) and "s" in described else {}
+    return {"_target_": f"stmc.diffusion.Schedule.{found[0]}", "steps": whole(steps, "diffusion.timesteps", path)} | own
+
+
+def _text_encoder(settings: Mapping[str, Any], path: Path, width: int, text_model: str | None) -> dict[str, Any]:
+    name = _setting(settings, "data.text_encoder.modelname", path)
+    pooled = _setting(settings, "data.text_encoder.mean_pooling", path)
+    if name in CLIP:
+        return {"_target_": "stmc.text.Clip"} | ({} if text_model is None else {"source": text_model})
+    if not isinstance(name, str):
+        raise CheckpointError(f"{path}: data.text_encoder.modelname must be a model's name, not {shown(name)}")
+    if pooled:
+        raise CheckpointError(
+            f"{path}: mean_pooling of {shown(name)} is not supported; only CLIP, and tokens of any model"
+        )
+    return {"_target_": "stmc.text.Tokens", "source": text_model or name, "width": width}
+
+
+def _prediction(settings: Mapping[str, Any], path: Path) -> str:
+    named = _setting(settings, "diffusion.prediction", path)
+    if not isinstance(named, str) or named not in PREDICTIONS:
+        raise CheckpointError(f"{path}: prediction must be one of {', '.join(PREDICTIONS)}, not {shown(named)}")
+    return PREDICTIONS[named]
+
+
+def _statistics(weights: Mapping[str, Tensor], side: str, width: int, path: Path) -> Statistics:
+    values = []
+    for moment in ("mean", "std"):
+        name = f"{side}_normalizer.{moment}"
+        if size_of(weights, name, 0, str(path)) != width or weights[name].ndim != 1:
+            raise CheckpointError(f"{path}: {name} must hold {width} numbers, not {list(weights[name].shape)}")
+        values.append(weights[name])
+    return nudged_statistics(*values, f"{path}: {side}_normalizer")
+
+
+def _setting(settings: Mapping[str, Any], name: str, path: Path) -> Any:
+    found: Any = settings
+    for key in name.split("."):
+        if not isinstance(found, Mapping) or key not in found:
+            raise CheckpointError(f"{path} has no setting {name}")
+        found = found[key]
+    return found

@@ -1,0 +1,45 @@
+"""What a config says beside the parts: the settings of a model and of an evaluator, and what fits each."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from stmc.diffusion import Prediction
+from stmc.run.configs import RunError
+from stmc.settings.records import SettingError, check, record_of, setting
+
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluatorSettings:
+    """Of an evaluator."""
+
+    fps: float | int = setting(dataclasses.MISSING, "frame rate of the features", unit="Hz", above=0, at_most=1000)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSettings(EvaluatorSettings):
+    """Of a model; how it is sampled unless told otherwise stands beside them: see `Sampling`."""
+
+    longest: int = setting(dataclasses.MISSING, "longest crop", unit="frames", at_least=1, at_most=10_000)
+    prediction: Prediction = setting(dataclasses.MISSING, "what the denoiser predicts")
+
+
+def settings_of(kind: type[Record], config: Mapping[str, Any], place: str | Path) -> Record:
+    """The settings in a config, others at their defaults. Raises `RunError` for one that is missing or does not fit."""
+    fields = dataclasses.fields(kind)
+    absent = [field.name for field in fields if field.default is dataclasses.MISSING and field.name not in config]
+    if absent:
+        raise RunError(f"{place}: {', '.join(absent)} missing")
+    try:
+        return record_of(kind, {field.name: config[field.name] for field in fields if field.name in config})
+    except SettingError as error:
+        raise RunError(f"{place}: {error}") from error

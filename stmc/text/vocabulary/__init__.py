@@ -1,0 +1,27 @@
+"""What a model was trained to hear: its sentences and contents, whether it knows a prompt, and the body parts of one.
+
+Knows sentences, their embeddings and body parts; knows no motion, no network and no timeline.
+"""
+
+from stmc.text.vocabulary.building import build_vocabulary
+from stmc.text.vocabulary.recogniser import Recogniser
+from stmc.text.vocabulary.sentences import Content, Sentence, embed_sentences, sentence_encoder
+from stmc.text.vocabulary.suggestion import Suggestion, suggest
+from stmc.text.vocabulary.vocabulary import Recognition, Vocabulary
+from stmc.text.vocabulary.vocabulary_files import VocabularyError, read_vocabulary, write_vocabulary
+
+__all__ = [
+    "Content",
+    "Recogniser",
+    "Recognition",
+    "Sentence",
+    "Suggestion",
+    "Vocabulary",
+    "VocabularyError",
+    "build_vocabulary",
+    "embed_sentences",
+    "read_vocabulary",
+    "sentence_encoder",
+    "suggest",
+    "write_vocabulary",
+]

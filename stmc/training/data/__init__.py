@@ -1,0 +1,1 @@
+"""Batches that training draws from prepared data."""

@@ -1,0 +1,304 @@
+"""A prepared cache and its texts, ready to train on, and what a batch of it is: which clips, trimmed how, with what.
+
+Knows prepared caches and layouts; knows no particular data set, no body and no network.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from jaxtyping import Float, Shaped
+from torch import Tensor
+
+from stmc.data.cache import Cache, Clip
+from stmc.diffusion import tensors
+from stmc.diffusion.statistics import Statistics
+from stmc.motion.body import BodyPart
+from stmc.motion.geometry import orthonormal_rows
+from stmc.motion.representation.layout import Layout
+from stmc.text import TextEncoder
+from stmc.training.data.joining import Arrangement
+from stmc.training.loss import Batch
+
+NULL = 0
+"""The empty text's place among the sentences: what the network gets for "no text"."""
+
+SEAM = 6
+"""Frames over which a composition's donor comes and goes within a row."""
+
+FLOOR = 1e-3
+"""What a feature of no field's own floor, or a number of a word, is divided by at least."""
+
+
+MeansOver = Literal["clips", "entries"]
+"""What statistics are taken over: see `Dataset`."""
+
+
+class Dataset:
+    """A cache and its texts, normalised and ready to draw from, on one device.
+
+    `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
+    sentences' words, unless they are given; `skeleton` is the cache's, if it has its own. Features that vary by less
+    than their field's `floor` are divided by it: what hardly varies in most clips may in some. What is more than
+    `limit` standard deviations from the mean is put there. With `statistics_over` "entries" the statistics are over
+    each content's first clip and its first text, however many contents have the same one (as STMC's are, whose every
+    entry is a content), not over all clips and distinct texts. Contents with fewer than `min_clips` training clips
+    have no texts: one clip of several actions teaches no word. `joined` are sentences about two contents at once, by
+    the contents' names, for compositions (see `Sampling.joined_prob`); a pair of which the cache lacks one is ignored.
+    Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
+    """
+
+    def __init__(
+        self,
+        cache: Cache,
+        encoder: TextEncoder,
+        layout: Layout,
+        floor: Mapping[str, float] | None = None,
+        min_clips: int = 5,
+        limit: float = math.inf,
+        text: Statistics | None = None,
+        statistics_over: MeansOver = "clips",
+        device: torch.device | str = "cpu",
+        joined: Mapping[frozenset[str], Sequence[str]] = MappingProxyType({}),
+    ) -> None:
+        if cache.features.shape[1] != layout.width:
+            raise ValueError(f"the cache has {cache.features.shape[1]} features, the layout {layout.width}")
+        self.fps, self.layout, self.clips, self.skeleton = cache.fps, layout, cache.clips, cache.skeleton
+        self.min_clips = min_clips
+        training = [clip for clip in cache.clips if clip.split == "train"]
+        counts = Counter(clip.content for clip in training)
+        self.described = np.array([counts[c.content] >= min_clips and any(cache.texts[c.texts]) for c in cache.clips])
+        if not training or not self.described.any():
+            raise ValueError(
+                f"no content has {min_clips} training clips among the {len(cache.clips)} clips of the cache"
+            )
+        parts = list(layout.columns)
+        self.claims = np.array([[part in clip.parts for part in parts] for clip in cache.clips], dtype=bool)
+        owned = torch.zeros(len(parts), layout.width, dtype=torch.bool)
+        for row, part in enumerate(parts):
+            owned[row, list(layout.columns[part])] = True
+        self.legs, self._owned = parts.index(BodyPart.LEGS), owned.to(device)
+        self.features = cache.features.to(device)
+        first = _first_of_entries(training, statistics_over)
+        frames = torch.cat([torch.arange(clip.start, clip.end) for clip in first or training])
+        moving = cache.features[frames]
+        if (moving.amax(dim=0) == moving.amin(dim=0)).all():
+            raise ValueError(f"every one of the {len(frames)} training frames is the same: there is nothing to learn")
+        floors = torch.tensor(layout.filled(floor or {}, FLOOR))
+        self.motion, self._limit = (cache.statistics or Statistics.of(moving, floors)).to(device), limit
+        described = {clip.content for clip, known in zip(cache.clips, self.described, strict=True) if known}
+        joined = {pair: texts for pair, texts in joined.items() if pair <= described}
+        self._embed(cache, encoder, text, first, joined, device)
+        # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
+        self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]
+        travelled = self.features[:, self.velocity].double().cumsum(dim=0)
+        self._travelled = torch.cat([torch.zeros_like(travelled[:1]), travelled])
+
+    def _embed(
+        self,
+        cache: Cache,
+        encoder: TextEncoder,
+        text: Statistics | None,
+        first: Sequence[Clip],
+        joined: Mapping[frozenset[str], Sequence[str]],
+        device: torch.device | str,
+    ) -> None:
+        keys = {clip.texts for clip, known in zip(cache.clips, self.described, strict=True) if known}
+        own = {text for key in keys for text, _ in cache.texts[key]}
+        pairs = {text for texts in joined.values() for text in texts} - own
+        self.sentences = ["", *sorted(own - {""}), *sorted(pairs)]
+        words, lengths = encoder.encode(self.sentences)
+        self.words = lengths.cpu().numpy()
+        exists = tensors.mask(lengths, words.shape[1])
+        place = {text: index for index, text in enumerate(self.sentences)}
+        trained = {clip.texts for clip in cache.clips if clip.split == "train"} & keys
+        said = sorted({place[text] for key in trained for text, _ in cache.texts[key]})
+        rows = [place[cache.texts[clip.texts][0][0]] for clip in first if clip.texts in keys] or said
+        self.text = (text or Statistics.of(words[rows][exists[rows]].float(), FLOOR)).to(device)
+        self._text = torch.where(exists[..., None].to(device), self.text.normalise(words.to(device).float()), 0.0)
+        self.choices = {
+            key: (
+                np.array([place[text] for text, _ in cache.texts[key]]),
+                np.cumsum([share for _, share in cache.texts[key]]),
+            )
+            for key in keys
+        }
+        self._joined = {pair: [place[text] for text in texts] for pair, texts in joined.items()}
+
+    @property
+    def features_width(self) -> int:
+        """Numbers per frame."""
+        return self.features.shape[1]
+
+    @property
+    def text_width(self) -> int:
+        """Numbers per word."""
+        return self._text.shape[2]
+
+    def sentence(self, clip: int, u: float) -> int:
+        """The place of the sentence of a clip that `u` in [0, 1) chooses, by the sentences' probabilities."""
+        if not self.described[clip]:
+            return NULL
+        places, cumulated = self.choices[self.clips[clip].texts]
+        return int(places[min(np.searchsorted(cumulated, u, side="right"), len(places) - 1)])
+
+    def joined_sentence(self, clip: int, other: int, u: float) -> int | None:
+        """The place of the sentence about both clips' contents that `u` in [0, 1) chooses; None where there is none."""
+        places = self._joined.get(frozenset((self.clips[clip].content, self.clips[other].content)), [])
+        return places[int(u * len(places))] if places else None
+
+    def batch(self, plan: BatchPlan) -> Batch:
+        """The motion and the texts of `plan`, padded to the longest of each."""
+        arrangement, words, device = plan.arrangement, self.words[plan.sentence], self.features.device
+        frames = arrangement.lengths
+        lengths = torch.from_numpy(frames).to(device)
+        mask = None if (frames == frames.max()).all() else tensors.mask(lengths, int(frames.max()))
+        raw = arrangement.joined(self._composed(self._cut(plan.body), plan), self._rotating)
+        motion = self.motion.normalise(raw).clamp(-self._limit, self._limit)
+        if mask is not None:
+            motion = torch.where(mask[..., None], motion, 0.0)
+        sentence = torch.from_numpy(plan.sentence).to(device)
+        text, sentence, segment, text_mask = self._text[sentence][:, : int(words.max())], sentence[:, None], None, None
+        if len(frames) < len(words):
+            text, sentence = (self._in_rows(each, plan) for each in (text, sentence))
+            segment = torch.from_numpy(arrangement.segments()).to(device)
+        elif (words != words.max()).any():
+            text_mask = tensors.mask(torch.from_numpy(words).to(device), int(words.max()))
+        return Batch(motion, mask, text, text_mask, int(frames.sum()), segment=segment, sentence=sentence)
+
+    def _in_rows(self, of_crops: Shaped[Tensor, "crops 1 *width"], plan: BatchPlan) -> Shaped[Tensor, "rows _ *width"]:
+        """What each crop has one of, such as the one word of its text, row by row; zeros where a row has fewer."""
+        rows, device = plan.arrangement, of_crops.device
+        row, place = (torch.from_numpy(each).to(device) for each in (plan.row, rows.place))
+        in_rows = of_crops.new_zeros(len(rows.lengths), int(rows.place.max()) + 1, *of_crops.shape[2:])
+        return in_rows.index_put((row, place), of_crops[:, 0])
+
+    def poses(self, plan: BatchPlan, frame: np.ndarray) -> np.ndarray:
+        """Each crop's normalised features in its frame `frame`, (crops, features), rounded to one of the source's."""
+        donor, own = plan.donor, frame - plan.offset
+        inside = torch.from_numpy((own >= 0) & (own < donor.frames)).to(self.features.device)
+        claimed = torch.from_numpy(self.claims[donor.clip]).to(self.features.device)
+        owned = (claimed[:, :, None] & self._owned).any(dim=1) & inside[:, None]
+        raw = torch.where(owned, self._at(donor, own.clip(0)), self._at(plan.body, frame))
+        return self.motion.normalise(raw).clamp(-self._limit, self._limit).cpu().numpy()
+
+    def _at(self, crops: Crops, frame: np.ndarray) -> Tensor:
+        place = np.minimum(crops.start + np.rint(frame * crops.speed).astype(int), crops.end - 1)
+        return self.features[torch.from_numpy(place).to(self.features.device)]
+
+    def _composed(self, motion: Float[Tensor, "batch frames features"], plan: BatchPlan) -> Tensor:
+        """Each row with its donor, if it has one, in the columns of the parts that the donor claims."""
+        rows = np.flatnonzero(plan.donor.frames)
+        if not len(rows):
+            return motion
+        donor, device = plan.donor[rows], motion.device
+        moved, offset = self._cut(donor), plan.offset[rows]
+        frame = np.arange(motion.shape[1])[None] - offset[:, None]  # of the donor
+        share = torch.from_numpy(_shares(frame, donor.frames, offset, plan.body.frames[rows])).to(device)
+        inside = torch.from_numpy(frame.clip(0, moved.shape[1] - 1)).to(device)
+        moved = moved.gather(1, inside[..., None].expand(-1, -1, moved.shape[2]))
+        claimed = torch.from_numpy(self.claims[donor.clip]).to(device)
+        owned = (claimed[:, :, None] & self._owned).any(dim=1)
+        chosen = torch.from_numpy(rows).to(device)
+        blended = torch.lerp(motion[chosen], moved, share[..., None] * owned[:, None])
+        return motion.index_copy(0, chosen, self._rotating(blended))
+
+    def _cut(self, crops: Crops) -> Float[Tensor, "batch frames features"]:
+        """Raw features; frames after a row's end repeat its last one."""
+        device = self.features.device
+        bounds = (crops.start, crops.end, crops.frames - 1)
+        start, end, last = (torch.from_numpy(bound).to(device)[:, None] for bound in bounds)
+        frame = torch.arange(int(crops.frames.max()), device=device)
+        if (crops.speed == 1).all():
+            return self.features[start + torch.minimum(frame, last)]
+        speed = torch.from_numpy(crops.speed).to(device)[:, None]
+        position = torch.minimum(frame, last) * speed
+        before = (start + position.long()).clamp(max=end - 1)
+        share = (position - position.floor())[..., None].float()
+        raw = torch.lerp(self.features[before], self.features[(before + 1).clamp(max=end - 1)], share)
+        raw[..., self.velocity] = (self._gone(start, position + speed) - self._gone(start, position)).float()
+        return self._rotating(raw)
+
+    def _rotating(self, raw: Float[Tensor, "*batch features"]) -> Tensor:
+        """`raw` after blending in place: with rotations again."""
+        raw[..., self.layout["rotations"]] = orthonormal_rows(raw[..., self.layout["rotations"]])
+        return raw
+
+    def _gone(self, start: Tensor, position: Tensor) -> Tensor:
+        """Summed velocity from the first frame of all to `position` (float, in frames) after `start`."""
+        whole = start + position.long()
+        after = (whole + 1).clamp(max=len(self._travelled) - 1)
+        return torch.lerp(self._travelled[whole], self._travelled[after], (position - position.floor())[..., None])
+
+
+@dataclass(frozen=True)
+class Crops:
+    """Of clips: `frames` frames each from frame `start` of all features on, at `speed` source frames a frame, none at
+    or after `end` (where the clip ends)."""
+
+    clip: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    frames: np.ndarray
+    speed: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> Crops:
+        return Crops(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def followed_by(self, others: Crops) -> Crops:
+        """These and, behind them, the others."""
+        pairs = ((getattr(self, name), getattr(others, name)) for name in self.__dataclass_fields__)
+        return Crops(*map(np.concatenate, pairs))
+
+
+@dataclass(frozen=True)
+class BatchPlan:
+    """Crops to be: the `body` of each, and the place of its sentence; for a composition the `donor` whose claimed
+    parts it takes over from its frame `offset` on (else a crop of no frames), and the sentence of the `other` of the
+    two where the crop shows it, too (else the crop's own, as where that is about both): see `Sampling.compose_prob`.
+    Crops stand in rows one after the other: see `Arrangement` for `row` and `fade`."""
+
+    body: Crops
+    sentence: np.ndarray
+    donor: Crops
+    offset: np.ndarray
+    other: np.ndarray
+    row: np.ndarray
+    fade: np.ndarray
+
+    def __getitem__(self, crops: np.ndarray) -> BatchPlan:
+        """Some of the crops; the rows keep their numbers."""
+        return BatchPlan(*(getattr(self, name)[crops] for name in self.__dataclass_fields__))
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """Where the crops stand."""
+        return Arrangement(self.row, self.body.frames, self.fade)
+
+    def rows(self, rows: np.ndarray) -> BatchPlan:
+        """Whole rows, in this order."""
+        crops = np.concatenate([np.flatnonzero(self.row == row) for row in rows])
+        chosen = self[crops]
+        return replace(chosen, row=np.cumsum(np.diff(chosen.row, prepend=chosen.row[0]) != 0))
+
+
+def _first_of_entries(training: Sequence[Clip], over: MeansOver) -> list[Clip]:
+    """What statistics over entries are over: the first clip of each content; none where they are over all clips."""
+    if over not in get_args(MeansOver):
+        raise ValueError(f"unknown statistics_over {over!r}; choose from {', '.join(get_args(MeansOver))}")
+    return list({clip.content: clip for clip in reversed(training)}.values()) if over == "entries" else []
+
+
+def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:
+    """How much of the donor shows in its frame `frame`: all, but for ramps at its ends and nothing beyond them, where
+    these lie within the row."""
+    come = np.where(offset == 0, SEAM + 1, 0)[:, None] + frame + 1
+    go = np.where(offset + frames == of_row, SEAM + 1, 0)[:, None] + frames[:, None] - frame
+    return (np.minimum(come, go) / (SEAM + 1)).clip(0, 1).astype(np.float32)

@@ -1,0 +1,41 @@
+"""What a loss over features alone does not see: whether the feet stand still while the body moves on.
+
+Knows the 205 features of `SmplRepresentation` and the statistics of a dataset; knows no network.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stmc.motion.representation.smpl import SmplRepresentation
+from stmc.training.data.dataset import Dataset
+
+
+class FootVelocity:
+    """Normalised features → how far the toes move to the next frame, in units of its deviation in the dataset.
+
+    Raises `ValueError` for a dataset of other features than `SmplRepresentation`'s.
+    """
+
+    name = "foot_velocity"
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.representation, self.motion = SmplRepresentation(), dataset.motion
+        if dataset.layout != self.representation.layout:
+            raise ValueError(
+                f"foot steps are known of SmplRepresentation's {self.representation.width} features alone, not of "
+                f"{dataset.layout.width} in another layout: train without data.auxiliary_loss"
+            )
+        self.skeleton = dataset.skeleton or self.representation.skeleton
+        training = [clip for clip in dataset.clips if clip.split == "train"]
+        steps = torch.cat([self._steps(dataset.features[clip.start : clip.end]) for clip in training])
+        self.deviation = steps.square().mean(dim=0).sqrt()
+
+    def __call__(self, motion: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch _ 6"]:
+        """One frame fewer than `motion`; differentiable."""
+        return self._steps(self.motion.restore(motion)) / self.deviation
+
+    def _steps(self, features: Tensor) -> Tensor:
+        return self.representation.foot_velocities(features, self.skeleton)

@@ -1,0 +1,101 @@
+"""What TMR learns from (Petrovich et al. 2023, section 3): to rebuild motions, to place a motion and its text at one
+point, and to keep those of different meaning apart.
+
+Knows pairs of motions and texts and TMR's networks; knows no data set, no optimiser and what no text says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from stmc.evaluators.tmr import Posterior, Tmr
+from stmc.training.contrastive_batches import Pairs
+
+TERMS = ("reconstruction", "kl", "latent", "contrastive")
+
+
+@dataclass(frozen=True)
+class TmrObjective:
+    """The sum of four terms, each with its weight: the published ones by default.
+
+    Reconstruction of the motion from its own latent and from its text's; divergence of the two posteriors from each
+    other, both ways, and from the standard normal; distance of the two latents; and `info_nce`, with `temperature`.
+    Rebuilding is most of the work: with `rebuild_every` of 8, one row in 8 is rebuilt and counts for the first term.
+    """
+
+    reconstruction: float | int = 1.0
+    kl: float | int = 1e-5
+    latent: float | int = 1e-5
+    contrastive: float | int = 0.1
+    temperature: float | int = 0.1
+    rebuild_every: int = 1
+
+    def __post_init__(self) -> None:
+        if self.rebuild_every < 1:
+            raise ValueError(f"rebuild_every must be at least 1, not {self.rebuild_every}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the logged losses: the weighted sum, then each term unweighted."""
+        return ("loss", *(f"loss_{name}" for name in TERMS))
+
+    def __call__(self, network: Tmr, pairs: Pairs, generator: torch.Generator) -> Float[Tensor, " terms"]:
+        """Each term's mean, times the number of frames."""
+        output = network(pairs.text, pairs.text_mask, pairs.motion, pairs.mask, generator, self.rebuild_every)
+        terms = [
+            sum(F.smooth_l1_loss(motion, pairs.motion[:: self.rebuild_every]) for motion in output.rebuilt),
+            kl_terms(output.text, output.motion).sum(),
+            F.smooth_l1_loss(*output.points),
+            info_nce(output.text.mean, output.motion.mean, pairs.alike, self.temperature),
+        ]
+        return torch.stack(terms) * pairs.frames
+
+    def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
+        """The number to minimise."""
+        return terms @ terms.new_tensor([getattr(self, name) for name in TERMS])
+
+    def losses(self, means: Float[Tensor, " terms"]) -> Mapping[str, float]:
+        """What is logged, from the terms' means."""
+        return dict(zip(self.names, [float(self.weigh(means)), *means.tolist()], strict=True))
+
+
+def kl_terms(text: Posterior, motion: Posterior) -> Float[Tensor, " 4"]:
+    """Divergence of text from motion, motion from text, and of both from the standard normal; zeros where the encoders
+    are not variational."""
+    if text.log_variance is None or motion.log_variance is None:
+        return text.mean.new_zeros(4)
+    normal = Posterior(torch.zeros_like(text.mean), torch.zeros_like(text.mean))
+    pairs = [(text, motion), (motion, text), (motion, normal), (text, normal)]
+    return torch.stack([divergence(*pair) for pair in pairs])
+
+
+def divergence(posterior: Posterior, prior: Posterior) -> Float[Tensor, ""]:
+    """Kullback-Leibler divergence between normal distributions of independent numbers, in nats, averaged over numbers
+    and rows."""
+    excess = posterior.log_variance - prior.log_variance
+    distance = (prior.mean - posterior.mean).square() / prior.log_variance.exp()
+    return (0.5 * (excess.exp() + distance - 1 - excess)).mean()
+
+
+def info_nce(
+    texts: Float[Tensor, "batch width"],
+    motions: Float[Tensor, "batch width"],
+    alike: Bool[Tensor, "batch batch"] | None = None,
+    temperature: float | int = 0.1,
+) -> Float[Tensor, ""]:
+    """InfoNCE over cosines (TMR, Eq. 2 and 3): the mean of the cross entropies of finding each text's motion and each
+    motion's text among the batch's. Pairs that are `alike` [text, motion] count as neither right nor wrong; a row's own
+    pair is always right."""
+    cosines = F.normalize(texts, dim=-1) @ F.normalize(motions, dim=-1).T
+    logits = cosines / temperature
+    own = torch.arange(len(texts), device=texts.device)
+    if alike is not None:
+        others = ~torch.eye(len(texts), dtype=torch.bool, device=texts.device)
+        logits = logits.masked_fill(alike & others, -torch.inf)
+    return (F.cross_entropy(logits, own) + F.cross_entropy(logits.T, own)) / 2

@@ -1,0 +1,275 @@
+"""What the studio samples: one job after the other, each heard by whoever listens, and any of them can be stopped.
+
+Knows motions and how they are asked for; knows no requests and no pages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+import secrets
+from collections import OrderedDict, deque
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from threading import Condition, Lock, Thread
+from typing import Any, NamedTuple
+
+import torch
+
+from stmc.editing import Change
+from stmc.editing.constraints import Constraint
+from stmc.editing.constraints.pose import Pose
+from stmc.motion.motion import Motion
+from stmc.timeline import Timeline
+from stmc.viewing.studio.refusals import Refused, refusal_of
+from stmc.viewing.studio.stores import Motions
+
+logger = logging.getLogger(__name__)
+
+MOST_WAITING = 32
+"""Jobs that wait; more are refused."""
+
+MOST_FINISHED = 200
+"""Jobs that can still be asked about."""
+
+ENDS = ("done", "failed", "cancelled")
+
+Event = tuple[str, dict[str, Any]]
+"""What happened, and what there is to know of it."""
+
+
+class Cancelled(Exception):
+    """The job should end before its next step."""
+
+
+class Stage(NamedTuple):
+    """One of the samplings of a job: its name, as the page is told it, and its steps of denoising."""
+
+    name: str
+    steps: int
+
+
+PREVIEW = Stage("preview", 10)
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What is to be sampled: a timeline once for each seed; of a motion that is kept, the changes alone.
+
+    `stages`: one after the other, such as a preview and then the motion itself. `tab`: who asks; of one tab, only the
+    last job waits.
+    """
+
+    timeline: Timeline
+    seeds: tuple[int, ...]
+    stages: tuple[Stage, ...] = (PREVIEW,)
+    keep: Motion | None = None
+    change: tuple[Change, ...] = ()
+    constraints: tuple[Constraint, ...] = ()
+    clean_feet: bool = True
+    tab: str = ""
+
+
+@dataclass(eq=False)
+class Job:
+    """One of them, and all that has happened to it."""
+
+    asked: Asked
+    name: str = field(default_factory=lambda: secrets.token_urlsafe(9))
+    events: list[Event] = field(default_factory=list)
+    cancelled: bool = False
+    _listeners: list[tuple[asyncio.AbstractEventLoop, asyncio.Queue]] = field(default_factory=list)
+    _lock: Lock = field(default_factory=Lock)
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will happen."""
+        return bool(self.events) and self.events[-1][0] in ENDS
+
+    def tell(self, kind: str, **details: Any) -> None:
+        """Adds an event, from any thread; none after the end."""
+        with self._lock:
+            if self.ended:
+                return
+            if kind == "progress" and self.events and self.events[-1][0] == "progress":
+                self.events.pop()  # who comes late needs the last one alone
+            self.events.append((kind, details))
+            for loop, queue in self._listeners:
+                if not loop.is_closed():
+                    loop.call_soon_threadsafe(queue.put_nowait, (kind, details))
+
+    async def heard(self) -> AsyncIterator[Event]:
+        """What has happened and what happens, up to the end."""
+        queue: asyncio.Queue[Event] = asyncio.Queue()
+        listener = (asyncio.get_running_loop(), queue)
+        with self._lock:
+            for event in self.events:
+                queue.put_nowait(event)
+            self._listeners.append(listener)
+        try:
+            while True:
+                event = await queue.get()
+                yield event
+                if event[0] in ENDS:
+                    return
+        finally:
+            with self._lock:
+                self._listeners.remove(listener)
+
+
+class Jobs:
+    """The queue, and the one thread that works it off. `generate` is a model's.
+
+    Examples:
+        >>> jobs = stmc.viewing.studio.Jobs(stmc.load().generate, stmc.viewing.studio.Motions("motions"))
+        >>> job = jobs.add(stmc.viewing.studio.Asked(stmc.Timeline.parse("walk # 0 # 1"), seeds=(0,)))
+        >>> jobs.wait()
+        >>> [kind for kind, details in job.events]
+        ['progress', 'motion', 'done']
+        >>> jobs.close()
+    """
+
+    def __init__(self, generate: Callable[..., Sequence[Motion]], motions: Motions) -> None:
+        self.generate, self.motions = generate, motions
+        self._waiting: deque[Job] = deque()
+        self._known: OrderedDict[str, Job] = OrderedDict()
+        self._current: Job | None = None
+        self._changed, self._closed = Condition(), False
+        self._thread = Thread(target=self._work, name="studio jobs", daemon=True)
+        self._thread.start()
+
+    def add(self, asked: Asked) -> Job:
+        """Queues a job; those of the same tab that still wait are cancelled. Raises `Refused` where too many wait."""
+        job = Job(asked)
+        with self._changed:
+            for other in [each for each in self._waiting if asked.tab and each.asked.tab == asked.tab]:
+                self._waiting.remove(other)
+                other.tell("cancelled")
+            if len(self._waiting) >= MOST_WAITING:
+                raise Refused(429, f"{MOST_WAITING} jobs wait already")
+            self._known[job.name] = job
+            self._forget()
+            self._waiting.append(job)
+            job.tell("progress", stage="waiting", step=0, steps=0)
+            self._changed.notify_all()
+        return job
+
+    def get(self, name: str) -> Job:
+        """Raises `Refused` for a name that no job has."""
+        with self._changed:
+            if name not in self._known:
+                raise Refused(404, "there is no such job")
+            return self._known[name]
+
+    def cancel(self, name: str) -> None:
+        """Ends a job: at once if it waits, before its next step if it is sampled; one that has ended stays as it is."""
+        job = self.get(name)
+        with self._changed:
+            job.cancelled = True
+            if job in self._waiting:
+                self._waiting.remove(job)
+                job.tell("cancelled")
+
+    def wait(self) -> None:
+        """Returns when nothing is left to do."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._waiting and self._current is None)
+
+    def close(self) -> None:
+        """Ends the thread; what waits, or is being sampled, is cancelled."""
+        with self._changed:
+            self._closed = True
+            for job in [*self._waiting, *([self._current] if self._current else [])]:
+                job.cancelled = True
+            self._changed.notify_all()
+        self._thread.join(timeout=60)
+
+    def _forget(self) -> None:
+        ended = [name for name, job in self._known.items() if job.ended]
+        for name in ended[: max(0, len(self._known) - MOST_FINISHED)]:
+            del self._known[name]
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._current = None
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._closed or self._waiting)
+                if self._closed:
+                    for job in self._waiting:
+                        job.tell("cancelled")
+                    return
+                job = self._current = self._waiting.popleft()
+            _guarded(job, self._sample)
+
+    def _sample(self, job: Job) -> None:
+        for stage in job.asked.stages:
+            for seed, motion in zip(job.asked.seeds, self._generated(job, stage), strict=True):
+                told = self.motions.told(self.motions.add(motion))
+                demands = [_demand(each, motion) for each in job.asked.constraints]
+                job.tell("motion", seed=seed, stage=stage.name, motion=told, demands=demands)
+
+    def _generated(self, job: Job, stage: Stage) -> Sequence[Motion]:
+        asked, steps, made = job.asked, stage.steps, itertools.count()
+
+        def told() -> None:
+            if job.cancelled:
+                raise Cancelled
+            job.tell("progress", stage=stage.name, step=min(next(made), steps), steps=steps)
+
+        return self.generate(
+            [asked.timeline] * len(asked.seeds),
+            seed=asked.seeds,
+            progress=_watched(told),
+            keep=asked.keep,
+            change=asked.change,
+            constraints=asked.constraints,
+            clean_feet=asked.clean_feet,
+            steps=steps,
+            sampler="ddim",
+        )
+
+
+def _watched(told: Callable[[], None]) -> Callable[..., Iterator[Any]]:
+    """`progress` of `Model.generate`: tells before each step and after the last, in whichever phase of the sampling."""
+
+    def steps(items: Iterable[Any], total: int) -> Iterator[Any]:
+        told()
+        for item in items:
+            yield item
+            told()
+
+    return steps
+
+
+def _demand(constraint: Constraint, motion: Motion) -> dict[str, Any]:
+    """How far a motion is from a constraint: centimetres or degrees, at most."""
+    errors = constraint.errors(Pose.of(motion))
+    unit, scale = ("cm", 100.0) if constraint.unit == "m" else ("degrees", 180 / torch.pi)
+    most = float(errors.max()) * scale if len(errors) else 0.0
+    return {"name": type(constraint).__name__.lower(), "error": most, "unit": unit}
+
+
+def _guarded(job: Job, work: Callable[[Job], None]) -> None:
+    """Does a job, and tells how it ended; the queue goes on whatever happens."""
+    try:
+        work(job)
+    except Cancelled:
+        job.tell("cancelled")
+    except Exception as error:
+        job.tell("failed", error=_explained(error, job))
+    else:
+        job.tell("done")
+
+
+def _explained(error: Exception, job: Job) -> str:
+    """The sentence for a job that failed; with constraints that lead out of all bounds it names their kinds."""
+    refusal = refusal_of(error)
+    if refusal is not None:
+        return str(refusal)
+    if job.asked.constraints and isinstance(error, (ValueError, ArithmeticError)):
+        kinds = sorted({type(each).__name__.lower() for each in job.asked.constraints})
+        return f"constraints ({', '.join(kinds)}) cannot be met here: {error}"
+    logger.error("job %s", job.name, exc_info=error)
+    return "something went wrong; the terminal that runs the studio says what"

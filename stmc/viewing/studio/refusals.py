@@ -1,0 +1,99 @@
+"""What the studio refuses, and reading what a page sends: JSON of known shape, within bounds."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from stmc.io.files import FolderInUse
+from stmc.io.untrusted import UnreadableError, cut, load_json, shown
+from stmc.settings.records import SettingError
+from stmc.timeline import TimelineError
+
+MOST_NUMBER = 2**53 - 1
+"""Beyond which JSON's numbers are not the same everywhere (RFC 7493)."""
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+class Refused(ValueError):
+    """A request that cannot be met: an HTTP status, a sentence, and what else the page should know."""
+
+    def __init__(self, status: int, message: str, **others: Any) -> None:
+        super().__init__(message)
+        self.status, self.others = status, others
+
+
+def refusal_of(error: Exception) -> Refused | None:
+    """What to answer for an error that somebody can do something about; None for a bug."""
+    if isinstance(error, Refused):
+        return error
+    if isinstance(error, (SettingError, TimelineError)):
+        return Refused(422, str(error))
+    if isinstance(error, FolderInUse):
+        return Refused(503, "another program is writing in the studio's folder; try again")
+    if isinstance(error, OSError):
+        if error.errno in _FULL:
+            return Refused(507, "the disk is full: this was not kept; make room and try again")
+        return Refused(503, f"the studio's folder cannot be used: {cut(error.strerror or str(error), 100)}")
+    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):  # torch has no class for it
+        return Refused(503, "there is not enough memory for this; make it shorter")
+    return None
+
+
+def read_object(body: bytes) -> dict[str, Any]:
+    """The JSON object of a request's body. Raises `Refused`."""
+    try:
+        data = load_json(body.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise Refused(400, "the request is not UTF-8") from None
+    except (UnreadableError, RecursionError) as error:
+        raise Refused(400, f"the request is not JSON: {error}") from None
+    if not isinstance(data, dict):
+        raise Refused(400, "the request should be a JSON object")
+    _check_portable(data)
+    return data
+
+
+def _check_portable(data: Any) -> None:
+    """Raise `Refused` for what `json` reads but cannot be written again or means something else elsewhere: NaN,
+    infinities, numbers beyond `MOST_NUMBER`, halves of surrogate pairs."""
+    left = [data]
+    while left:
+        value = left.pop()
+        if isinstance(value, dict):
+            left += [*value, *value.values()]
+        elif isinstance(value, list):
+            left += value
+        elif isinstance(value, str):
+            if not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
+                raise Refused(422, f"{shown(value)} has half of a surrogate pair, which is no text")
+        elif isinstance(value, (int, float)) and not abs(value) <= MOST_NUMBER:
+            raise Refused(422, f"{_number(value)}: finite numbers up to 2**53 needed")
+
+
+def _number(value: float | int) -> str:
+    return shown(value) if isinstance(value, int) or math.isfinite(value) else f"{value}"
+
+
+def take(data: Mapping[str, Any], name: str, kind: type | tuple[type, ...], default: Any = ...) -> Any:
+    """The value of a key, of the right kind. Raises `Refused` where it is another one, or missing without a default."""
+    value = data.get(name, default)
+    if value is ...:
+        raise Refused(422, f"{name} is missing")
+    if value is not default and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
+        kinds = kind if isinstance(kind, tuple) else (kind,)
+        raise Refused(422, f"{name}={cut(json.dumps(value))}: {' or '.join(each.__name__ for each in kinds)} needed")
+    return value
+
+
+def take_texts(data: Mapping[str, Any], name: str) -> list[str]:
+    """A list of texts; empty where the key is missing. Raises `Refused` for anything else."""
+    values = take(data, name, list, [])
+    for value in values:
+        if not isinstance(value, str):
+            raise Refused(422, f"{name}: {shown(value)} is no text")
+    return values

@@ -1,0 +1,339 @@
+"""The studio's addresses: what the page asks for, and what it is answered.
+
+Knows requests and answers; the work is done by what it is given: a model, a queue of jobs, stores.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import re
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+import stmc
+from stmc.editing import Change
+from stmc.editing.constraints import constraint_of
+from stmc.editing.constraints.reading import KINDS
+from stmc.io.untrusted import cut
+from stmc.model import Model
+from stmc.motion.body import JOINTS, BodyPart
+from stmc.run.suggestions import suggester, with_suggestions
+from stmc.text import Cached
+from stmc.text.vocabulary import sentence_encoder
+from stmc.timeline import Timeline
+from stmc.viewing.studio.documents_json import (
+    MOST_PROMPTS,
+    MOST_SECONDS,
+    as_data,
+    checked,
+    in_order,
+    read_timelines,
+    timeline_of,
+    write_timeline,
+)
+from stmc.viewing.studio.guard import SESSION, Guard, refused
+from stmc.viewing.studio.jobs import PREVIEW, Asked, Jobs, Stage
+from stmc.viewing.studio.refusals import Refused, read_object, refusal_of, take, take_texts
+from stmc.viewing.studio.sessions import Sessions
+from stmc.viewing.studio.stores import FORMATS, Documents, Motions, private_folder
+
+logger = logging.getLogger(__name__)
+
+MOST_SEEDS = 8
+"""Samples of one job."""
+
+MOST_CONDITIONS = 100
+"""Changes, and constraints, of one job."""
+
+FARTHEST = 10_000
+"""The largest number in a constraint: metres, radians or seconds."""
+
+ASSETS = Path(str(files("stmc") / "assets"))
+
+TYPES = {"glb": "model/gltf-binary", "html": "text/html", "webp": "image/webp", "mp4": "video/mp4"}
+
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+def application(model: Model, folder: str | Path, sessions: Sessions, port: int, steps: int = 50) -> Starlette:
+    """The studio as an ASGI application, which answers whoever `sessions` has let in, at 127.0.0.1:`port`.
+
+    `folder` keeps motions, documents and embedded texts, for one application at a time: hold
+    `stmc.io.files.locked(folder)` while it runs, as `stmc studio` does. A motion takes `steps` of denoising, its
+    preview fewer.
+
+    Examples:
+        >>> app = stmc.viewing.studio.application(stmc.load(), "studio", stmc.viewing.studio.Sessions(), port=8686)
+        >>> sorted(route.path for route in app.routes if route.path.startswith("/api/m"))
+        ['/api/model', '/api/motions', '/api/motions/{name}.{kind}']
+    """
+    folder = private_folder(Path(folder).expanduser())
+    encoder = model.text_encoder
+    if not isinstance(encoder, Cached) and hasattr(encoder, "encode"):
+        model = dataclasses.replace(model, text_encoder=Cached(encoder, private_folder(folder / "texts")))
+    documents = Documents(folder / "documents")
+    answers = Answers(model, Motions(folder / "motions", documents.texts), documents, sessions, steps)
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        await run_in_threadpool(answers.motions.prune)
+        await run_in_threadpool(answers.suggest, ["walk"])  # reads the encoder's weights before somebody waits for them
+        yield
+        await run_in_threadpool(answers.jobs.close)
+
+    routes = [
+        Route("/", answers.page),
+        Route(SESSION, answered(answers.enter), methods=["POST"]),
+        Route("/api/model", answered(answers.describe)),
+        Route("/api/check", answered(answers.check), methods=["POST"]),
+        Route("/api/read", answered(answers.read), methods=["POST"]),
+        Route("/api/write", answered(answers.write), methods=["POST"]),
+        Route("/api/motions", answered(answers.receive), methods=["POST"]),
+        Route("/api/motions/{name}.{kind}", answered(answers.export)),
+        Route("/api/jobs", answered(answers.add_job), methods=["POST"]),
+        Route("/api/jobs/{name}", answered(answers.cancel_job), methods=["DELETE"]),
+        Route("/api/jobs/{name}/events", answered(answers.hear_job)),
+        Route("/api/documents", answered(answers.list_documents)),
+        Route("/api/documents/{name}", answered(answers.read_document)),
+        Route("/api/documents/{name}", answered(answers.write_document), methods=["PUT"]),
+        Route("/api/documents/{name}", answered(answers.delete_document), methods=["DELETE"]),
+        Mount("/assets", StaticFiles(directory=ASSETS / "studio")),
+    ]
+    guard = Middleware(Guard, sessions=sessions, port=port)
+    app = Starlette(routes=routes, lifespan=lifespan, middleware=[guard], exception_handlers={HTTPException: unrouted})
+    app.router.redirect_slashes = False
+    app.state.folder, app.state.jobs = folder, answers.jobs
+    return app
+
+
+def answered(handler: Handler) -> Handler:
+    """The handler, with what it refuses, and what it cannot do, as an answer in one shape: {"error": a sentence}."""
+
+    async def answer(request: Request) -> Response:
+        try:
+            return await handler(request)
+        except ClientDisconnect:
+            return refused(400, "the request ended before its end")
+        except Exception as error:
+            refusal = refusal_of(error)
+            if refusal is None:
+                logger.exception("%s %s", request.method, request.url.path)
+                refusal = Refused(500, "something went wrong; the terminal that runs the studio says what")
+            return refused(refusal.status, str(refusal), **refusal.others)
+
+    return answer
+
+
+async def unrouted(request: Request, error: Exception) -> Response:
+    """The answer to an address, or a method of one, that the studio does not have."""
+    return refused(error.status_code if isinstance(error, HTTPException) else 500, "the studio has no such address")
+
+
+class Answers:
+    """What each address does."""
+
+    def __init__(self, model: Model, motions: Motions, documents: Documents, sessions: Sessions, steps: int) -> None:
+        self.model, self.motions, self.documents, self.steps = model, motions, documents, steps
+        self.sessions = sessions
+        self.jobs = Jobs(model.generate, motions)
+        self.suggest = suggester(sentence_encoder(model.text_encoder))
+
+    async def page(self, request: Request) -> Response:
+        """The page itself."""
+        return FileResponse(ASSETS / "studio" / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def enter(self, request: Request) -> Response:
+        """A key for the token of an address that is opened for the first time."""
+        key = self.sessions.admit(take(read_object(await request.body()), "token", str))
+        if key is None:
+            raise Refused(401, "this address was used before: start `stmc studio` again for another one")
+        return JSONResponse({"key": key}, 201)
+
+    async def describe(self, request: Request) -> Response:
+        """The model, and what the page may ask for."""
+        return JSONResponse(await run_in_threadpool(self._described))
+
+    async def check(self, request: Request) -> Response:
+        """What is to be shown of a timeline."""
+        timeline = timeline_of(take(read_object(await request.body()), "timeline", dict))
+        return JSONResponse(await run_in_threadpool(checked, timeline, self.model, self.suggest))
+
+    async def read(self, request: Request) -> Response:
+        """A file's timelines."""
+        data = read_object(await request.body())
+        found = await run_in_threadpool(read_timelines, take(data, "name", str), take(data, "text", str))
+        return JSONResponse({"timelines": [as_data(timeline) for timeline in found]})
+
+    async def write(self, request: Request) -> Response:
+        """A timeline's file."""
+        data = read_object(await request.body())
+        timeline, kind = timeline_of(take(data, "timeline", dict)), take(data, "format", str)
+        content = await run_in_threadpool(write_timeline, timeline, kind)
+        return _attached(content.encode(), f"timeline.{kind}", "application/json" if kind == "json" else "text/plain")
+
+    async def receive(self, request: Request) -> Response:
+        """Somebody's motion, of the kind that the file's name says; without a name an `.npz`."""
+        kind = Path(unquote(request.headers.get("x-filename", "motion.npz"))).suffix.lower()
+        name = await run_in_threadpool(self.motions.received, await request.body(), kind)
+        return JSONResponse({"motion": self.motions.told(name)}, 201)
+
+    async def export(self, request: Request) -> Response:
+        """A motion as a file."""
+        name, kind, query = request.path_params["name"], request.path_params["kind"], request.query_params
+        timeline, loop = query.get("timeline"), query.get("loop") == "1"
+        shown, fps = None if timeline is None else timeline_of(read_object(timeline.encode())), _rate(query.get("fps"))
+        content = await run_in_threadpool(self.motions.exported, name, kind, shown, fps, loop)
+        return _attached(content, f"motion.{kind}", TYPES.get(kind, "application/octet-stream"))
+
+    async def add_job(self, request: Request) -> Response:
+        """Queues what is asked for."""
+        asked = await run_in_threadpool(self._asked, read_object(await request.body()))
+        return JSONResponse({"job": self.jobs.add(asked).name}, 201)
+
+    async def hear_job(self, request: Request) -> Response:
+        """What happens to a job, as it happens (server-sent events)."""
+        job = self.jobs.get(request.path_params["name"])
+
+        async def told() -> AsyncIterator[str]:
+            async for kind, details in job.heard():
+                yield f"event: {kind}\ndata: {json.dumps(details)}\n\n"
+
+        return StreamingResponse(told(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+
+    async def cancel_job(self, request: Request) -> Response:
+        """Ends it, as soon as it can be ended."""
+        self.jobs.cancel(request.path_params["name"])
+        return JSONResponse({})
+
+    async def list_documents(self, request: Request) -> Response:
+        """All that can be read."""
+        return JSONResponse({"documents": await run_in_threadpool(self.documents.all)})
+
+    async def read_document(self, request: Request) -> Response:
+        """One, with its version."""
+        name = request.path_params["name"]
+        return JSONResponse({"id": name, **await run_in_threadpool(self.documents.get, name)})
+
+    async def write_document(self, request: Request) -> Response:
+        """Keeps it, unless somebody else has changed it meanwhile."""
+        data = read_object(await request.body())
+        base, content = take(data, "base", int), take(data, "content", dict)
+        version = await run_in_threadpool(self.documents.put, request.path_params["name"], base, content)
+        return JSONResponse({"version": version})
+
+    async def delete_document(self, request: Request) -> Response:
+        """Forgets it."""
+        await run_in_threadpool(self.documents.delete, request.path_params["name"])
+        return JSONResponse({})
+
+    def _described(self) -> dict[str, Any]:
+        known = self.model.vocabulary
+        examples = {} if known is None else known.examples
+        return {
+            "name": type(self.model.denoiser).__name__,
+            "version": stmc.__version__,
+            "fps": self.model.fps,
+            "longest": self.model.longest / self.model.fps,
+            "overlap": self.model.own_sampling.overlap,
+            "parts": list(BodyPart),
+            "joints": [{"name": joint, "part": part} for joint in JOINTS for part in BodyPart if joint in part.joints],
+            "contents": [
+                {
+                    "name": each.name,
+                    "parts": in_order(each.parts),
+                    "examples": [sentence.text for sentence in sentences],
+                }
+                for each, sentences in examples.items()
+            ],
+            "formats": [{"name": name, "about": about} for name, about in FORMATS.items()],
+            "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],
+            "limits": {"duration": MOST_SECONDS, "prompts": MOST_PROMPTS, "samples": MOST_SEEDS},
+            "steps": {"preview": PREVIEW.steps, "full": self.steps},
+            "constraints": list(KINDS),
+        }
+
+    def _asked(self, data: dict[str, Any]) -> Asked:
+        timeline, _ = with_suggestions(timeline_of(take(data, "timeline", dict)), self.suggest)
+        stages = {"preview": (PREVIEW,), "full": (PREVIEW, Stage("full", self.steps))}
+        keep, change = take(data, "keep", str, None), _few(take(data, "change", list, []), "change")
+        constraints = _few(take(data, "constraints", list, []), "constraints")
+        steps = take(data, "steps", str, "full")
+        if steps not in stages:
+            raise Refused(422, f"steps={steps}: choose from {', '.join(stages)}")
+        return Asked(
+            timeline,
+            seeds=_seeds(take(data, "seeds", list, [0])),
+            stages=stages[steps],
+            keep=None if keep is None else self.motions.get(keep),
+            change=tuple(map(_change, change)),
+            constraints=tuple(constraint_of(_near(each), self.motions.get) for each in constraints),
+            clean_feet=take(data, "clean_feet", bool, True),
+            tab=take(data, "tab", str, "")[:100],
+        )
+
+
+def bundled_timelines() -> list[Timeline]:
+    """The examples that come with the library, each by its file's name where it has none of its own."""
+    timelines = []
+    for path in sorted((ASSETS / "timelines").glob("*.json")):
+        for each in Timeline.read_all(path):
+            timelines.append(each if each.name else dataclasses.replace(each, name=path.stem.replace("_", " ")))
+    return timelines
+
+
+def _rate(text: str | None) -> float | None:
+    if text is None:
+        return None
+    if not re.fullmatch(r"\d{1,3}(\.\d{1,3})?", text) or not 1 <= float(text) <= 240:
+        raise Refused(422, f"fps={text[:20]}: a number from 1 to 240 needed")
+    return float(text)
+
+
+def _seeds(values: list[Any]) -> tuple[int, ...]:
+    if not 1 <= len(values) <= MOST_SEEDS or any(type(each) is not int or not 0 <= each < 2**31 for each in values):
+        raise Refused(422, f"seeds: 1 to {MOST_SEEDS} whole numbers from 0 on needed")
+    return tuple(values)
+
+
+def _few(values: list[Any], name: str) -> list[Any]:
+    if len(values) > MOST_CONDITIONS:
+        raise Refused(422, f"{name}: {MOST_CONDITIONS} at most")
+    return values
+
+
+def _near(constraint: Any) -> Any:
+    """The constraint. Raises `Refused` for a number by which a body would leave all bounds."""
+    left = [constraint]
+    while left:
+        value = left.pop()
+        left += value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        if isinstance(value, (int, float)) and abs(value) > FARTHEST:
+            kind = next(iter(constraint)) if isinstance(constraint, dict) else "?"
+            raise Refused(422, f"constraint {cut(kind)}: {value:g} is beyond {FARTHEST} metres, radians or seconds")
+    return constraint
+
+
+def _change(entry: Any) -> Change:
+    if not isinstance(entry, dict):
+        raise Refused(422, "change: an object of start, end and parts needed")
+    start, end = (take(entry, name, (int, float), default) for name, default in (("start", 0), ("end", None)))
+    return Change(start, end, take_texts(entry, "parts"))
+
+
+def _attached(content: bytes, name: str, kind: str) -> Response:
+    return Response(content, media_type=kind, headers={"Content-Disposition": f'attachment; filename="{name}"'})
