@@ -40,7 +40,7 @@ class Sampling:
     crop of at least `shortest`, the others lose at most `trim` of their length at either end; nothing is longer than
     `longest`. Of the cyclic crops a share `from_start_prob` begins where the clip does (where there are few clips, a
     network else takes the mean of their phases for the motion: arms that should circle stand still). Clips that are
-    `from_start` always begin where they do, and the others of them lose nothing. A share
+    `from_start` always begin where they do and keep their speed, and the others of them lose nothing. A share
     `uncond_crop_prob` of the rows is cut anywhere out of any clip, `crop_shortest` to
     `crop_longest`, and has no text: transitions. A share `text_dropout` of the others loses its text. Of the rows whose
     content claims no legs, a share `compose_prob` is put on the body of another row, as in a collage: an arm is raised
@@ -265,6 +265,7 @@ class ClipBatches:
         free = is_crop | self._cyclic[clip]
         frames = np.where(free, any_length, length - cut.sum(axis=0))
         speed = np.exp(rng.uniform(np.log(sampling.slowest), np.log(sampling.fastest), count))
+        speed = np.where(self._from_start[clip] & ~is_crop, 1.0, speed)
         source = np.minimum(frames, np.floor(longest * speed).astype(int).clip(1))
         room = np.where(free, length, frames) - source  # where a crop may begin
         begins = self._from_start[clip]

@@ -15,7 +15,7 @@ from stmc.data.sources.edited import gesture_gates as gates
 from stmc.data.sources.edited.body_gestures import dodge, golf, pick_up, punch, throw
 from stmc.data.sources.edited.gesture_bases import Kind, draw_base
 from stmc.data.sources.edited.recipe import Bases, Draft, Recipe, Unusable
-from stmc.data.sources.edited.script import Script, Spot, turned
+from stmc.data.sources.edited.script import ONSET, Script, Spot, turned
 from stmc.editing import Oscillation, WristKey
 from stmc.motion.motion import Motion
 
@@ -36,8 +36,9 @@ STRINGS = Spot((0.0, -0.26, 0.20), (0.05, -0.22, 0.23), pole=((1, -0.6, -0.5), (
 SCROLL = Spot((0.25, -0.04, 0.26), (0.30, 0.03, 0.30), pole=((0.15, -1, 0), (0.3, -1, 0)), shrug=(2, 6))
 BOW = Spot((0.08, -0.06, 0.28), (0.11, -0.03, 0.31), pole=((1, -0.4, -0.1), (1, -0.2, 0)), shrug=(0, 4))
 
-WIPING, CLAPPING, STRUMMING, BOWING, RUBBING = (0.7, 0.95), (2.0, 2.5), (1.5, 2.0), (0.5, 0.75), (1.6,)
-"""Times a second of what is periodic: few, and always begun at arrival, so that a network can learn the phase."""
+WIPING, CLAPPING, STRUMMING, BOWING, RUBBING = 20 / 24, 20 / 10, 20 / 12, 20 / 32, 20 / 12
+"""Times a second of periodic gestures: whole frames at 20 fps, and the hand always arrives at the same time, so that a
+network can learn the phase. Sizes, places and bodies differ."""
 
 SHORTEST, LONGEST = 3.5, 7.5
 """Seconds of the shortest and the longest clip."""
@@ -64,8 +65,8 @@ class _Gesture:
         return Draft(script.perform(base.motion, rng), base.recording)
 
 
-def _before(rng: np.random.Generator) -> float:
-    """Seconds of rest."""
+def _after(rng: np.random.Generator) -> float:
+    """Seconds of rest behind a gesture."""
     return float(rng.uniform(0.3, 1.0))
 
 
@@ -74,16 +75,12 @@ def _ended(rng: np.random.Generator, time: float, returning: float) -> tuple[tup
     if rng.uniform() >= returning:
         return (), time + rng.uniform(0.2, 0.6)
     takes = rng.uniform(0.6, 0.95)
-    return (WristKey(time + takes, takes, skew=rng.uniform(1.0, 1.3)),), time + takes + _before(rng)
-
-
-def _at(rng: np.random.Generator, choices: tuple[float, ...]) -> float:
-    return float(choices[rng.integers(len(choices))])
+    return (WristKey(time + takes, takes, skew=rng.uniform(1.0, 1.3)),), time + takes + _after(rng)
 
 
 def phone(rng: np.random.Generator) -> Script:
     """The hand goes to the ear and stays; the head leans to it and turns a little while talking."""
-    begins, takes, stays = _before(rng), rng.uniform(0.6, 0.9), rng.uniform(2.2, 3.8)
+    begins, takes, stays = ONSET, rng.uniform(0.7, 0.8), rng.uniform(2.4, 3.8)
     there, ear = begins + takes, EAR.drawn(rng)
     back, seconds = _ended(rng, there + stays, 0.5)
     roll, nods = rng.uniform(4, 13), [turned(there, takes * 0.8, roll=rng.uniform(4, 13))]
@@ -97,18 +94,17 @@ def phone(rng: np.random.Generator) -> Script:
 
 
 def eat(rng: np.random.Generator) -> Script:
-    """From the plate to the mouth and back, two to four times; the head comes to meet the hand."""
-    time, count = _before(rng) + rng.uniform(0.6, 0.8), int(rng.integers(2, 5))
-    pace, plate, mouth = (1.0 if count < 4 else 0.75) * rng.uniform(0.85, 1.1), PLATE.drawn(rng), MOUTH.drawn(rng)
+    """From the plate to the mouth and back, three times; the head comes to meet the hand."""
+    time, plate, mouth = ONSET + 0.7, PLATE.drawn(rng), MOUTH.drawn(rng)
     keys, nods, pitch = [plate.key(time, 0.6)], [], rng.uniform(6, 14)
-    for _ in range(count):
-        up, stay, down = pace * rng.uniform(0.45, 0.6), pace * rng.uniform(0.15, 0.3), pace * rng.uniform(0.45, 0.6)
-        at = time + pace * rng.uniform(0.15, 0.3) + up
+    up, stay, down = 0.5, 0.3, 0.5
+    for _ in range(3):
+        at = time + 0.2 + up
         keys.append(mouth.near(rng, 0.005).key(at, up, rng.uniform(1.0, 1.3)))
         nods += [turned(at, up, pitch=pitch), turned(at + stay + down, down, pitch=0.3 * pitch)]
         time = at + stay + down
         keys.append(plate.near(rng, 0.02).key(time, down, rng.uniform(1.1, 1.4)))
-    back, seconds = _ended(rng, time + rng.uniform(0.1, 0.3), 0.6)
+    back, seconds = _ended(rng, time + rng.uniform(0.1, 0.3), 0.75)
     bent = [turned(keys[0].time, 0.7, pitch=rng.uniform(1, 5)), *([turned(back[0].time, 0.7)] if back else [])]
     nods += [turned(back[0].time, 0.6)] if back else []
     return Script(seconds, left=(*keys, *back), head=tuple(nods), trunk=tuple(bent))
@@ -116,15 +112,12 @@ def eat(rng: np.random.Generator) -> Script:
 
 def drink(rng: np.random.Generator) -> Script:
     """A cup is brought to the mouth once or twice, and the head tips back while the elbow comes up."""
-    time, keys, nods = _before(rng), [], []
-    cup, count, first = CUP.drawn(rng), int(rng.integers(1, 3)), rng.uniform(0.5, 0.7)
-    if rng.uniform() < 0.7:
-        time += first
-        keys.append(cup.key(time, first))
-        time += rng.uniform(0.1, 0.5)
+    cup, count, time, nods = CUP.drawn(rng), int(rng.integers(1, 3)), ONSET + 0.6, []
+    keys = [cup.key(time, 0.6)]
+    time += 0.25
     sip = SIP.drawn(rng)
     for _ in range(count):
-        up, stay, down = rng.uniform(0.55, 0.8), rng.uniform(0.85, 1.6 - 0.3 * count), rng.uniform(0.5, 0.75)
+        up, stay, down = rng.uniform(0.6, 0.7), rng.uniform(1.1, 1.3), rng.uniform(0.55, 0.7)
         time += up
         keys.append(sip.near(rng, 0.004).key(time, up, rng.uniform(1.1, 1.4)))
         nods += [turned(time + 0.25, 0.5, pitch=-rng.uniform(11, 19)), turned(time + stay + 0.3, 0.5)]
@@ -137,9 +130,9 @@ def drink(rng: np.random.Generator) -> Script:
 
 def touch_head(rng: np.random.Generator) -> Script:
     """The hand goes past the ear to the back of the head and stays there, in half of the draws rubbing."""
-    begins, takes, stays = _before(rng), rng.uniform(0.8, 1.1), rng.uniform(1.6, 2.8)
+    begins, takes, stays = ONSET, rng.uniform(0.9, 1.0), rng.uniform(2.0, 2.8)
     there, nape = begins + takes, NAPE.drawn(rng)
-    rub = Oscillation(_at(rng, RUBBING), (0.004, 0.014, 0.0)) if rng.uniform() < 0.5 else None
+    rub = Oscillation(RUBBING, (0.004, 0.014, 0.0)) if rng.uniform() < 0.5 else None
     via = BESIDE_HEAD.drawn(rng).key(begins + 0.72 * takes, 0.72 * takes, 1.2)
     back, seconds = _ended(rng, there + stays, 0.55)
     if back:
@@ -152,7 +145,7 @@ def touch_head(rng: np.random.Generator) -> Script:
 
 def point(rng: np.random.Generator) -> Script:
     """The stretched arm is raised to a place ahead or aside, and the head looks there."""
-    begins, takes, stays = _before(rng), rng.uniform(0.45, 0.75), rng.uniform(1.3, 2.8)
+    begins, takes, stays = ONSET, rng.uniform(0.55, 0.65), rng.uniform(1.8, 2.8)
     azimuth, elevation = np.radians(rng.uniform(-15, 45)), np.radians(rng.uniform(-8, 18))
     length, there = 0.466 * rng.uniform(0.955, 0.985), begins + takes
     x, y = length * np.sin(azimuth) * np.cos(elevation), length * np.sin(elevation)
@@ -169,11 +162,11 @@ def point(rng: np.random.Generator) -> Script:
 
 def wipe(rng: np.random.Generator) -> Script:
     """A table or a pane is wiped, to and fro or in circles."""
-    begins, takes, hertz = _before(rng), rng.uniform(0.6, 0.85), _at(rng, WIPING)
+    begins, takes, hertz = ONSET, 0.7, WIPING
     there, table = begins + takes, rng.uniform() < 0.5
     wide, narrow = rng.uniform(0.075, 0.105), rng.uniform(0.01, 0.05)
     around = Oscillation(hertz, (wide, 0.0, 0.0), (0.0, 0.25 * narrow, narrow) if table else (0.0, narrow, 0.0))
-    back, seconds = _ended(rng, there + rng.uniform(3.4, 4.6), 0.5)
+    back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
     spot = (TABLE if table else PANE).drawn(rng)
     pitch, nod = (rng.uniform(10, 18), rng.uniform(6, 14)) if table else (rng.uniform(0, 5), 0.0)
     ends = [turned(back[0].time, 0.8)] if back else []
@@ -188,7 +181,7 @@ def wipe(rng: np.random.Generator) -> Script:
 
 def look(rng: np.random.Generator) -> Script:
     """The head turns to the left, the chest a little with it, and looks for a while."""
-    begins, takes, yaw = _before(rng), rng.uniform(0.4, 0.75), rng.uniform(50, 72)
+    begins, takes, yaw = ONSET, rng.uniform(0.5, 0.6), rng.uniform(50, 72)
     there, stays, pitch = begins + takes, rng.uniform(1.0, 2.4), rng.uniform(-6, 8)
     keys, chest = [turned(there, takes, 0.82 * yaw, pitch, skew=1.35)], [turned(there + 0.1, takes, 0.18 * yaw)]
     if rng.uniform() < 0.4:
@@ -205,9 +198,9 @@ def look(rng: np.random.Generator) -> Script:
 
 def applause(rng: np.random.Generator) -> Script:
     """Both hands clap in front of the chest."""
-    begins, takes, hertz = _before(rng), rng.uniform(0.5, 0.75), _at(rng, CLAPPING)
+    begins, takes, hertz = ONSET, 0.6, CLAPPING
     there, wide, lead = begins + takes, rng.uniform(0.044, 0.052), rng.uniform(0.004, 0.02)
-    back, seconds = _ended(rng, there + rng.uniform(3.0, 4.4), 0.5)
+    back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
     spot = CLAP.drawn(rng)
     hands = []
     for up in (lead, -lead):
@@ -220,9 +213,9 @@ def applause(rng: np.random.Generator) -> Script:
 
 def guitar(rng: np.random.Generator) -> Script:
     """The right hand strums, the left one changes its place on the neck every two strums."""
-    begins, takes, hertz = _before(rng), rng.uniform(0.6, 0.85), _at(rng, STRUMMING)
+    begins, takes, hertz = ONSET, 0.7, STRUMMING
     there, neck = begins + takes, NECK.drawn(rng)
-    back, seconds = _ended(rng, there + rng.uniform(3.2, 4.6), 0.4)
+    back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
     strum = Oscillation(hertz, (0.0, rng.uniform(0.05, 0.065), 0.012), (0.012, 0.0, 0.0))
     left, change, inner = [neck.key(there, takes)], there, False
     last = back[0].time - 1.2 if back else seconds - 0.3
@@ -239,9 +232,9 @@ def guitar(rng: np.random.Generator) -> Script:
 
 def violin(rng: np.random.Generator) -> Script:
     """The left hand holds the neck out to the side, the right one draws the bow, the head leans on the chin rest."""
-    begins, takes, hertz = _before(rng), rng.uniform(0.7, 0.95), _at(rng, BOWING)
+    begins, takes, hertz = ONSET, 0.8, BOWING
     there, size = begins + takes, rng.uniform(0.12, 0.16)
-    back, seconds = _ended(rng, there + rng.uniform(3.8, 5.0), 0.35)
+    back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
     bow = Oscillation(hertz, (0.8 * size, -0.15 * size, 0.45 * size), (0.0, 0.008, 0.0))
     vibrato = Oscillation(hertz, (0.006, 0.0, 0.004))
     head = turned(there, takes, float(rng.uniform(12, 22)), float(rng.uniform(6, 12)), float(rng.uniform(10, 18)))

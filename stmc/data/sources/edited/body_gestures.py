@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stmc.data.sources.edited.script import Script, Spot, shifted, turned
+from stmc.data.sources.edited.script import ONSET, Script, Spot, shifted, turned
 from stmc.editing import FootKey, Oscillation, WristKey
 
 GUARD = Spot((0.09, -0.08, 0.15), (0.13, 0.02, 0.20), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
@@ -25,7 +25,7 @@ SHIELD = Spot((0.04, -0.04, 0.20), (0.10, 0.06, 0.25), pole=((0.5, -1, 0.1), (0.
 
 def punch(rng: np.random.Generator) -> Script:
     """One to three straight punches from a guard: the hip turns, the trunk follows, the fist shoots out and back."""
-    time, count = rng.uniform(0.3, 0.9) + rng.uniform(0.4, 0.55), int(rng.integers(1, 4))
+    time, count = ONSET + 0.45, int(rng.integers(1, 4))
     guard, keys, hips, twists = GUARD.drawn(rng), [], [], []
     raised, hip, yaw = float(time), rng.uniform(10, 18), rng.uniform(16, 26)
     ahead, depth = rng.uniform(0.03, 0.06), -rng.uniform(0.02, 0.045)
@@ -33,8 +33,8 @@ def punch(rng: np.random.Generator) -> Script:
     hips.append(shifted(time, 0.45, (0.0, depth, 0.0), hip * 0.4))
     twists.append(turned(time, 0.45, 0.3 * yaw, 4))
     for _ in range(count):
-        out, back = rng.uniform(0.15, 0.20), rng.uniform(0.24, 0.32)
-        time += rng.uniform(0.35, 0.9) + out
+        out, back = 0.2, rng.uniform(0.25, 0.30)
+        time += 0.5 + out
         keys += [JAB.drawn(rng).key(time, out, 1.2), guard.near(rng, 0.015).key(time + back + 0.06, back, 1.35)]
         hips += [
             shifted(time, out + 0.08, (0.0, depth, ahead), -hip),
@@ -52,10 +52,10 @@ def punch(rng: np.random.Generator) -> Script:
 
 def throw(rng: np.random.Generator) -> Script:
     """An overhand throw: the hand is drawn back, the other foot steps, hips and chest come round, the arm follows."""
-    winds = rng.uniform(0.6, 0.85)
-    wound = rng.uniform(0.4, 1.0) + winds
-    forward, follow = rng.uniform(0.28, 0.34), rng.uniform(0.30, 0.38)
-    throws, down = wound + rng.uniform(0.02, 0.12) + forward, 0.0
+    winds = rng.uniform(0.68, 0.74)
+    wound = ONSET + winds
+    forward, follow = rng.uniform(0.28, 0.32), rng.uniform(0.30, 0.36)
+    throws, down = wound + 0.05 + forward, 0.0
     down = throws + follow * 0.75
     ends, strides = down + rng.uniform(0.3, 0.7) + 0.8, rng.uniform() < 0.75
     stride = rng.uniform(0.20, 0.32) if strides else 0.0
@@ -91,8 +91,8 @@ def throw(rng: np.random.Generator) -> Script:
 
 def pick_up(rng: np.random.Generator) -> Script:
     """The body bends in hips and knees, one hand takes something from the floor; the other is on the thigh or aside."""
-    takes, stays, up = rng.uniform(0.85, 1.2), rng.uniform(0.25, 0.5), rng.uniform(0.9, 1.2)
-    low = rng.uniform(0.3, 0.9) + takes
+    takes, stays, up = rng.uniform(0.95, 1.1), rng.uniform(0.3, 0.45), rng.uniform(0.95, 1.1)
+    low = ONSET + takes
     stands = low + stays + up
     depth, pitch, spine = rng.uniform(0.34, 0.46), rng.uniform(38, 50), rng.uniform(24, 34)
     yaw, ends = rng.uniform(8, 14), stands + rng.uniform(0.3, 0.9) + 0.7
@@ -110,11 +110,11 @@ def pick_up(rng: np.random.Generator) -> Script:
 
 def golf(rng: np.random.Generator) -> Script:
     """Address, backswing with a straight left arm, hit and a low finish of a right-handed player."""
-    address = rng.uniform(0.3, 0.8) + 0.9
-    back, hit, pause = rng.uniform(0.75, 0.95), rng.uniform(0.25, 0.32), rng.uniform(0.3, 0.7)
+    address = ONSET + 0.9
+    back, hit, pause = rng.uniform(0.8, 0.9), rng.uniform(0.27, 0.31), 0.5
     top = address + pause + back
     impact, twist = top + 0.04 + hit, rng.uniform(30, 40)
-    finish, holds = impact + rng.uniform(0.42, 0.55), rng.uniform(0.6, 1.3)
+    finish, holds = impact + rng.uniform(0.45, 0.5), rng.uniform(0.8, 1.2)
     ends, pitch, hip = finish + holds + 0.9, rng.uniform(20, 26), rng.uniform(14, 22)
     stance = -rng.uniform(0.03, 0.06)
     hips = (
@@ -173,15 +173,15 @@ def _club(side: str, swing: tuple[float, ...]) -> tuple[WristKey, ...]:
 
 
 def dodge(rng: np.random.Generator) -> Script:
-    """Head and trunk get quickly out of the way of a hit, aside, down or back, and come up again."""
-    out, stays, back = rng.uniform(0.26, 0.36), rng.uniform(0.2, 0.5), rng.uniform(0.5, 0.75)
-    away = rng.uniform(0.5, 1.1) + out
+    """Head and trunk lean quickly back and a little aside, out of the way of a hit, and come up again.
+
+    One direction: of dodges to the left, to the right and back, a network learns the mean, which does not move.
+    """
+    out, stays, back = rng.uniform(0.3, 0.34), rng.uniform(0.3, 0.5), rng.uniform(0.55, 0.7)
+    away = ONSET + out
     ends, side = away + stays + back, float(rng.choice([-1, 1]))
-    lean, duck = rng.uniform(26, 38), rng.uniform(0.05, 0.13)
-    aside = (side * rng.uniform(0.06, 0.11), -duck, 0.0)
-    pitch, yaw = rng.uniform(6, 22), -side * rng.uniform(0, 12)
-    if rng.uniform() < 0.25:
-        lean, pitch, aside = 0.4 * lean, -rng.uniform(24, 32), (0.3 * aside[0], -0.6 * duck, -0.07)
+    lean, duck = rng.uniform(4, 14), rng.uniform(0.03, 0.08)
+    aside, pitch, yaw = (side * rng.uniform(0, 0.03), -duck, -0.07), -rng.uniform(24, 32), -side * rng.uniform(0, 12)
     hips = (shifted(away, out + 0.04, aside, 0, 0.3 * pitch, side * 0.15 * lean, 1.3), shifted(ends, back))
     trunk = (turned(away, out, yaw, pitch, side * lean, 1.3), turned(ends, back))
     head = (turned(away - 0.03, out, 0.5 * yaw, 0.2 * pitch, side * rng.uniform(2, 12), 1.3), turned(ends, back))

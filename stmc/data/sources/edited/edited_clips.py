@@ -33,7 +33,7 @@ MAX_DRAWS = 40
 SHORTEST = 1.5
 """Seconds of the shortest clip."""
 
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 """Version of the clips that the same caches give. Raise it by one with every change that gives other clips, features or
 texts: caches that were prepared before are then made again."""
 

@@ -12,6 +12,7 @@ import torch
 
 from stmc.data.sources.edited.measuring import both_stand, distance, flights, forward, leftward, rests, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
+from stmc.data.sources.edited.script import ONSET
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.leg_posing import exact, of_legs, reach_with_legs, smooth
 from stmc.editing.paths import change_pace, reverse, shift_sideways
@@ -32,7 +33,7 @@ def _draw(bases: Bases, rng: np.random.Generator, shortest: float, longest: floa
 
 def rested(motion: Motion, bases: Bases, rng: np.random.Generator) -> Motion:
     """The motion with rest before and after it."""
-    before, after = rng.uniform(0.35, 1.0), rng.uniform(1.1, 2.3)
+    before, after = ONSET, rng.uniform(1.1, 2.3)
     return add_rest(motion, draw_standing(bases, rng, after + 0.2).motion, before, after)
 
 

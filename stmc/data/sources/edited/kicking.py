@@ -16,6 +16,7 @@ from torch import Tensor
 from stmc.data.sources.edited.jumping import rested
 from stmc.data.sources.edited.measuring import foot_speed, rests, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
+from stmc.data.sources.edited.script import ONSET
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.keys import minimum_jerk
 from stmc.editing.leg_posing import exact, of_legs, reach_with_legs, smooth
@@ -65,14 +66,14 @@ def kicked_ball(bases: Bases, rng: np.random.Generator) -> Draft:
 
 def low_kick(bases: Bases, rng: np.random.Generator) -> Draft:
     """A standing body that swings its left leg back and forward."""
-    start = rng.uniform(0.4, 1.1)
+    start = ONSET
     base = draw_standing(bases, rng, start + rng.uniform(2.8, 4.2))
     kick = LowKick(
         start=start,
         back=math.radians(rng.uniform(18, 34)),
         forward=math.radians(rng.uniform(32, 58)),
-        windup=rng.uniform(0.34, 0.5),
-        swing=rng.uniform(0.18, 0.25),
+        windup=rng.uniform(0.4, 0.45),
+        swing=rng.uniform(0.19, 0.23),
         recovery=rng.uniform(0.5, 0.75),
         hold=rng.uniform(0.0, 0.1),
     )

@@ -13,6 +13,7 @@ import numpy as np
 
 from stmc.data.sources.edited.measuring import distance, foot_speed, forward, pace, steady, turned
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
+from stmc.data.sources.edited.script import ONSET
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.paths import bend_path, change_pace, reverse
 from stmc.editing.turning import turn_on_spot
@@ -143,10 +144,8 @@ class HalfTurn:
     pivot: str
 
     def make(self, bases: Bases, rng: np.random.Generator) -> Draft:
-        """A draw: a body that stands and is turned in two or three steps."""
-        seconds = rng.uniform(0.5, 0.65) if rng.random() < 0.5 else rng.uniform(0.65, 0.9)
-        steps = 3 if rng.random() < 0.25 else 2
-        start = rng.uniform(0.35, 1.1)
+        """A draw: a body that stands and is turned in two steps."""
+        seconds, steps, start = rng.uniform(0.6, 0.75), 2, ONSET
         total = start + steps * seconds + rng.uniform(1.0, 2.2)
         base = draw_standing(bases, rng, float(np.clip(total, 3.6, 6.0)))
         angle, lift = math.radians(rng.uniform(172, 188)), rng.uniform(0.05, 0.1)

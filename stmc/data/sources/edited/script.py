@@ -25,6 +25,10 @@ from stmc.editing import (
 from stmc.editing.reaching import Triple
 from stmc.motion.motion import Motion
 
+ONSET = 0.5
+"""Seconds of rest before a gesture. One value for all: where onsets differ, a network learns the mean of their phases,
+and hands that should clap stand still (measured: applause, guitar and violin 0 of 4 samples after 5,000 steps)."""
+
 Spread = tuple[float | int, float | int]
 """The least and the greatest value of something that is drawn evenly."""
 
