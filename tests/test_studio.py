@@ -266,6 +266,21 @@ def test_a_keyframe_at_a_second_that_its_motion_does_not_have_is_refused_in_a_se
     assert answer.status_code == 422 and "no pose at 2 s: from 0 to below 2 needed" in answer.json()["error"]
 
 
+def test_whatever_a_request_can_have_is_taken_from_the_page_and_decides_the_motion(client):
+    default = made(sampled(client, steps="preview"))[0]["motion"]["id"]
+    motions = client.app.state.jobs.motions
+    for settings in ({"guidance": 0.0}, {"method": "stmc_paper", "overlap": 0}, {"sampler": "ddpm"}):
+        [told] = made(sampled(client, steps="preview", **settings))
+        expected = client.app.state.jobs.sample(
+            stmc.GenerateRequest.read(
+                {"timelines": "walk # 0 # 2 # legs", "steps": 10} | {"sampler": "ddim"} | settings
+            )
+        )[0]
+        torch.testing.assert_close(motions.get(told["motion"]["id"]).joints, expected.joints, atol=1e-4, rtol=0)
+        if "guidance" in settings:
+            assert not torch.equal(motions.get(default).joints, expected.joints)
+
+
 @pytest.mark.parametrize(
     ("asked", "status"),
     [
@@ -284,6 +299,9 @@ def test_a_keyframe_at_a_second_that_its_motion_does_not_have_is_refused_in_a_se
         ({"constraints": [{"fly": {}}]}, 422),
         ({"constraints": [{}] * 101}, 422),
         ({"clean_feet": 1}, 422),
+        ({"guidance": "much"}, 422),
+        ({"method": "os.system", "trusted": ["os"]}, 422),
+        ({"noise_scale": "std"}, 422),
     ],
     ids=str,
 )
