@@ -23,7 +23,6 @@ from stmc.composing.sampling import DEFAULT, Sampling, SamplingArguments
 from stmc.denoisers import Denoiser, Network, as_network
 from stmc.diffusion import Prediction, Schedule
 from stmc.diffusion.statistics import Statistics
-from stmc.editing import Kept
 from stmc.editing.conditions import Conditions, cleaned, kept_of
 from stmc.editing.constraints import Constraint
 from stmc.editing.generate_request import Changes, GenerateRequest
@@ -274,8 +273,12 @@ class Model:
         return self.sample(GenerateRequest.read(own | settings), progress)
 
     def check(self, request: GenerateRequest) -> Sampling:
-        """The settings that a request is sampled with, as `settings` gives them. Raises `SettingError` for what this
-        model cannot do."""
+        """The settings that a request is sampled with. Raises `SettingError` for what this model cannot do.
+
+        Examples:
+            >>> stmc.load().check(stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"})).steps
+            100
+        """
         method = request.resolved_method
         self._check_text(method.per_frame_text)
         return self.settings(method, **request.sampling.given)
@@ -302,7 +305,8 @@ class Model:
         self.network.eval()
         run = self._run(timelines, request.seeds, sampling, progress or _silent)
         if kept or request.constraints:
-            conditions = self._conditions(frames, kept, request.constraints)
+            parts = (self.representation, self.motion_statistics, self.skeleton, self.fps)
+            conditions = Conditions(*parts, frames, kept, request.constraints)
             motions = conditions.sampled(method.sample, run, request.joints_from)
         else:
             motions = self.decode(method.sample(run), frames, request.joints_from)
@@ -349,10 +353,6 @@ class Model:
             device=self.device,
             progress=progress,
         )
-
-    def _conditions(self, frames: Sequence[int], kept: Sequence[Kept], constraints: Sequence[Constraint]) -> Conditions:
-        parts = (self.representation, self.motion_statistics, self.skeleton, self.fps)
-        return Conditions(*parts, frames, kept, constraints)
 
     def _frames(self, overlap: float | int) -> int:
         """Of seconds. Raises `SettingError` for a transition that no crop could hold."""

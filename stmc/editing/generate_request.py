@@ -133,7 +133,13 @@ class GenerateRequest:
 
     @staticmethod
     def joined(requests: Sequence[GenerateRequest]) -> GenerateRequest:
-        """Return one request for the motions of several that are otherwise alike, such as parts of one `split`."""
+        """Return one request for the motions of several that are otherwise alike, such as parts of one `split`.
+
+        Examples:
+            >>> two = stmc.GenerateRequest.read({"timelines": ["walk # 0 # 2", "run # 0 # 1"], "seeds": 4})
+            >>> stmc.GenerateRequest.joined(two.split()) == two
+            True
+        """
         several = {name: tuple(item for each in requests for item in getattr(each, name)) for name in _EACH}
         return replace(requests[0], **several)
 
