@@ -47,6 +47,7 @@ from .editing import (
     turn_trunk,
 )
 from .editing.constraints import Heading, Hold, Keyframe, Path, Target, read_constraints
+from .editing.generate_request import GenerateRequest
 from .formats import read, write
 from .model import Model
 from .motion.body import BodyPart
@@ -67,6 +68,7 @@ __all__ = [
     "Change",
     "Denoiser",
     "FootKey",
+    "GenerateRequest",
     "Heading",
     "Hold",
     "Keyframe",

@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from numbers import Integral
 from typing import Any, Literal, Unpack
 
 import torch
@@ -24,13 +23,13 @@ from stmc.composing.sampling import DEFAULT, Sampling, SamplingArguments
 from stmc.denoisers import Denoiser, Network, as_network
 from stmc.diffusion import Prediction, Schedule
 from stmc.diffusion.statistics import Statistics
-from stmc.editing import Kept
-from stmc.editing.conditions import Changes, Conditions, cleaned, kept_of
+from stmc.editing.conditions import Conditions, cleaned, kept_of
 from stmc.editing.constraints import Constraint
+from stmc.editing.generate_request import Changes, GenerateRequest
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, Representation
-from stmc.settings.records import SettingError, record_of, shown, takes
+from stmc.settings.records import SettingError, record_of, takes
 from stmc.text import TextEncoder
 from stmc.text.vocabulary import Recogniser, Recognition, Vocabulary
 from stmc.timeline import Timeline, UnknownPromptWarning, advise
@@ -224,7 +223,6 @@ class Model:
         return found
 
     @takes(Sampling)
-    @torch.inference_mode()
     def generate(
         self,
         timelines: str | Timeline | Sequence[str | Timeline],
@@ -270,27 +268,49 @@ class Model:
             >>> model.generate("run # 0 # 2 # legs\\nraise the right arm # 0.5 # 1.5 # right arm", seed=1, steps=2)
             [Motion(40 frames at 20 fps, 2.00 s)]
         """
-        method = find_method(method)
-        sampling = self.settings(method, **settings)
+        own = {"method": method, "joints_from": joints_from, "keep": keep, "change": change, "constraints": constraints}
+        own |= {"timelines": timelines, "seeds": seed, "clean_feet": clean_feet}
+        return self.sample(GenerateRequest.read(own | settings), progress)
+
+    def check(self, request: GenerateRequest) -> Sampling:
+        """The settings that a request is sampled with. Raises `SettingError` for what this model cannot do.
+
+        Examples:
+            >>> stmc.load().check(stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"})).steps
+            100
+        """
+        method = request.resolved_method
         self._check_text(method.per_frame_text)
-        timelines = _timelines(timelines)
-        seeds = _seeds(seed, len(timelines))
+        return self.settings(method, **request.sampling.given)
+
+    @torch.inference_mode()
+    def sample(self, request: GenerateRequest, progress: Progress | None = None) -> list[Motion]:
+        """The motions of a request, as `generate` makes them: a record for programs that keep, send or compare what
+        they ask for.
+
+        Examples:
+            >>> request = stmc.GenerateRequest.read({"timelines": ["walk # 0 # 1", "run # 0 # 2"], "steps": 2})
+            >>> stmc.load().sample(request)
+            [Motion(20 frames at 20 fps, 1.00 s), Motion(40 frames at 20 fps, 2.00 s)]
+        """
+        sampling, method, timelines = self.check(request), request.resolved_method, request.timelines
         if not timelines:
             return []
         for prompt in self.unknown(timelines):
             advise(prompt.advice, UnknownPromptWarning)
-        asked = timelines
         if method.baseline:
             timelines = [method.baseline(timeline, self.fps, self.longest) for timeline in timelines]
         frames = [timeline.frames(self.fps) for timeline in timelines]
-        kept = kept_of(keep, change, asked, frames, self.skeleton, self.fps)
+        kept = kept_of(request, frames, self.skeleton, self.fps)
         self.network.eval()
-        run = self._run(timelines, seeds, sampling, progress or _silent)
-        if kept or constraints:
-            motions = self._conditions(frames, kept, tuple(constraints)).sampled(method.sample, run, joints_from)
+        run = self._run(timelines, request.seeds, sampling, progress or _silent)
+        if kept or request.constraints:
+            parts = (self.representation, self.motion_statistics, self.skeleton, self.fps)
+            conditions = Conditions(*parts, frames, kept, request.constraints)
+            motions = conditions.sampled(method.sample, run, request.joints_from)
         else:
-            motions = self.decode(method.sample(run), frames, joints_from)
-        motions = cleaned(motions, kept, constraints) if clean_feet else motions
+            motions = self.decode(method.sample(run), frames, request.joints_from)
+        motions = cleaned(motions, kept, request.constraints) if request.clean_feet else motions
         return [dataclasses.replace(motion, overlap=sampling.overlap or 0.0) for motion in motions]
 
     def decode(
@@ -333,10 +353,6 @@ class Model:
             device=self.device,
             progress=progress,
         )
-
-    def _conditions(self, frames: Sequence[int], kept: Sequence[Kept], constraints: Sequence[Constraint]) -> Conditions:
-        parts = (self.representation, self.motion_statistics, self.skeleton, self.fps)
-        return Conditions(*parts, frames, kept, constraints)
 
     def _frames(self, overlap: float | int) -> int:
         """Of seconds. Raises `SettingError` for a transition that no crop could hold."""
@@ -381,20 +397,3 @@ def _name(denoiser: Denoiser) -> str:
 
 def _silent(steps: Iterable[Any], total: int) -> Iterable[Any]:
     return steps
-
-
-def _timelines(timelines: str | Timeline | Sequence[str | Timeline]) -> list[Timeline]:
-    several = [timelines] if isinstance(timelines, (str, Timeline)) else list(timelines)
-    return [Timeline.parse(each) if isinstance(each, str) else each for each in several]
-
-
-def _seeds(seed: Any, count: int) -> list[int]:
-    several = isinstance(seed, Iterable) and not isinstance(seed, (str, bytes))
-    seeds = list(seed) if several else [seed]
-    for each in seeds:
-        if not isinstance(each, Integral) or isinstance(each, bool) or each < 0:
-            raise SettingError(f"seed={shown(each)}: a whole number needed, at least 0")
-    seeds = [int(each) for each in seeds] if several else list(range(int(seed), int(seed) + count))
-    if len(seeds) != count:
-        raise SettingError(f"{len(seeds)} seeds for {count} timelines: each needs one")
-    return seeds

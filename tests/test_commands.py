@@ -21,8 +21,8 @@ from stmc.cli.arguments import quoted, read
 from stmc.cli.commands import Command
 from stmc.cli.dispatch import program, scripts
 from stmc.cli.exit_codes import EXTRAS, MOST, explained, guarded
+from stmc.editing.generate_request import GenerateRequest
 from stmc.settings.records import about, defaults
-from stmc.viewing.studio import jobs
 
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py"))
 NEEDED = {
@@ -127,7 +127,9 @@ def test_a_folder_of_one_s_own_is_forgotten_after_the_command(sample, tmp_path):
 
 def test_feet_are_cleaned_by_default_wherever_motions_are_generated_and_never_where_they_are_measured(found):
     generate = inspect.signature(stmc.Model.generate).parameters["clean_feet"].default
-    assert generate is defaults(found["sample"].settings)["clean_feet"] is jobs.Asked.clean_feet is True
+    assert (
+        generate is defaults(found["sample"].settings)["clean_feet"] is defaults(GenerateRequest)["clean_feet"] is True
+    )
     for name in ("abilities", "benchmark", "benchmark_length", "evaluate"):
         calls = (ROOT / "stmc" / "cli" / f"{name}.py").read_text("utf-8").split("model.generate(")[1:]
         assert calls and all("clean_feet=False" in call for call in calls)

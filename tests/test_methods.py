@@ -19,7 +19,7 @@ from stmc.composing.sampling import Sampling
 from stmc.denoisers import FlowMdm
 from stmc.diffusion import Schedule, ddim, ddpm, dpm_solver
 from stmc.diffusion.statistics import Statistics
-from stmc.model import Model, _seeds
+from stmc.model import Model
 from stmc.motion.body import BodyPart
 from stmc.motion.geometry import matrix_to_rows
 from stmc.settings.records import SettingError, about
@@ -363,7 +363,7 @@ def test_whatever_does_not_fit_is_one_short_sentence(settings):
 @pytest.mark.parametrize("seed", [1.5, "x", None, [0.5], {}])
 def test_seeds_that_are_no_whole_numbers_are_refused_in_a_sentence(seed):
     with pytest.raises(SettingError, match="seed"):
-        _seeds(seed, 1)
+        stmc.GenerateRequest.read({"timelines": NOD, "seeds": seed})
 
 
 def test_a_timeline_may_be_its_text():

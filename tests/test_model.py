@@ -220,7 +220,7 @@ def test_a_body_part_obeys_its_own_prompt_alone(model):
         ({"seed": [1]}, "1 seeds for 3 timelines"),
         ({"method": "magic"}, "magic"),
         ({"joints_from": "mesh"}, "mesh"),
-        ({"seed": -5}, "seed=-5: a whole number needed, at least 0"),
+        ({"seed": -5}, "seed=-5: must be at least 0"),
         ({"overlap": -1.0}, r"overlap=-1\.0: must be at least 0"),
         ({"steps": 101}, "101"),
         ({"steps": 0}, "0"),

@@ -287,7 +287,8 @@ def sample():
 
 
 def settings(*overrides: str):
-    return configured("sample", *overrides)
+    """The record of the settings that are typed."""
+    return loaded("sample").main.check(configured("sample", *overrides))
 
 
 @pytest.fixture
@@ -295,17 +296,21 @@ def run(tmp_path) -> Path:
     return stmc.save(tiny(), tmp_path / "run", "")
 
 
+def job_of(sample, config, timeline: stmc.Timeline, name: str = "nod", seed: int = 0):
+    return sample.Job(f"{name}_{seed}", sample.request_of(config, [timeline], [seed]))
+
+
 def jobs_left(sample, config, timeline: str = TIMELINES.split("\n\n")[1]) -> int:
-    seeds = range(config.seed, config.seed + config.samples)
-    jobs = [sample.Job(f"nod_{seed}", stmc.Timeline.parse(timeline), seed) for seed in seeds]
-    return sum(not sample.finished(job, config, fingerprint(config.model)) for job in jobs)
+    seeds, folder = range(config.seed, config.seed + config.samples), sample.open_folder(config)
+    jobs = [job_of(sample, config, stmc.Timeline.parse(timeline), seed=seed) for seed in seeds]
+    return sum(not folder.finished(job) for job in jobs)
 
 
 def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample, run, tmp_path):
     base = (f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz]", "steps=2")
     config, timeline = settings(*base), stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
-    sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
+    sample.open_folder(config).save(motion, job_of(sample, config, timeline))
     assert jobs_left(sample, config) == 0
     for change in ("guidance=2", "overlap=0.6", "method=sinc", "sampler=ddim", "noise_scale=std", "seed=1", "fps=30"):
         assert jobs_left(sample, settings(*base, change)) == 1, change
@@ -328,12 +333,12 @@ def test_feet_are_cleaned_and_files_are_of_all_kinds_where_that_is_asked(sample,
     config = settings(
         f"model={run}", f"output={tmp_path}", f"formats=[{','.join(kinds)}]", "clean_feet=true", "fps=5", "steps=2"
     )
-    job = sample.Job("nod_0", stmc.Timeline.parse("nod # 0 # 1"), 0)
+    job = job_of(sample, config, stmc.Timeline.parse("nod # 0 # 1"))
     with sample.Progress(disable=True) as progress:
-        [motion] = sample.generate(stmc.load(run), [job], config, progress)
+        [motion] = sample.generate(stmc.load(run), [job], progress)
     [raw] = stmc.load(run).generate(job.timeline, steps=2, clean_feet=False)
     assert torch.equal(motion.joints, stmc.clean_feet(raw).joints) and not torch.equal(motion.joints, raw.joints)
-    paths = sample.save(motion, job, config, fingerprint(config.model))
+    paths = sample.open_folder(config).save(motion, job)
     assert [path.suffix[1:] for path in paths] == kinds and all(path.stat().st_size for path in paths)
     written = stmc.read(tmp_path / "nod_0.npz")
     assert torch.allclose(written.joints, motion.resampled(5).joints, atol=1e-4)
@@ -347,16 +352,30 @@ def test_what_is_kept_changed_and_constrained_decides_what_a_motion_becomes(samp
     (tmp_path / "beside.json").write_text('[{"heading": {"angle": 1, "start": 1.5}}]')
     base = (f"output={tmp_path / 'out'}", f"model={run}", "formats=[npz]", "steps=2")
     keep = (f"keep={tmp_path / 'old.npz'}", 'change=["1 # 2"]', f"constraints={tmp_path / 'beside.json'}")
-    config, job = settings(*base, *keep), sample.Job("walk_0", timeline, 0)
-    [changed] = tiny().generate(timeline, steps=2, **sample.beside(config))
+    config = settings(*base, *keep)
+    folder, job = sample.open_folder(config), job_of(sample, config, timeline, "walk")
+    [changed] = tiny().sample(job.request)
     assert (changed.joints - motion.joints)[:20].abs().max() < 1e-5
     assert (changed.joints - motion.joints)[25:35].abs().max() > 1e-3
-    sample.save(changed, job, config, fingerprint(run))
-    assert sample.finished(job, config, fingerprint(run))
-    for other in (keep[:2], keep[:1] + keep[2:], keep[1:]):
-        assert not sample.finished(job, settings(*base, *other), fingerprint(run))
+    folder.save(changed, job)
+    assert folder.finished(job_of(sample, config, timeline, "walk"))
+    for other in (keep[:1], keep[:2], keep[:1] + keep[2:], keep[2:]):
+        assert not folder.finished(job_of(sample, settings(*base, *other), timeline, "walk"))
     (tmp_path / "beside.json").write_text('[{"heading": {"angle": 2, "start": 1.5}}]')
-    assert not sample.finished(job, config, fingerprint(run))
+    assert not folder.finished(job_of(sample, config, timeline, "walk"))
+
+
+def test_the_motion_that_a_keyframe_names_decides_what_a_motion_becomes(sample, run, tmp_path):
+    """By its pose: a file of constraints says only where it lies."""
+    timeline, pose = stmc.Timeline.parse("walk # 0 # 2"), tmp_path / "pose.npz"
+    motions = tiny().generate([timeline] * 2, steps=2)
+    stmc.write(motions[0], pose)
+    (tmp_path / "beside.json").write_text(json.dumps([{"keyframe": {"motion": str(pose), "at": 1}}]))
+    config = settings(f"output={tmp_path}", f"model={run}", f"constraints={tmp_path / 'beside.json'}", "formats=[npz]")
+    sample.open_folder(config).save(motions[0], job_of(sample, config, timeline))
+    assert sample.open_folder(config).finished(job_of(sample, config, timeline))
+    stmc.write(motions[1], pose)
+    assert not sample.open_folder(config).finished(job_of(sample, config, timeline))
 
 
 def test_a_moved_model_is_the_same_and_another_model_in_its_place_is_not(sample, run, tmp_path):
@@ -372,7 +391,7 @@ def test_a_motion_whose_record_is_damaged_or_files_are_gone_is_made_again(sample
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
     for damage in (lambda out: (out / "nod_0.json").write_text("{"), lambda out: (out / "nod_0.npz").unlink()):
-        sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
+        sample.open_folder(config).save(motion, job_of(sample, config, timeline))
         assert jobs_left(sample, config) == 0
         damage(tmp_path / "out")
         assert jobs_left(sample, config) == 1
@@ -384,7 +403,7 @@ def test_a_motion_whose_files_cannot_be_written_is_not_taken_for_finished(sample
     [motion] = tiny().generate(timeline, steps=2)
     with monkeypatch.context() as patch, pytest.raises(OSError, match="no space"):
         patch.setattr(stmc, "write", lambda *_, **__: (_ for _ in ()).throw(OSError("no space left on device")))
-        sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(config.model))
+        sample.open_folder(config).save(motion, job_of(sample, config, timeline))
     assert jobs_left(sample, config) == 1
     assert not list((tmp_path / "out").iterdir())
 
@@ -394,7 +413,7 @@ def saved(sample, run, out: Path, *changes: str, seed: int = 0) -> tuple:
     config = settings(f"output={out}", f"model={run}", "steps=2", *changes)
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2, seed=seed)
-    sample.save(motion, sample.Job("nod_0", timeline, 0), config, fingerprint(run))
+    sample.open_folder(config).save(motion, job_of(sample, config, timeline))
     return config, motion
 
 
@@ -431,8 +450,8 @@ def test_two_runs_in_one_folder_leave_each_motion_with_its_own_record(sample, ru
     """Whoever comes last, a motion and its record are of one request."""
 
     def put(number: int) -> None:
-        job = sample.Job("nod_0", timeline, 0)
-        sample.save(motions[number % 2], job, configs[number % 2], fingerprint(run))
+        config = configs[number % 2]
+        sample.open_folder(config).save(motions[number % 2], job_of(sample, config, timeline))
 
     common = (f"output={tmp_path / 'out'}", f"model={run}", "steps=2", "formats=[npz,bvh,csv]")
     configs = [settings(*common, f"guidance={guidance}") for guidance in (1, 2)]
@@ -453,18 +472,18 @@ def test_two_runs_in_one_folder_leave_each_motion_with_its_own_record(sample, ru
 def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp_path, monkeypatch):
     config = settings(f"model={run}", "steps=2", "sampler=ddim", "clean_feet=false")
     timelines = [stmc.Timeline.parse("nod # 0 # 1 # head")] * 5
-    jobs = [sample.Job(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
-    model, tried, generate = tiny(), [], stmc.Model.generate
+    jobs = [job_of(sample, config, timeline, seed=seed) for seed, timeline in enumerate(timelines)]
+    model, tried, sampled = tiny(), [], stmc.Model.sample
 
-    def on_little_memory(self, timelines, **arguments):
-        tried.append(len(timelines))
-        if len(timelines) > 2:
+    def on_little_memory(self, request, progress):
+        tried.append(len(request.timelines))
+        if len(request.timelines) > 2:
             raise torch.OutOfMemoryError("CUDA out of memory")
-        return generate(self, timelines, **arguments)
+        return sampled(self, request, progress)
 
-    monkeypatch.setattr(stmc.Model, "generate", on_little_memory)
+    monkeypatch.setattr(stmc.Model, "sample", on_little_memory)
     with sample.Progress(disable=True) as progress:
-        made = list(sample.sampled(model, jobs, {job.name for job in jobs}, 4, config, progress))
+        made = list(sample.sampled(model, jobs, {job.name for job in jobs}, 4, progress))
     assert tried == [4, 2, 2, 1]
     assert [job for job, _ in made] == jobs
     monkeypatch.undo()
@@ -475,19 +494,18 @@ def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp
 
 def test_in_bf16_a_run_that_goes_on_makes_the_batches_of_one_that_was_not_stopped(sample, run, monkeypatch):
     timelines = [stmc.Timeline.parse(f"nod # 0 # {seconds} # head") for seconds in (2, 2, 1)]
-    jobs = [sample.Job(f"nod_{seed}", timeline, seed) for seed, timeline in enumerate(timelines)]
-    tried = []
+    config, tried = settings(f"model={run}", "steps=2"), []
+    jobs = [job_of(sample, config, timeline, seed=seed) for seed, timeline in enumerate(timelines)]
 
-    def watched(self, timelines, seed, **_):
-        tried.append(list(seed))
-        return [standing_still(number + 1) for number in seed]
+    def watched(self, request, progress):
+        tried.append(list(request.seeds))
+        return [standing_still(number + 1) for number in request.seeds]
 
-    monkeypatch.setattr(stmc.Model, "generate", watched)
+    monkeypatch.setattr(stmc.Model, "sample", watched)
     for precision, expected in (("bf16", [[0, 1]]), ("fp32", [[1]])):
         tried.clear()
-        config = settings(f"model={run}", "steps=2", f"precision={precision}")
         with sample.Progress(disable=True) as progress:
-            made = list(sample.sampled(tiny(), jobs, {"nod_1"}, 2, config, progress))
+            made = list(sample.sampled(replace(tiny(), precision=precision), jobs, {"nod_1"}, 2, progress))
         assert tried == expected
         assert [(job.name, len(motion)) for job, motion in made] == [("nod_1", 2)]
 

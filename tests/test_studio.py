@@ -16,7 +16,7 @@ from starlette.testclient import TestClient
 
 import stmc
 from stmc.motion.body import JOINTS
-from stmc.viewing.studio import Asked, Documents, Jobs, Motions, Sessions, application
+from stmc.viewing.studio import Documents, Jobs, Motions, Sessions, application
 from stmc.viewing.studio.guard import MOST_BYTES
 from stmc.viewing.studio.jobs import MOST_WAITING
 from stmc.viewing.studio.refusals import Refused
@@ -266,6 +266,21 @@ def test_a_keyframe_at_a_second_that_its_motion_does_not_have_is_refused_in_a_se
     assert answer.status_code == 422 and "no pose at 2 s: from 0 to below 2 needed" in answer.json()["error"]
 
 
+def test_whatever_a_request_can_have_is_taken_from_the_page_and_decides_the_motion(client):
+    default = made(sampled(client, steps="preview"))[0]["motion"]["id"]
+    motions = client.app.state.jobs.motions
+    for settings in ({"guidance": 0.0}, {"method": "stmc_paper", "overlap": 0}, {"sampler": "ddpm"}):
+        [told] = made(sampled(client, steps="preview", **settings))
+        expected = client.app.state.jobs.sample(
+            stmc.GenerateRequest.read(
+                {"timelines": "walk # 0 # 2 # legs", "steps": 10} | {"sampler": "ddim"} | settings
+            )
+        )[0]
+        torch.testing.assert_close(motions.get(told["motion"]["id"]).joints, expected.joints, atol=1e-4, rtol=0)
+        if "guidance" in settings:
+            assert not torch.equal(motions.get(default).joints, expected.joints)
+
+
 @pytest.mark.parametrize(
     ("asked", "status"),
     [
@@ -284,6 +299,9 @@ def test_a_keyframe_at_a_second_that_its_motion_does_not_have_is_refused_in_a_se
         ({"constraints": [{"fly": {}}]}, 422),
         ({"constraints": [{}] * 101}, 422),
         ({"clean_feet": 1}, 422),
+        ({"guidance": "much"}, 422),
+        ({"method": "os.system", "trusted": ["os"]}, 422),
+        ({"noise_scale": "std"}, 422),
     ],
     ids=str,
 )
@@ -305,7 +323,7 @@ class Held:
     def __init__(self, model: stmc.Model) -> None:
         self.model, self.began, self.may, self.made = model, threading.Event(), threading.Event(), 0
 
-    def generate(self, timelines, progress, **settings):
+    def sample(self, request, progress):
         def counted(steps):
             for step in steps:
                 self.made += 1
@@ -317,20 +335,20 @@ class Held:
                 assert self.may.wait(timeout=60)
                 yield step
 
-        return self.model.generate(timelines, progress=waiting, **settings)
+        return self.model.sample(request, waiting)
 
 
 @pytest.fixture
 def held(model, tmp_path) -> Iterator[tuple[Held, Jobs]]:
     slow = Held(model)
-    jobs = Jobs(slow.generate, Motions(tmp_path))
+    jobs = Jobs(slow.sample, Motions(tmp_path))
     yield slow, jobs
     slow.may.set()
     jobs.close()
 
 
-def ask(**settings) -> Asked:
-    return Asked(stmc.Timeline.parse("walk # 0 # 1"), seeds=(0,), **settings)
+def ask() -> stmc.GenerateRequest:
+    return stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"})
 
 
 def test_a_cancelled_job_ends_before_its_next_step_and_one_that_waits_at_once(held):
@@ -354,13 +372,13 @@ def test_of_one_tab_only_the_last_job_waits_and_too_many_are_refused(held):
     slow, jobs = held
     jobs.add(ask())
     assert slow.began.wait(timeout=60)
-    first, second = (jobs.add(ask(tab="one")) for _ in range(2))
+    first, second = (jobs.add(ask(), tab="one") for _ in range(2))
     assert first.ended and not second.ended
     for _ in range(MOST_WAITING - 1):
         jobs.add(ask())
     with pytest.raises(Refused, match="wait already"):
         jobs.add(ask())
-    jobs.add(ask(tab="one"))  # in the other's place
+    jobs.add(ask(), tab="one")  # in the other's place
 
 
 def test_a_closed_queue_ends_what_is_being_sampled_and_what_waits(held):

@@ -162,6 +162,37 @@ def test_ten_thousand_random_edits_end_in_the_timeline_made_at_once_and_can_all_
     assert result["steps"] > 4000
 
 
+def test_a_document_of_before_keeps_the_one_setting_that_it_had(tab):
+    tab.ask("import('/assets/state.js').then((state) => { window.state = state; })")
+    tab.wait("window.state !== undefined")
+    told = "({settings, cleanFeet}) => [settings, cleanFeet ?? null]"
+    for written, settings in (
+        ("{cleanFeet: false}", {"clean_feet": False}),
+        ("{}", {"clean_feet": True}),
+        ("{settings: {guidance: 4}}", {"clean_feet": True, "guidance": 4}),
+    ):
+        assert tab.ask(f"({told})(state.restored({{...state.emptyDocument(), settings: {{}}, ...{written}}}))") == [
+            settings,
+            None,
+        ]
+
+
+def test_a_control_of_a_setting_reaches_the_request_and_the_document(tab):
+    watch = "window.sent = []; const post = window.fetch; window.fetch = (place, more) => {"
+    tab.ask(
+        f"(() => {{ {watch} if (`${{place}}` === '/api/jobs') sent.push(more.body); return post(place, more); }} }})()"
+    )
+    write(tab, "walk")
+    first = shown(tab)
+    click(tab, "#tab-samples")
+    click(tab, "[data-key=feet]")
+    tab.wait("sent.length === 2")
+    shown(tab, first)
+    bodies = [json.loads(body) for body in tab.ask("sent")]
+    assert [body["clean_feet"] for body in bodies] == [True, False]
+    saved(tab)
+
+
 # ---- hands and keys -------------------------------------------------------------------------------------------------
 
 

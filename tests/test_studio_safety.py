@@ -324,7 +324,7 @@ def test_nothing_of_the_interface_stays_in_the_browser_and_pages_are_asked_for_a
 
 def test_constraints_that_lead_out_of_all_bounds_name_themselves(client, monkeypatch):
     monkeypatch.setattr(
-        client.app.state.jobs, "generate", failing(ValueError("rotations has values that are not finite"))
+        client.app.state.jobs, "sample", failing(ValueError("rotations has values that are not finite"))
     )
     asked = {"timeline": WALK, "constraints": [{"path": {"points": [[0, 0], [0, 9000]]}}]}
     job = client.post("/api/jobs", json=asked).json()["job"]

@@ -44,9 +44,11 @@ class Command:
     name: str
     settings: type
     """The record whose fields are the settings."""
-    function: Callable[[Config], object]
+    function: Callable[[Any], object]
     positional: tuple[str, ...] = ()
     """The settings that plain arguments are, in order."""
+    takes_record: bool = False
+    """Whether the function is given the record; else it is given what Hydra composes."""
 
     def __call__(self, arguments: Sequence[str] | None = None) -> int:
         """Runs the command with what was typed behind it, and returns its exit code."""
@@ -70,13 +72,13 @@ class Command:
 
     def begin(self, config: Config) -> None:
         """Checks a configuration, and runs the command with it."""
-        self.check(config)
+        settings = self.check(config)
         _log(self.function.__module__)
         if config.get("threads"):
             import torch  # not above: help and refused settings do without
 
             torch.set_num_threads(config.threads)
-        self.function(config)
+        self.function(settings if self.takes_record else config)
 
     def composed(self, asked: Asked) -> Config:
         """The configuration as asked for; the user's own folder wins over ours."""
@@ -104,14 +106,15 @@ class Command:
         with _in_front(folder), initialize_config_dir(str(ours), job_name=self.name, version_base="1.3"):
             yield name, [*asked.overrides]
 
-    def check(self, config: Config) -> None:
-        """Raises `SettingError` for settings that are missing, unknown or do not fit, before anything is loaded."""
+    def check(self, config: Config) -> Any:
+        """The record of the settings, groups of parts left out. Raises `SettingError` for settings that are missing,
+        unknown or do not fit, before anything is loaded."""
         if missing := sorted(_missing(OmegaConf.to_container(config))):
             told = about(self.settings)
             meant = [f"{name}= ({told[name].help})" if name in told else f"{name}=" for name in missing]
             raise SettingError(f"needed: {', '.join(meant)}")
         values = OmegaConf.to_container(config, resolve=True)
-        record_of(self.settings, {name: value for name, value in values.items() if name not in self.parts})
+        return record_of(self.settings, {name: value for name, value in values.items() if name not in self.parts})
 
     @property
     def help(self) -> str:
@@ -163,13 +166,14 @@ def _missing(value: Any, name: str = "") -> Iterator[str]:
 
 
 def command(
-    name: str, settings: type, positional: tuple[str, ...] = ()
-) -> Callable[[Callable[[Config], object]], Command]:
-    """Makes a command of a function of its composed configuration: `@command("sample", Sample, ("timeline",))`.
+    name: str, settings: type, positional: tuple[str, ...] = (), takes_record: bool = False
+) -> Callable[[Callable[[Any], object]], Command]:
+    """Makes a command of a function of its composed configuration, or, if it `takes_record`, of the record of its
+    settings: `@command("sample", Sample, ("timeline",))`.
 
     `name` is that of its configuration, too; plain arguments are the settings `positional`.
     """
-    return lambda function: Command(name, settings, function, positional)
+    return lambda function: Command(name, settings, function, positional, takes_record)
 
 
 def _job(name: str, config: Config) -> None:

@@ -9,49 +9,41 @@ Run the same command again to resume: motions that are complete, and made with t
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
-from itertools import chain, count
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import get_args
 
 import torch
-from omegaconf import DictConfig, ListConfig
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import stmc
 from stmc.cli.commands import command
+from stmc.cli.sample_folder import CHOICES, FORMATS, Job, MotionFolder
 from stmc.cli.shared_settings import OnModel, Sharded
-from stmc.composing import METHODS, find_method
-from stmc.composing.sampling import INDEPENDENT, Sampling
+from stmc.composing import find_method
+from stmc.composing.sampling import Sampling
 from stmc.diffusion.tensors import found_device
-from stmc.io.filenames import distinct, name_of_texts
-from stmc.io.files import held, probe, remove_leftovers, scratch, sha256, write_text
-from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
+from stmc.editing.generate_request import GenerateRequest, names
+from stmc.io.filenames import distinct
+from stmc.io.files import probe, remove_leftovers
 from stmc.model import Precision
 from stmc.run import fingerprint
-from stmc.settings.records import SettingError, about, record_of, setting, shown
+from stmc.settings.records import SettingError, as_in, setting, shown
 from stmc.settings.shards import Incomplete, Shard, listed
-from stmc.text.vocabulary import Recognition
 from stmc.timeline import UnknownPromptWarning, advise
-from stmc.viewing.film_formats import FILMS, ffmpeg
+from stmc.viewing.film_formats import ffmpeg
 
-FORMATS = ("npz", "bvh", "html")
-"""Those that are written if nobody says which."""
-CHOICES = (*FORMATS, "glb", "csv", "xml", "webp", "gif", "mp4")
 EXAMPLE = "'walk # 0 # 4'"
 """A timeline as it is typed."""
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
-DECIDING = ("method", "precision", "fps", "clean_feet", "change", *about(Sampling))
-"""The settings that decide what a motion becomes, beside its seed, model and timeline."""
 TOGETHER = {"cpu": 8, "cuda": 64}
 """Timelines at a time: a GPU is faster with many; a CPU is not, and what is done should be on the disk soon."""
 SILENCE = 30
@@ -66,19 +58,14 @@ class Settings(Sampling, OnModel, Sharded):
         None, ".json or .txt file of timelines, or one timeline as text; null: the bundled example"
     )
     output: str = setting("outputs", "folder of the motions")
-    method: str = setting(
-        "stmc",
-        f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",
-    )
-    keep: str | None = setting(
-        None, "motion to edit, .npz or .bvh; only `change`, and frames behind its end, are generated"
-    )
-    change: tuple[str, ...] = setting((), "intervals of `keep` to regenerate: start # end # body parts, in seconds")
-    constraints: str | None = setting(None, ".json of paths, headings, keyframes, hands and feet, for every timeline")
+    method: str = as_in(GenerateRequest, "method")
+    keep: str | None = as_in(GenerateRequest, "keep", None)
+    change: tuple[str, ...] = as_in(GenerateRequest, "change")
+    constraints: str | None = as_in(GenerateRequest, "constraints", None)
     samples: int = setting(1, "motions of each timeline; their seeds count up from `seed`", at_least=1, at_most=100_000)
-    seed: int = setting(0, "seed of the first motion of each timeline", at_least=0)
+    seed: int = as_in(GenerateRequest, "seeds", 0)
     formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=CHOICES)
-    clean_feet: bool = setting(True, "keep standing feet in place and above the floor; false: leave them as sampled")
+    clean_feet: bool = as_in(GenerateRequest, "clean_feet")
     fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
     precision: str = setting("fp32", "of the denoiser; bf16 is faster on some processors", choices=get_args(Precision))
     batch: int | None = setting(None, "timelines at a time; null: 8 on a CPU, 64 on a GPU", at_least=1)
@@ -92,44 +79,50 @@ class Settings(Sampling, OnModel, Sharded):
         find_method(self.method, self.trusted)
 
 
-class Job(NamedTuple):
-    """A motion to be: its files' name, its timeline, its seed."""
-
-    name: str
-    timeline: stmc.Timeline
-    seed: int
-
-
-@command("sample", Settings, ("timeline", "output"))
-def main(config: DictConfig) -> None:
-    console, folder = Console(stderr=config.json, soft_wrap=True, highlight=False), Path(config.output).expanduser()
-    check(config)
-    made_by, shard, everything = fingerprint(config.model), Shard.asked(config.shard), jobs(config, console)
+@command("sample", Settings, ("timeline", "output"), takes_record=True)
+def main(settings: Settings) -> None:
+    console = Console(stderr=settings.json, soft_wrap=True, highlight=False)
+    check(settings)
+    folder, shard = open_folder(settings), Shard.asked(settings.shard)
+    everything = read_jobs(settings, folder, console)
     wanted = everything if shard.number is None else shard.of(everything)
-    missing = {job.name for job in wanted if not finished(job, config, made_by)}
+    missing = {job.name for job in wanted if not folder.finished(job)}
     if missing and shard.number is None:
         lacking = shard.lacking([job.name for job in everything], missing)
-        raise Incomplete(f"{config.output}: motions are missing of {listed(lacking)}")
+        raise Incomplete(f"{settings.output}: motions are missing of {listed(lacking)}")
     if not missing:
-        console.print(f"every motion{of_share(shard)} is in {folder.resolve()} already", markup=False)
+        console.print(f"every motion{of_share(shard)} is in {folder.path.resolve()} already", markup=False)
         return
-    model = stmc.load(config.model, device=config.device, precision=config.precision, trusted=config.trusted)
-    settings = model.settings(find_method(config.method, config.trusted), **sampling(config))
-    model.plans([job.timeline for job in wanted], settings.overlap)  # what cannot be planned fails now
+    model = stmc.load(settings.model, device=settings.device, precision=settings.precision, trusted=settings.trusted)
+    size = settings.batch or TOGETHER.get(model.device.type, 1)
+    make(model, folder, wanted, missing, size, console, settings.json)
+    console.print(f"motions{of_share(shard)} in {folder.path.resolve()}{hint(folder.formats)}", markup=False)
+
+
+def make(
+    model: stmc.Model,
+    folder: MotionFolder,
+    wanted: list[Job],
+    missing: set[str],
+    size: int,
+    console: Console,
+    as_json: bool,
+) -> None:
+    """Sample what is missing in batches, and write each motion as soon as it is there."""
+    sampling = model.check(wanted[0].request)
+    model.plans([job.timeline for job in wanted], sampling.overlap)  # what cannot be planned fails now
     unknown = model.unknown([job.timeline for job in wanted if job.name in missing])
     for prompt in unknown:
         advise(prompt.advice, UnknownPromptWarning)
-    warnings.simplefilter("ignore", UnknownPromptWarning)  # `generate` would tell again
-    probe(folder)
-    remove_leftovers(folder)
-    size = config.batch or TOGETHER.get(model.device.type, 1)
+    warnings.simplefilter("ignore", UnknownPromptWarning)  # `sample` would tell again
+    probe(folder.path)
+    remove_leftovers(folder.path)
     with told(console) as progress:
         task = progress.add_task("Motions", total=len(missing))
-        for number, (job, motion) in enumerate(sampled(model, wanted, missing, size, config, progress), start=1):
-            paths = save(motion, job, config, made_by, unknown)
-            tell(job, motion, paths, f"{number} of {len(missing)}", config.json, progress.console)
+        for number, (job, motion) in enumerate(sampled(model, wanted, missing, size, progress), start=1):
+            paths = folder.save(motion, job, unknown)
+            tell(job, motion, paths, f"{number} of {len(missing)}", as_json, progress.console)
             progress.advance(task)
-    console.print(f"motions{of_share(shard)} in {folder.resolve()}{hint(config.formats)}", markup=False)
 
 
 def hint(formats: Sequence[str]) -> str:
@@ -147,34 +140,50 @@ def of_share(shard: Shard) -> str:
     return "" if shard.count == 1 or shard.number is None else f" of share {shard}"
 
 
-def check(config: DictConfig) -> None:
-    """Refuses what settings cannot be together."""
-    if not config.formats:
+def check(settings: Settings) -> None:
+    """Refuses formats and devices that cannot be had."""
+    if not settings.formats:
         raise SettingError(f"formats=[]: choose from {', '.join(CHOICES)}")
-    found_device(config.device)
-    if "mp4" in config.formats:
+    found_device(settings.device)
+    if "mp4" in settings.formats:
         try:
             ffmpeg()
         except ModuleNotFoundError as error:
             raise SettingError(f"formats=mp4: {error}") from None
-    beside(config)  # what cannot be read fails now
 
 
-def jobs(config: DictConfig, console: Console) -> list[Job]:
-    """Every motion that is asked for; the longest first, so that memory runs out early."""
-    timelines, stem = asked(config.timeline)
-    if config.suggest_parts:
+def open_folder(settings: Settings) -> MotionFolder:
+    """Return the folder that is asked for; nothing is made yet."""
+    made_by = {"model": fingerprint(settings.model), "precision": settings.precision}
+    return MotionFolder(Path(settings.output).expanduser(), settings.formats, settings.fps, made_by)
+
+
+def read_jobs(settings: Settings, folder: MotionFolder, console: Console) -> list[Job]:
+    """Return every motion that is asked for; the longest first, so that memory runs out early."""
+    timelines, stem = read_timelines(settings.timeline)
+    if settings.suggest_parts:
         tell_parts(timelines, console)
         timelines = [stmc.with_suggested_parts(each) for each in timelines]
-    stem = stem or free_name(timelines[0], Path(config.output).expanduser())
-    names = distinct((timeline.name or (stem if len(timelines) == 1 else "") for timeline in timelines), stem)
-    seeds = range(config.seed, config.seed + config.samples)
-    made = [Job(f"{name}_{seed}", each, seed) for name, each in zip(names, timelines, strict=True) for seed in seeds]
-    return sorted(made, key=lambda job: -job.timeline.duration)
+    stem = stem or folder.free_name(timelines[0])
+    found = distinct((timeline.name or (stem if len(timelines) == 1 else "") for timeline in timelines), stem)
+    seeds = range(settings.seed, settings.seed + settings.samples)
+    pairs = [(name, timeline, seed) for name, timeline in zip(found, timelines, strict=True) for seed in seeds]
+    pairs.sort(key=lambda pair: -pair[1].duration)
+    request = request_of(settings, [timeline for _, timeline, _ in pairs], [seed for *_, seed in pairs])
+    return [Job(f"{name}_{seed}", each) for (name, _, seed), each in zip(pairs, request.split(), strict=True)]
 
 
-def asked(timeline: str | None) -> tuple[list[stmc.Timeline], str | None]:
-    """The timelines of a file, and the name for those without one; or the one that was typed, without a name."""
+def request_of(settings: Settings, timelines: Sequence[stmc.Timeline], seeds: Sequence[int]) -> GenerateRequest:
+    """Return the request for motions of these timelines and seeds. Raises `SettingError` for files that cannot be
+    read."""
+    values = {name: getattr(settings, name) for name in names() if hasattr(settings, name)}
+    if settings.constraints is not None:
+        values["constraints"] = stmc.read_constraints(settings.constraints)
+    return GenerateRequest.read(values | {"timelines": timelines, "seeds": seeds}, stmc.read, settings.trusted)
+
+
+def read_timelines(timeline: str | None) -> tuple[list[stmc.Timeline], str | None]:
+    """Return the timelines of a file, and the name for those without one; or the one that was typed, without a name."""
     if timeline is not None and "#" in timeline and not Path(timeline).expanduser().exists():
         return [stmc.Timeline.parse(timeline.replace("\\n", "\n"))], None
     path = Path(timeline or str(files("stmc") / "assets/timelines/walk_jump_sit.json")).expanduser()
@@ -183,94 +192,14 @@ def asked(timeline: str | None) -> tuple[list[stmc.Timeline], str | None]:
     return list(stmc.Timeline.read_all(path)), path.stem
 
 
-def free_name(timeline: stmc.Timeline, folder: Path) -> str:
-    """The name of a typed timeline: its texts, and a number behind them where motions of the same texts at other times
-    or for other body parts have that name in `folder`."""
-    base = name_of_texts(prompt.text for prompt in timeline.prompts)
-    names = chain([base], (f"{base}-{number}" for number in count(2)))
-    return next(name for name in names if told_prompts(name, folder) in ([], [prompts_of(timeline)]))
-
-
-def told_prompts(name: str, folder: Path) -> list[list]:
-    """The different prompts in the records of the motions of that name, of whatever seed."""
-    records = [read_record(path) for path in folder.glob(f"{name}_*.json") if path.stem[len(name) + 1 :].isdigit()]
-    told = [record["prompts"] for record in records if "prompts" in record]
-    return [prompts for number, prompts in enumerate(told) if prompts not in told[:number]]
-
-
-def read_record(path: Path) -> dict:
-    """A record beside a motion; empty where there is none that can be read."""
-    try:
-        read = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
-        return {}
-    return read if isinstance(read, dict) else {}
-
-
-def prompts_of(timeline: stmc.Timeline) -> list[list]:
-    """The prompts of a timeline as a record has them."""
-    return [[prompt.text, prompt.start, prompt.end, sorted(prompt.parts)] for prompt in timeline.prompts]
-
-
 def tell_parts(timelines: list[stmc.Timeline], console: Console) -> None:
     """The body parts of every prompt that listed none, each text once."""
     for text in dict.fromkeys(prompt.text for each in timelines for prompt in each.prompts if not prompt.parts):
         console.print(f"suggested for {shown(text)}: {stmc.suggest_parts(text)}", markup=False)
 
 
-def record(job: Job, config: DictConfig, made_by: str) -> dict:
-    """What a motion depends on, but for settings that are left open."""
-    said = {key: plain(config[key]) for key in DECIDING}
-    said = {key: value for key, value in said.items() if value is not None and value is not False and value != []}
-    files = {key: digest(config[key]) for key in ("keep", "constraints") if config[key] is not None}
-    return (
-        said
-        | files
-        | {"seed": job.seed, "model": made_by, "prompts": prompts_of(job.timeline), "version": stmc.__version__}
-    )
-
-
-def digest(path: str) -> str:
-    """What tells a file from another one. Raises `SettingError` where there is none."""
-    try:
-        return sha256(Path(path).expanduser())[:16]
-    except OSError as error:
-        raise SettingError(f"{path}: {error.strerror}") from None
-
-
-def plain(value: Any) -> Any:
-    """A setting as JSON has it."""
-    return list(value) if isinstance(value, ListConfig) else value
-
-
-def finished(job: Job, config: DictConfig, made_by: str) -> bool:
-    """Whether the folder has the motion in all formats, made of this request."""
-    folder = Path(config.output).expanduser()
-    request, digests = recorded(folder, job.name)
-    return request == record(job, config, made_by) and set(config.formats) <= whole(folder, job.name, digests)
-
-
-def recorded(folder: Path, name: str) -> tuple[dict | None, dict[str, str | None]]:
-    """The request that a motion's record names, and the SHA-256 of its files by format. A record that is damaged, or of
-    an earlier version, names no request, and may have files of every format."""
-    try:
-        request = load_json(read_text(folder / f"{name}.json", MOST_BYTES))
-        digests = request.pop("files")
-        return request, {kind: digests[kind] for kind in CHOICES if kind in digests}
-    except (FileNotFoundError, NotADirectoryError):
-        return None, {}
-    except (UnreadableError, AttributeError, KeyError, TypeError):
-        return None, dict.fromkeys(CHOICES)
-
-
-def whole(folder: Path, name: str, digests: Mapping[str, str | None]) -> set[str]:
-    """The formats whose files are as their record says."""
-    files = {kind: folder / f"{name}.{kind}" for kind in digests}
-    return {kind for kind, path in files.items() if path.is_file() and sha256(path) == digests[kind]}
-
-
 def sampled(
-    model: stmc.Model, wanted: list[Job], missing: set[str], size: int, config: DictConfig, progress: Progress
+    model: stmc.Model, wanted: list[Job], missing: set[str], size: int, progress: Progress
 ) -> Iterator[tuple[Job, stmc.Motion]]:
     """Every missing job with its motion, in batches of `size`, or smaller ones where the memory does not suffice.
 
@@ -281,9 +210,9 @@ def sampled(
     while done < len(wanted):
         batch = wanted[done : done + size]
         chosen = [job for job in batch if job.name in missing]
-        made = batch if chosen and config.precision == "bf16" else chosen
+        made = batch if chosen and model.precision == "bf16" else chosen
         try:
-            motions = generate(model, made, config, progress) if made else []
+            motions = generate(model, made, progress) if made else []
         except torch.OutOfMemoryError:
             if size == 1:
                 raise
@@ -295,35 +224,14 @@ def sampled(
         done += len(batch)
 
 
-def generate(model: stmc.Model, batch: list[Job], config: DictConfig, progress: Progress) -> list[stmc.Motion]:
+def generate(model: stmc.Model, batch: list[Job], progress: Progress) -> list[stmc.Motion]:
     """Generate the motions of a batch of jobs."""
     task = progress.add_task(f"Denoising {len(batch)}")
     try:
-        return model.generate(
-            [job.timeline for job in batch],
-            seed=[job.seed for job in batch],
-            method=find_method(config.method, config.trusted),
-            progress=partial(followed, progress=progress, task=task, of=len(batch)),
-            clean_feet=config.clean_feet,
-            **beside(config),
-            **sampling(config),
-        )
+        request = GenerateRequest.joined([job.request for job in batch])
+        return model.sample(request, partial(followed, progress=progress, task=task, of=len(batch)))
     finally:
         progress.remove_task(task)
-
-
-def beside(config: DictConfig) -> dict[str, Any]:
-    """What is asked for beside the timelines, as `Model.generate` takes it."""
-    return {
-        "keep": None if config.keep is None else stmc.read(config.keep),
-        "change": [stmc.Change.parse(each) for each in config.change],
-        "constraints": [] if config.constraints is None else stmc.read_constraints(config.constraints),
-    }
-
-
-def sampling(config: DictConfig) -> dict[str, Any]:
-    """The settings of sampling that are said, as `Model.generate` takes them."""
-    return dict(record_of(Sampling, {name: config[name] for name in about(Sampling)}).given)
 
 
 def followed(steps: Iterable, total: int, progress: Progress, task: int, of: int) -> Iterator:
@@ -344,40 +252,6 @@ def told(console: Console) -> Iterator[Progress]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *TIMES)
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         yield progress
-
-
-def save(
-    motion: stmc.Motion, job: Job, config: DictConfig, made_by: str, unknown: Sequence[Recognition] = ()
-) -> list[Path]:
-    """Write the motion's files aside, then put all of them in place with the record that names their digests, which no
-    other process does at that time. Files of an earlier request go."""
-    folder = Path(config.output).expanduser()
-    motion = motion if config.fps is None else motion.resampled(config.fps)
-    with scratch(folder / job.name) as aside:
-        made = [aside / f"{job.name}.{kind}" for kind in config.formats]
-        for path in made:
-            write_format(motion, path, job, unknown)
-        digests = {path.suffix[1:]: sha256(path) for path in made}
-        with held(folder / f".{job.name}.lock", math.inf):
-            request, former = recorded(folder, job.name)
-            kept = whole(folder, job.name, former) if request == record(job, config, made_by) else set()
-            for kind in former.keys() - kept:
-                (folder / f"{job.name}.{kind}").unlink(missing_ok=True)
-            (folder / f"{job.name}.json").unlink(missing_ok=True)
-            paths = [path.replace(folder / path.name) for path in made]
-            done = record(job, config, made_by) | {"files": {kind: former[kind] for kind in kept} | digests}
-            write_text(folder / f"{job.name}.json", json.dumps(done, indent=1, ensure_ascii=False) + "\n")
-    return paths
-
-
-def write_format(motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
-    """Write a motion in the format of the path's suffix."""
-    if path.suffix == ".html":
-        write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
-    elif path.suffix in FILMS:
-        stmc.render_film(motion, path, job.timeline)
-    else:
-        stmc.write(motion, path, timeline=job.timeline)
 
 
 def tell(job: Job, motion: stmc.Motion, paths: list[Path], place: str, as_json: bool, console: Console) -> None:

@@ -19,7 +19,6 @@ from pathlib import Path
 from threading import Timer
 from typing import get_args
 
-from omegaconf import DictConfig
 from rich.console import Console
 
 import stmc
@@ -47,28 +46,28 @@ class Settings(OnModel, Threaded):
     trusted: tuple[str, ...] = setting((), "packages of your own that the model is made of")
 
 
-@command("studio", Settings)
-def main(config: DictConfig) -> None:
-    folder = Path(config.folder).expanduser()
+@command("studio", Settings, takes_record=True)
+def main(settings: Settings) -> None:
+    folder = Path(settings.folder).expanduser()
     probe(private_folder(folder))
-    with locked(folder), listen(config.port) as listening:
-        serve(config, folder, listening)
+    with locked(folder), listen(settings.port) as listening:
+        serve(settings, folder, listening)
 
 
-def serve(config: DictConfig, folder: Path, listening: socket.socket) -> None:
+def serve(settings: Settings, folder: Path, listening: socket.socket) -> None:
     """The studio, until it is ended."""
     console = Console(soft_wrap=True, highlight=False)
     sessions, port = Sessions(), listening.getsockname()[1]
     with console.status("loading the model"):
-        model = loaded(config)
-    app = application(model, folder, sessions, port, config.steps)
+        model = loaded(settings)
+    app = application(model, folder, sessions, port, settings.steps)
     console.print(
         f"the studio is at http://127.0.0.1:{port}/#token={sessions.invite()}\n"
-        f"the address can be opened once; motions and documents are kept in {config.folder}; Ctrl-C ends it",
+        f"the address can be opened once; motions and documents are kept in {settings.folder}; Ctrl-C ends it",
         markup=False,
     )
     with opening(folder, f"http://127.0.0.1:{port}/#token={sessions.invite()}") as page:
-        if config.open:
+        if settings.open:
             Timer(0.5, webbrowser.open, [page.as_uri()]).start()
         server_of(app).run(sockets=[listening])
 
@@ -101,14 +100,14 @@ def listen(port: int) -> socket.socket:
     return listening
 
 
-def loaded(config: DictConfig) -> stmc.Model:
+def loaded(settings: Settings) -> stmc.Model:
     """The model, in the precision that is asked for, or else in the faster one."""
 
     def load(precision: str) -> stmc.Model:
-        return stmc.load(config.model, device=config.device, precision=precision, trusted=config.trusted)
+        return stmc.load(settings.model, device=settings.device, precision=precision, trusted=settings.trusted)
 
-    if config.precision:
-        return load(config.precision)
+    if settings.precision:
+        return load(settings.precision)
     return min(map(load, get_args(Precision)), key=seconds)
 
 

@@ -18,7 +18,7 @@ from stmc.io.untrusted import shown
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS, BodyPart
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
-from stmc.settings.records import SettingError
+from stmc.settings.records import SettingError, setting
 from stmc.timeline import Prompt, Timeline
 from stmc.timeline.planning import assign
 
@@ -44,10 +44,10 @@ class Change:
         [<BodyPart.RIGHT_ARM: 'right arm'>]
     """
 
-    start: float | int = 0.0
-    end: float | int | None = None
+    start: float | int = setting(0.0, "the beginning", unit="s")
+    end: float | int | None = setting(None, "the end; null: the motion's", unit="s")
     parts: Collection[str] = frozenset()
-    border: float | int = BORDER
+    border: float | int = setting(BORDER, "fade between the old and the new", unit="s")
 
     def __post_init__(self) -> None:
         times = [self.start, self.border, *([] if self.end is None else [self.end])]

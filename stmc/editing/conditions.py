@@ -17,19 +17,16 @@ from torch import Tensor
 
 from stmc.composing import Known, Run
 from stmc.diffusion.statistics import Statistics
-from stmc.editing import Change, Kept, changed_prompt, on_body
+from stmc.editing import Kept, changed_prompt, on_body
 from stmc.editing.constraints import Constraint, Guidance, Heading, Keyframe, Path, Pose, Target, project
-from stmc.io.untrusted import shown
+from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.body import BodyPart
 from stmc.motion.body_model import Skeleton
 from stmc.motion.feet import clean_feet
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, Representation, SmplRepresentation
 from stmc.settings.records import SettingError
-from stmc.timeline import Prompt, Timeline
-
-Changes = Change | Prompt | Sequence[Change | Prompt]
-"""What is made anew; a prompt of the timeline stands for all that it decides."""
+from stmc.timeline import Prompt
 
 _OF_STEPS = ("root_velocity", "yaw_velocity")
 """Fields that say how a frame leads to the next: unknown where a motion ends."""
@@ -196,34 +193,16 @@ def _cleaned(motion: Motion, free: Float[Tensor, "frames 5"], constraints: Seque
     return project(exact, hands, skeleton, free).to(dtype=clean.joints.dtype)
 
 
-def kept_of(
-    keep: Motion | Sequence[Motion] | None,
-    change: Changes,
-    timelines: Sequence[Timeline],
-    frames: Sequence[int],
-    skeleton: Skeleton,
-    fps: float | int,
-) -> list[Kept]:
-    """What is kept for each timeline, whose result has so many `frames`: of its own motion, or of one for all, but for
-    the changes; nothing where `keep` is None.
+def kept_of(request: GenerateRequest, frames: Sequence[int], skeleton: Skeleton, fps: float | int) -> list[Kept]:
+    """What a request keeps for each timeline, whose result has so many `frames`: all but the changes of its motion;
+    nothing where it keeps none.
 
-    Raises `SettingError` for changes of no motion, another number of motions than timelines, and where nothing is left
-    to make.
+    Raises `SettingError` where nothing is left to make.
     """
-    asked = [change] if isinstance(change, (Change, Prompt)) else list(change)
-    if keep is None:
-        if asked:
-            raise SettingError("change: of which motion? keep=motion says it")
-        return []
-    motions = [keep] * len(timelines) if isinstance(keep, Motion) else list(keep)
-    if isinstance(keep, str) or not all(isinstance(motion, Motion) for motion in motions):
-        raise SettingError(f"keep={shown(keep)}: a motion needed, or one for each timeline: stmc.read reads a file's")
-    if len(motions) != len(timelines):
-        raise SettingError(f"keep: {len(motions)} motions for {len(timelines)} timelines: one for all, or one for each")
-    bodies = {id(motion): on_body(motion, skeleton, fps) for motion in motions}
+    bodies = {id(motion): on_body(motion, skeleton, fps) for motion in request.keep}
     kept = []
-    for motion, timeline, count in zip(motions, timelines, frames, strict=True):
-        own = [changed_prompt(timeline, each) if isinstance(each, Prompt) else (each,) for each in asked]
+    for motion, timeline, count in zip(request.keep, request.timelines, frames, strict=bool(request.keep)):
+        own = [changed_prompt(timeline, each) if isinstance(each, Prompt) else (each,) for each in request.change]
         kept.append(Kept.but(list(chain.from_iterable(own)), bodies[id(motion)], count))
         if bool((kept[-1].weights == 1).all()):
             raise SettingError("keep: nothing to make anew; say what to change, or go on behind the motion's end")

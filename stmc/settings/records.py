@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -71,6 +72,14 @@ def setting(
     return dataclasses.field(**first, metadata={"about": About(help, unit, tuple(choices), given)})
 
 
+def as_in(record: type, name: str, default: Any = dataclasses.MISSING) -> Any:
+    """Return a field like the one of another record: with its help, limits and choices, and with its default unless
+    another one is given."""
+    [other] = [field for field in dataclasses.fields(record) if field.name == name]
+    default = other.default if default is dataclasses.MISSING else default
+    return dataclasses.field(default=default, metadata=other.metadata)
+
+
 def about(record: type) -> dict[str, About]:
     """What every setting of a record says of itself, in order."""
     return {field.name: field.metadata["about"] for field in dataclasses.fields(record) if "about" in field.metadata}
@@ -126,12 +135,15 @@ def check_name(name: Any, known: Iterable[str], kind: str = "setting") -> None:
 
 
 def _check_values(kind: type, values: Mapping[str, Any]) -> None:
-    hints, known = get_type_hints(kind), about(kind)
+    hints, known = _hints(kind), about(kind)
     for name in values:
         if name in known:
             if values[name] == "":
                 raise SettingError(f"{name}='': a text needed")
             check_value(name, values[name], hints[name], known[name])
+
+
+_hints = cache(get_type_hints)
 
 
 def check_value(name: str, value: Any, hint: Any, each: About | None = None) -> None:

@@ -21,7 +21,7 @@
     lockSpan: () => ({ start: time(), end: time() }),
     unlockSpan: (id, { locks }) => ({ start: one(locks.spans)?.start ?? 0 }),
     lockGaps: () => ({ on: random() < 0.5 }),
-    cleanFeet: () => ({ on: random() < 0.5 }),
+    set: () => ({ name: one(["clean_feet", "guidance"]), value: one([false, true, 1, null]) }),
     constrain: () => ({ constraint: { kind: "hold", joint: "left_hand", start: time(), end: null } }),
     name: () => ({ name: text() }),
     seeds: () => ({ seeds: Array.from({ length: 1 + below(6) }, () => below(1000) - 5) }),
@@ -66,6 +66,7 @@
     for (const problem of state.problems(history.present)) check(false, `edit ${edit}: ${problem}`);
   }
   history = state.settled(history);
+  while (history.future.length) history = state.redone(history); // where the last edits were undone
   const end = history.present;
 
   // The same timeline made at once, prompt by prompt in its order.

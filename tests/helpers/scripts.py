@@ -26,7 +26,8 @@ def configured(name: str, *overrides: object) -> DictConfig:
 
 def run(script: str, config_name: str, *overrides: object) -> None:
     """A script's main function, in this process."""
-    loaded(script).main.function(configured(config_name, *overrides))
+    command, config = loaded(script).main, configured(config_name, *overrides)
+    command.function(command.check(config) if command.takes_record else config)
 
 
 def script(name: str, *settings: object, folder: Path, check: bool = True) -> subprocess.CompletedProcess:

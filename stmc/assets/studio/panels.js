@@ -111,6 +111,7 @@ export function createPromptPanel(studio, player, work, tracks) {
 export function createSamplesPanel(studio, work, page) {
   const { store } = studio;
   const panel = find("panel-samples");
+  const set = (name, value) => studio.edit({ kind: "set", name, value }); // a setting of the request
   const randomSeeds = (count) => Array.from({ length: count }, () => Math.floor(Math.random() * 100000));
 
   function count(wanted) {
@@ -144,7 +145,7 @@ export function createSamplesPanel(studio, work, page) {
       heading("How it is made"),
       toggle("auto", "Preview after each edit", auto, (on) => store.set({ auto: on })),
       toggle("full", "Full quality behind the preview", quality === "full", (on) => store.set({ quality: on ? "full" : "preview" })),
-      toggle("feet", "Clean feet: they stand where they stand", document.cleanFeet, (on) => studio.edit({ kind: "cleanFeet", on })));
+      toggle("feet", "Clean feet: they stand where they stand", document.settings.clean_feet, (on) => set("clean_feet", on)));
   }
 
   function locksOf({ prompts, locks }) {
@@ -168,8 +169,8 @@ export function createSamplesPanel(studio, work, page) {
       favourite.picture?.startsWith("data:image/") ? make("img", { src: favourite.picture, alt: "", width: "72", height: "72" }) : null, make("span", {}, favourite.name)),
     button("", () => store.set({ favourites: store.get().favourites.filter((other) => other !== favourite) }), { class: "plain", "aria-label": `Remove ${favourite.name}` }, "close"));
 
-  watch(store, ({ history: { present: { prompts, locks, seeds, cleanFeet } }, samples, chosen, favourites, quality, auto }) =>
-    [prompts, locks, seeds, cleanFeet, samples, chosen, favourites, quality, auto], paint);
+  watch(store, ({ history: { present: { prompts, locks, seeds, settings } }, samples, chosen, favourites, quality, auto }) =>
+    [prompts, locks, seeds, settings, samples, chosen, favourites, quality, auto], paint);
 }
 
 // ---- what the model knows ---------------------------------------------------------------------------------------------------

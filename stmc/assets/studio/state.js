@@ -21,7 +21,7 @@ export function emptyDocument(name = UNTITLED) {
     constraints: [],
     locks: { parts: [], spans: [], gaps: false },
     seeds: [0],
-    cleanFeet: true,
+    settings: { clean_feet: true }, // of a request, as the server names them; what is not here is the model's own
   };
 }
 
@@ -153,8 +153,8 @@ const EDITS = {
     const whole = seeds.map((seed) => clamp(Math.trunc(seed) || 0, 0, 2 ** 31 - 1));
     return { ...document, seeds: [...new Set(whole)].slice(0, MOST_SAMPLES) };
   },
-  cleanFeet(document, { on }) {
-    return { ...document, cleanFeet: on };
+  set(document, { name, value }) {
+    return { ...document, settings: { ...document.settings, [name]: value } };
   },
   // Another timeline in place of this one.
   open(document, { timeline }) {
@@ -246,7 +246,9 @@ export function problems(document) {
 // A document that was written to a file by a page of this kind, or null for anything else.
 export function restored(data) {
   try {
-    const document = { ...emptyDocument(), ...data, locks: { ...emptyDocument().locks, ...data.locks } };
+    const { cleanFeet, ...rest } = data; // pages of before had this one setting, and no others
+    const settings = { ...emptyDocument().settings, ...(cleanFeet === undefined ? {} : { clean_feet: cleanFeet }), ...data.settings };
+    const document = { ...emptyDocument(), ...rest, settings, locks: { ...emptyDocument().locks, ...data.locks } };
     return problems(document).length ? null : document;
   } catch {
     return null;

@@ -98,8 +98,8 @@ export function createWork(studio, tab, say) {
     store.set({ job: { stage: "waiting", seed: seeds[0], step: 0, steps: 0 } });
     try {
       const { job } = await server.startJob({
-        timeline: timelineOf(document), seeds, steps: store.get().quality, keep: base?.motion.id ?? null, change,
-        constraints: document.constraints.map(argued), clean_feet: document.cleanFeet, tab,
+        ...document.settings, timeline: timelineOf(document), seeds, steps: store.get().quality, keep: base?.motion.id ?? null, change,
+        constraints: document.constraints.map(argued), tab,
       });
       running = job;
       stop = server.followJob(job, (kind, data) => running === job && heard(kind, data, about));
@@ -168,7 +168,7 @@ export function createWork(studio, tab, say) {
     open = id;
     if (document === seen) return;
     const first = seen === null;
-    const meant = (each) => JSON.stringify([timelineOf(each).prompts, each.constraints, each.cleanFeet, each.seeds]);
+    const meant = (each) => JSON.stringify([timelineOf(each).prompts, each.constraints, each.settings, each.seeds]);
     const same = !first && meant(seen) === meant(document);
     if (!first && seen.seeds.join() !== document.seeds.join()) scope = everything; // new seeds are for new motions
     seen = document;

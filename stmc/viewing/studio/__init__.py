@@ -5,9 +5,9 @@ hands out files. What is edited, and how, is the page's business (`assets/studio
 library's. Knows models, exports and views.
 """
 
-from stmc.viewing.studio.jobs import Asked, Job, Jobs, Stage
+from stmc.viewing.studio.jobs import Job, Jobs, Stage
 from stmc.viewing.studio.server import application
 from stmc.viewing.studio.sessions import Sessions
 from stmc.viewing.studio.stores import Documents, Motions
 
-__all__ = ["Asked", "Documents", "Job", "Jobs", "Motions", "Sessions", "Stage", "application"]
+__all__ = ["Documents", "Job", "Jobs", "Motions", "Sessions", "Stage", "application"]

@@ -11,17 +11,18 @@ import logging
 import secrets
 from collections import OrderedDict, deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple
 
 import torch
 
-from stmc.editing import Change
+from stmc.composing import Progress
+from stmc.composing.sampling import Sampling
 from stmc.editing.constraints import Constraint
 from stmc.editing.constraints.pose import Pose
+from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.motion import Motion
-from stmc.timeline import Timeline
 from stmc.viewing.studio.refusals import Refused, refusal_of
 from stmc.viewing.studio.stores import Motions
 
@@ -52,30 +53,24 @@ class Stage(NamedTuple):
 
 PREVIEW = Stage("preview", 10)
 
+OWN = Sampling(sampler="ddim")
+"""The studio's own settings, where a request leaves them open."""
 
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """What is to be sampled: a timeline once for each seed; of a motion that is kept, the changes alone.
+Sample = Callable[[GenerateRequest, Progress], Sequence[Motion]]
+"""`Model.sample`, or a function like it."""
+
+
+@dataclass(eq=False)
+class Job:
+    """A request to be sampled, and all that has happened to it.
 
     `stages`: one after the other, such as a preview and then the motion itself. `tab`: who asks; of one tab, only the
     last job waits.
     """
 
-    timeline: Timeline
-    seeds: tuple[int, ...]
+    request: GenerateRequest
     stages: tuple[Stage, ...] = (PREVIEW,)
-    keep: Motion | None = None
-    change: tuple[Change, ...] = ()
-    constraints: tuple[Constraint, ...] = ()
-    clean_feet: bool = True
     tab: str = ""
-
-
-@dataclass(eq=False)
-class Job:
-    """One of them, and all that has happened to it."""
-
-    asked: Asked
     name: str = field(default_factory=lambda: secrets.token_urlsafe(9))
     events: list[Event] = field(default_factory=list)
     cancelled: bool = False
@@ -119,19 +114,19 @@ class Job:
 
 
 class Jobs:
-    """The queue, and the one thread that works it off. `generate` is a model's.
+    """The queue, and the one thread that works it off. `sample` is a model's.
 
     Examples:
-        >>> jobs = stmc.viewing.studio.Jobs(stmc.load().generate, stmc.viewing.studio.Motions("motions"))
-        >>> job = jobs.add(stmc.viewing.studio.Asked(stmc.Timeline.parse("walk # 0 # 1"), seeds=(0,)))
+        >>> jobs = stmc.viewing.studio.Jobs(stmc.load().sample, stmc.viewing.studio.Motions("motions"))
+        >>> job = jobs.add(stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"}))
         >>> jobs.wait()
         >>> [kind for kind, details in job.events]
         ['progress', 'motion', 'done']
         >>> jobs.close()
     """
 
-    def __init__(self, generate: Callable[..., Sequence[Motion]], motions: Motions) -> None:
-        self.generate, self.motions = generate, motions
+    def __init__(self, sample: Sample, motions: Motions) -> None:
+        self.sample, self.motions = sample, motions
         self._waiting: deque[Job] = deque()
         self._known: OrderedDict[str, Job] = OrderedDict()
         self._current: Job | None = None
@@ -139,11 +134,11 @@ class Jobs:
         self._thread = Thread(target=self._work, name="studio jobs", daemon=True)
         self._thread.start()
 
-    def add(self, asked: Asked) -> Job:
+    def add(self, request: GenerateRequest, stages: tuple[Stage, ...] = (PREVIEW,), tab: str = "") -> Job:
         """Queues a job; those of the same tab that still wait are cancelled. Raises `Refused` where too many wait."""
-        job = Job(asked)
+        job = Job(request, stages, tab)
         with self._changed:
-            for other in [each for each in self._waiting if asked.tab and each.asked.tab == asked.tab]:
+            for other in [each for each in self._waiting if tab and each.tab == tab]:
                 self._waiting.remove(other)
                 other.tell("cancelled")
             if len(self._waiting) >= MOST_WAITING:
@@ -201,34 +196,25 @@ class Jobs:
                         job.tell("cancelled")
                     return
                 job = self._current = self._waiting.popleft()
-            _guarded(job, self._sample)
+            _guarded(job, self._work_off)
 
-    def _sample(self, job: Job) -> None:
-        for stage in job.asked.stages:
-            for seed, motion in zip(job.asked.seeds, self._generated(job, stage), strict=True):
+    def _work_off(self, job: Job) -> None:
+        for stage in job.stages:
+            for seed, motion in zip(job.request.seeds, self._sampled(job, stage), strict=True):
                 told = self.motions.told(self.motions.add(motion))
-                demands = [_demand(each, motion) for each in job.asked.constraints]
+                demands = [_demand(each, motion) for each in job.request.constraints]
                 job.tell("motion", seed=seed, stage=stage.name, motion=told, demands=demands)
 
-    def _generated(self, job: Job, stage: Stage) -> Sequence[Motion]:
-        asked, steps, made = job.asked, stage.steps, itertools.count()
+    def _sampled(self, job: Job, stage: Stage) -> Sequence[Motion]:
+        steps, made = stage.steps, itertools.count()
 
         def told() -> None:
             if job.cancelled:
                 raise Cancelled
             job.tell("progress", stage=stage.name, step=min(next(made), steps), steps=steps)
 
-        return self.generate(
-            [asked.timeline] * len(asked.seeds),
-            seed=asked.seeds,
-            progress=_watched(told),
-            keep=asked.keep,
-            change=asked.change,
-            constraints=asked.constraints,
-            clean_feet=asked.clean_feet,
-            steps=steps,
-            sampler="ddim",
-        )
+        sampling = Sampling(steps=steps).over(job.request.sampling).over(OWN)
+        return self.sample(replace(job.request, sampling=sampling), _watched(told))
 
 
 def _watched(told: Callable[[], None]) -> Callable[..., Iterator[Any]]:
@@ -268,8 +254,8 @@ def _explained(error: Exception, job: Job) -> str:
     refusal = refusal_of(error)
     if refusal is not None:
         return str(refusal)
-    if job.asked.constraints and isinstance(error, (ValueError, ArithmeticError)):
-        kinds = sorted({type(each).__name__.lower() for each in job.asked.constraints})
+    if job.request.constraints and isinstance(error, (ValueError, ArithmeticError)):
+        kinds = sorted({type(each).__name__.lower() for each in job.request.constraints})
         return f"constraints ({', '.join(kinds)}) cannot be met here: {error}"
     logger.error("job %s", job.name, exc_info=error)
     return "something went wrong; the terminal that runs the studio says what"

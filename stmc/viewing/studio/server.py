@@ -26,10 +26,9 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 import stmc
-from stmc.editing import Change
-from stmc.editing.constraints import constraint_of
 from stmc.editing.constraints.reading import KINDS
-from stmc.io.untrusted import cut
+from stmc.editing.generate_request import GenerateRequest
+from stmc.io.untrusted import shown
 from stmc.model import Model
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.run.suggestions import suggester, with_suggestions
@@ -47,12 +46,15 @@ from stmc.viewing.studio.documents_json import (
     write_timeline,
 )
 from stmc.viewing.studio.guard import SESSION, Guard, refused
-from stmc.viewing.studio.jobs import PREVIEW, Asked, Jobs, Stage
-from stmc.viewing.studio.refusals import Refused, read_object, refusal_of, take, take_texts
+from stmc.viewing.studio.jobs import OWN, PREVIEW, Jobs, Stage
+from stmc.viewing.studio.refusals import Refused, read_object, refusal_of, take
 from stmc.viewing.studio.sessions import Sessions
 from stmc.viewing.studio.stores import FORMATS, Documents, Motions, private_folder
 
 logger = logging.getLogger(__name__)
+
+OF_JOB = ("timeline", "seeds", "steps", "tab")
+"""Keys of a job's JSON that are no fields of the request, or bounded by themselves."""
 
 MOST_SEEDS = 8
 """Samples of one job."""
@@ -150,7 +152,7 @@ class Answers:
     def __init__(self, model: Model, motions: Motions, documents: Documents, sessions: Sessions, steps: int) -> None:
         self.model, self.motions, self.documents, self.steps = model, motions, documents, steps
         self.sessions = sessions
-        self.jobs = Jobs(model.generate, motions)
+        self.jobs = Jobs(model.sample, motions)
         self.suggest = suggester(sentence_encoder(model.text_encoder))
 
     async def page(self, request: Request) -> Response:
@@ -202,8 +204,9 @@ class Answers:
 
     async def add_job(self, request: Request) -> Response:
         """Queues what is asked for."""
-        asked = await run_in_threadpool(self._asked, read_object(await request.body()))
-        return JSONResponse({"job": self.jobs.add(asked).name}, 201)
+        data = read_object(await request.body())
+        asked, stages = await run_in_threadpool(self._request, data), self._stages(data)
+        return JSONResponse({"job": self.jobs.add(asked, stages, take(data, "tab", str, "")[:100]).name}, 201)
 
     async def hear_job(self, request: Request) -> Response:
         """What happens to a job, as it happens (server-sent events)."""
@@ -267,24 +270,22 @@ class Answers:
             "constraints": list(KINDS),
         }
 
-    def _asked(self, data: dict[str, Any]) -> Asked:
+    def _request(self, data: dict[str, Any]) -> GenerateRequest:
+        """The request of a page's JSON, which `GenerateRequest.read` reads but for the timeline, within bounds."""
         timeline, _ = with_suggestions(timeline_of(take(data, "timeline", dict)), self.suggest)
+        seeds = _few(take(data, "seeds", list, [0]), "seeds", MOST_SEEDS)
+        values = {name: _bounded(name, value) for name, value in data.items() if name not in OF_JOB}
+        values |= {"timelines": [timeline] * len(seeds), "seeds": seeds}
+        request = GenerateRequest.read(values, self.motions.get)
+        self.model.check(dataclasses.replace(request, sampling=request.sampling.over(OWN)))
+        return request
+
+    def _stages(self, data: dict[str, Any]) -> tuple[Stage, ...]:
         stages = {"preview": (PREVIEW,), "full": (PREVIEW, Stage("full", self.steps))}
-        keep, change = take(data, "keep", str, None), _few(take(data, "change", list, []), "change")
-        constraints = _few(take(data, "constraints", list, []), "constraints")
         steps = take(data, "steps", str, "full")
         if steps not in stages:
-            raise Refused(422, f"steps={steps}: choose from {', '.join(stages)}")
-        return Asked(
-            timeline,
-            seeds=_seeds(take(data, "seeds", list, [0])),
-            stages=stages[steps],
-            keep=None if keep is None else self.motions.get(keep),
-            change=tuple(map(_change, change)),
-            constraints=tuple(constraint_of(_near(each), self.motions.get) for each in constraints),
-            clean_feet=take(data, "clean_feet", bool, True),
-            tab=take(data, "tab", str, "")[:100],
-        )
+            raise Refused(422, f"steps={shown(steps)}: choose from {', '.join(stages)}")
+        return stages[steps]
 
 
 def bundled_timelines() -> list[Timeline]:
@@ -304,35 +305,23 @@ def _rate(text: str | None) -> float | None:
     return float(text)
 
 
-def _seeds(values: list[Any]) -> tuple[int, ...]:
-    if not 1 <= len(values) <= MOST_SEEDS or any(type(each) is not int or not 0 <= each < 2**31 for each in values):
-        raise Refused(422, f"seeds: 1 to {MOST_SEEDS} whole numbers from 0 on needed")
-    return tuple(values)
-
-
-def _few(values: list[Any], name: str) -> list[Any]:
-    if len(values) > MOST_CONDITIONS:
-        raise Refused(422, f"{name}: {MOST_CONDITIONS} at most")
+def _few(values: list[Any], name: str, most: int) -> list[Any]:
+    if not 0 < len(values) <= most:
+        raise Refused(422, f"{name}: 1 to {most} needed")
     return values
 
 
-def _near(constraint: Any) -> Any:
-    """The constraint. Raises `Refused` for a number by which a body would leave all bounds."""
-    left = [constraint]
+def _bounded(name: str, value: Any) -> Any:
+    """The value. Raises `Refused` for more of a list, or a larger number, than a request of the studio may have."""
+    if isinstance(value, list) and value:
+        _few(value, name, MOST_CONDITIONS)
+    left = [value]
     while left:
-        value = left.pop()
-        left += value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-        if isinstance(value, (int, float)) and abs(value) > FARTHEST:
-            kind = next(iter(constraint)) if isinstance(constraint, dict) else "?"
-            raise Refused(422, f"constraint {cut(kind)}: {value:g} is beyond {FARTHEST} metres, radians or seconds")
-    return constraint
-
-
-def _change(entry: Any) -> Change:
-    if not isinstance(entry, dict):
-        raise Refused(422, "change: an object of start, end and parts needed")
-    start, end = (take(entry, name, (int, float), default) for name, default in (("start", 0), ("end", None)))
-    return Change(start, end, take_texts(entry, "parts"))
+        each = left.pop()
+        left += each.values() if isinstance(each, dict) else each if isinstance(each, list) else ()
+        if isinstance(each, (int, float)) and abs(each) > FARTHEST:
+            raise Refused(422, f"{name}: {each:g} is beyond {FARTHEST} metres, radians or seconds")
+    return value
 
 
 def _attached(content: bytes, name: str, kind: str) -> Response:

@@ -1,0 +1,134 @@
+"""The folder of `stmc sample`: each motion's files beside a record of what they were made of.
+
+Knows requests, formats and digests; knows no model and no command line.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain, count
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import stmc
+from stmc.editing.generate_request import GenerateRequest, prompts_of
+from stmc.io.filenames import name_of_texts
+from stmc.io.files import held, scratch, sha256, write_text
+from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
+from stmc.text.vocabulary import Recognition
+from stmc.timeline import Timeline
+from stmc.viewing.film_formats import FILMS
+
+FORMATS = ("npz", "bvh", "html")
+"""Those that are written if nobody says which."""
+CHOICES = (*FORMATS, "glb", "csv", "xml", "webp", "gif", "mp4")
+
+
+class Job(NamedTuple):
+    """A motion to be: its files' name, and the request that it alone is."""
+
+    name: str
+    request: GenerateRequest
+
+    @property
+    def timeline(self) -> Timeline:
+        """Its timeline."""
+        return self.request.timelines[0]
+
+    @property
+    def seed(self) -> int:
+        """Its seed."""
+        return self.request.seeds[0]
+
+
+@dataclass(frozen=True)
+class MotionFolder:
+    """Motions in all `formats`, at a frame rate (None: their own), made by what `made_by` says of the model."""
+
+    path: Path
+    formats: Sequence[str]
+    fps: float | int | None
+    made_by: Mapping[str, Any]
+
+    def record(self, job: Job) -> dict[str, Any]:
+        """Return all that a motion's files depend on, but for settings that are left open."""
+        rate = {} if self.fps is None else {"fps": self.fps}
+        return {**job.request.decides(), **rate, **self.made_by, "version": stmc.__version__}
+
+    def finished(self, job: Job) -> bool:
+        """Tell whether the folder has the motion in all formats, made of this request."""
+        request, digests = self._recorded(job.name)
+        return request == self.record(job) and set(self.formats) <= self._whole(job.name, digests)
+
+    def save(self, motion: stmc.Motion, job: Job, unknown: Sequence[Recognition] = ()) -> list[Path]:
+        """Write the motion's files aside, then put all of them in place with the record that names their digests, which
+        no other process does at that time. Files of an earlier request go."""
+        motion = motion if self.fps is None else motion.resampled(self.fps)
+        with scratch(self.path / job.name) as aside:
+            made = [aside / f"{job.name}.{kind}" for kind in self.formats]
+            for path in made:
+                write_format(motion, path, job, unknown)
+            digests = {path.suffix[1:]: sha256(path) for path in made}
+            with held(self.path / f".{job.name}.lock", math.inf):
+                request, former = self._recorded(job.name)
+                kept = self._whole(job.name, former) if request == self.record(job) else set()
+                for kind in former.keys() - kept:
+                    (self.path / f"{job.name}.{kind}").unlink(missing_ok=True)
+                (self.path / f"{job.name}.json").unlink(missing_ok=True)
+                paths = [path.replace(self.path / path.name) for path in made]
+                done = self.record(job) | {"files": {kind: former[kind] for kind in kept} | digests}
+                write_text(self.path / f"{job.name}.json", json.dumps(done, indent=1, ensure_ascii=False) + "\n")
+        return paths
+
+    def free_name(self, timeline: Timeline) -> str:
+        """Return the name of a typed timeline: its texts, and a number behind them where motions of the same texts at
+        other times or for other body parts have that name here."""
+        base = name_of_texts(prompt.text for prompt in timeline.prompts)
+        names = chain([base], (f"{base}-{number}" for number in count(2)))
+        return next(name for name in names if self._prompts(name) in ([], [prompts_of(timeline)]))
+
+    def _prompts(self, name: str) -> list[list]:
+        """The different prompts in the records of the motions of that name, of whatever seed."""
+        paths = [path for path in self.path.glob(f"{name}_*.json") if path.stem[len(name) + 1 :].isdigit()]
+        records = [read_record(path) for path in paths]
+        prompts = [record["prompts"] for record in records if "prompts" in record]
+        return [each for number, each in enumerate(prompts) if each not in prompts[:number]]
+
+    def _recorded(self, name: str) -> tuple[dict | None, dict[str, str | None]]:
+        """The request that a motion's record names, and the SHA-256 of its files by format. A record that is damaged,
+        or of an earlier version, names no request, and may have files of every format."""
+        try:
+            request = load_json(read_text(self.path / f"{name}.json", MOST_BYTES))
+            digests = request.pop("files")
+            return request, {kind: digests[kind] for kind in CHOICES if kind in digests}
+        except (FileNotFoundError, NotADirectoryError):
+            return None, {}
+        except (UnreadableError, AttributeError, KeyError, TypeError):
+            return None, dict.fromkeys(CHOICES)
+
+    def _whole(self, name: str, digests: Mapping[str, str | None]) -> set[str]:
+        """The formats whose files are as their record says."""
+        files = {kind: self.path / f"{name}.{kind}" for kind in digests}
+        return {kind for kind, path in files.items() if path.is_file() and sha256(path) == digests[kind]}
+
+
+def read_record(path: Path) -> dict:
+    """A record beside a motion; empty where there is none that can be read."""
+    try:
+        read = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+        return {}
+    return read if isinstance(read, dict) else {}
+
+
+def write_format(motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
+    """Write a motion in the format of the path's suffix."""
+    if path.suffix == ".html":
+        write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
+    elif path.suffix in FILMS:
+        stmc.render_film(motion, path, job.timeline)
+    else:
+        stmc.write(motion, path, timeline=job.timeline)
