@@ -27,8 +27,7 @@ from starlette.staticfiles import StaticFiles
 
 import stmc
 from stmc.editing import Change
-from stmc.editing.constraints import constraint_of
-from stmc.editing.constraints.reading import KINDS
+from stmc.editing.constraints import KINDS, constraint_of
 from stmc.io.untrusted import cut
 from stmc.model import Model
 from stmc.motion.body import JOINTS, BodyPart
@@ -264,7 +263,7 @@ class Answers:
             "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],
             "limits": {"duration": MOST_SECONDS, "prompts": MOST_PROMPTS, "samples": MOST_SEEDS},
             "steps": {"preview": PREVIEW.steps, "full": self.steps},
-            "constraints": list(KINDS),
+            "constraints": [kind.describe() for kind in KINDS],
         }
 
     def _asked(self, data: dict[str, Any]) -> Asked:
