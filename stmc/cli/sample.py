@@ -33,6 +33,7 @@ from stmc.cli.shared_settings import OnModel, Sharded
 from stmc.composing import METHODS, find_method
 from stmc.composing.sampling import INDEPENDENT, Sampling
 from stmc.diffusion.tensors import found_device
+from stmc.formats import READABLE
 from stmc.io.filenames import distinct, name_of_texts
 from stmc.io.files import held, probe, remove_leftovers, scratch, sha256, write_text
 from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
@@ -42,11 +43,11 @@ from stmc.settings.records import SettingError, about, record_of, setting, shown
 from stmc.settings.shards import Incomplete, Shard, listed
 from stmc.text.vocabulary import Recognition
 from stmc.timeline import UnknownPromptWarning, advise
-from stmc.viewing.film_formats import FILMS, ffmpeg
+from stmc.viewing.exports import EXPORTS, export
 
 FORMATS = ("npz", "bvh", "html")
 """Those that are written if nobody says which."""
-CHOICES = (*FORMATS, "glb", "csv", "xml", "webp", "gif", "mp4")
+CHOICES = tuple(dict.fromkeys((*FORMATS, *(each.name for each in EXPORTS))))
 EXAMPLE = "'walk # 0 # 4'"
 """A timeline as it is typed."""
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
@@ -71,7 +72,9 @@ class Settings(Sampling, OnModel, Sharded):
         f"how crops become a motion: {', '.join(name for name in METHODS if name != INDEPENDENT)}, or mylab.rules.mine",
     )
     keep: str | None = setting(
-        None, "motion to edit, .npz or .bvh; only `change`, and frames behind its end, are generated"
+        None,
+        f"motion to edit, {' or '.join(each.suffix for each in READABLE)}; "
+        "only `change`, and frames behind its end, are generated",
     )
     change: tuple[str, ...] = setting((), "intervals of `keep` to regenerate: start # end # body parts, in seconds")
     constraints: str | None = setting(None, ".json of paths, headings, keyframes, hands and feet, for every timeline")
@@ -134,11 +137,11 @@ def main(config: DictConfig) -> None:
 
 def hint(formats: Sequence[str]) -> str:
     """The programs for those of the formats that a newcomer may not know."""
-    blender = " or ".join(f".{kind}" for kind in ("bvh", "glb") if kind in formats)
-    told = [
-        *(["an .html in a browser"] if "html" in formats else []),
-        *([f"a {blender} in Blender"] if blender else []),
-    ]
+    programs: dict[str, list[str]] = {}
+    for each in EXPORTS:
+        if each.opened_in and each.name in formats:
+            programs.setdefault(each.opened_in, []).append(each.suffix)
+    told = [f"{' or '.join(suffixes)} in {program}" for program, suffixes in programs.items()]
     return f": open {', '.join(told)}" if told else ""
 
 
@@ -152,11 +155,12 @@ def check(config: DictConfig) -> None:
     if not config.formats:
         raise SettingError(f"formats=[]: choose from {', '.join(CHOICES)}")
     found_device(config.device)
-    if "mp4" in config.formats:
-        try:
-            ffmpeg()
-        except ModuleNotFoundError as error:
-            raise SettingError(f"formats=mp4: {error}") from None
+    for each in EXPORTS:
+        if each.name in config.formats and each.check is not None:
+            try:
+                each.check()
+            except ModuleNotFoundError as error:
+                raise SettingError(f"formats={each.name}: {error}") from None
     beside(config)  # what cannot be read fails now
 
 
@@ -356,7 +360,7 @@ def save(
     with scratch(folder / job.name) as aside:
         made = [aside / f"{job.name}.{kind}" for kind in config.formats]
         for path in made:
-            write_format(motion, path, job, unknown)
+            export(motion, path, job.timeline, title=job.name, unknown=unknown)
         digests = {path.suffix[1:]: sha256(path) for path in made}
         with held(folder / f".{job.name}.lock", math.inf):
             request, former = recorded(folder, job.name)
@@ -368,16 +372,6 @@ def save(
             done = record(job, config, made_by) | {"files": {kind: former[kind] for kind in kept} | digests}
             write_text(folder / f"{job.name}.json", json.dumps(done, indent=1, ensure_ascii=False) + "\n")
     return paths
-
-
-def write_format(motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
-    """Write a motion in the format of the path's suffix."""
-    if path.suffix == ".html":
-        write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
-    elif path.suffix in FILMS:
-        stmc.render_film(motion, path, job.timeline)
-    else:
-        stmc.write(motion, path, timeline=job.timeline)
 
 
 def tell(job: Job, motion: stmc.Motion, paths: list[Path], place: str, as_json: bool, console: Console) -> None:

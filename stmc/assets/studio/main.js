@@ -129,7 +129,7 @@ watch(store, ({ check }) => [check?.error], ({ check }) => check?.error && tell(
 const begin = {
   timeline: (timeline) => saving.create({ document: documentOfTimeline(timeline) }),
   async file(file) {
-    if (/\.(npz|bvh)$/i.test(file.name)) return upload(file);
+    if (store.get().model.receives.some((suffix) => file.name.toLowerCase().endsWith(suffix))) return upload(file);
     const { timelines } = await server.readTimelines(file.name, await file.text());
     begin.timeline(timelines[0]);
     if (timelines.length > 1) say(`The file has ${timelines.length} timelines; this is the first.`);
