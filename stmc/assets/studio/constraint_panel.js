@@ -47,7 +47,7 @@ export function createConstraintPanel(studio, player, stage) {
     const [{ start, end }, motion] = [span(fieldOf(name, "end")?.default), studio.chosen()?.motion];
     const usual = (field) => field.default;
     const begin = {
-      start: () => start, end: () => end, moment: now, joint: usual, angle: usual,
+      start: () => start, end: () => end, moment: now, joint: usual, angle: usual, number: usual,
       point: (field) => stage.joint(fieldOf(name, "joint")?.default) ?? field.default,
       motion: () => motion.id,
       motion_second: () => Math.max(0, Math.min(now(), rounded(motion.duration - 0.05))),
@@ -108,6 +108,7 @@ export function createConstraintPanel(studio, player, stage) {
         choices.map((joint) => make("option", { value: joint, selected: joint === values[name] }, said(joint))))),
     point: ({ id, ...values }, { name, least, most }) => make("div", { class: "triple" }, ["x", "y", "z"].map((axis, index) =>
       number(`${axis}-${id}`, `${axis} (m)`, Math.round(values[name][index] * 100) / 100, (value) => adjust(id, { [name]: values[name].map((old, at) => (at === index ? value : old)) }), { step: "0.05", min: least, max: most }))),
+    number: ({ id, ...values }, { name, title, least, most }) => number(`${name}-${id}`, title, values[name], (value) => adjust(id, { [name]: value }), { step: "any", min: least, max: most }),
     angle: ({ id, ...values }, { name, title }) => number(`${name}-${id}`, title, degrees(values[name]), (value) => adjust(id, { [name]: (value * Math.PI) / 180 }), { step: "15", min: null }),
     line: (each, { name, title }) => [make("p", { class: "faint" }, paceOf({ points: each[name], ...spanOf(each, studio.duration()) }, studio.duration())), make("label", { class: "field" }, make("span", {}, title),
       make("textarea", { rows: "2", "data-key": `${name}-${each.id}`, value: each[name].map((point) => point.join(", ")).join("; "), onchange: ({ target }) => typed(each.id, name, target.value) }))],

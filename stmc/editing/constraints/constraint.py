@@ -21,12 +21,12 @@ from stmc.io.bounds import MOST_METRES, MOST_SECONDS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 
-Control = Literal["start", "end", "moment", "joint", "point", "angle", "line", "motion", "motion_second"]
+Control = Literal["start", "end", "moment", "joint", "point", "angle", "number", "line", "motion", "motion_second"]
 """The editors of values that the studio's page has: it draws forms and marks by them, whatever the constraint."""
 
 _BOUNDS: dict[Control, tuple[float, float]] = {
     **dict.fromkeys(("start", "end", "moment", "motion_second"), (0, MOST_SECONDS)),
-    **dict.fromkeys(("point", "line"), (-MOST_METRES, MOST_METRES)),
+    **dict.fromkeys(("point", "line", "number"), (-MOST_METRES, MOST_METRES)),
 }
 
 _DISPLAYED = {"m": ("cm", 100.0), "rad": ("degrees", 180 / math.pi)}
