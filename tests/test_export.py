@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import re
 
@@ -7,8 +8,7 @@ import torch
 from helpers.motions import walking
 from scipy.spatial.transform import Rotation
 
-from stmc.formats import read, write
-from stmc.formats.motion_files import _WRITERS
+from stmc.formats import motion_files, read, write
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix
@@ -235,7 +235,8 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path, monkeypat
         file.write(b"half of it")
         raise RuntimeError("the disk is full")
 
-    monkeypatch.setitem(_WRITERS, ".npz", breaks_off)
+    npz = next(each for each in motion_files.FORMATS if each.suffix == ".npz")
+    monkeypatch.setattr(motion_files, "FORMATS", [dataclasses.replace(npz, write=breaks_off)])
     path = tmp_path / "walk.npz"
     path.write_text("old")
     with pytest.raises(RuntimeError, match="full"):

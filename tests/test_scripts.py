@@ -563,8 +563,8 @@ def test_sampling_runs_with_a_folder_of_one_s_own_configurations(sample, run, tm
     ("formats", "told"),
     [
         (["npz"], ""),
-        (["npz", "bvh"], ": open a .bvh in Blender"),
-        (["npz", "glb", "bvh", "html"], ": open an .html in a browser, a .bvh or .glb in Blender"),
+        (["npz", "bvh"], ": open .bvh in Blender"),
+        (["npz", "glb", "bvh", "html"], ": open .glb or .bvh in Blender, .html in a browser"),
     ],
 )
 def test_the_last_line_names_programs_for_the_formats_that_were_written(sample, formats, told):

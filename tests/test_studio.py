@@ -423,7 +423,7 @@ def test_a_film_that_needs_what_is_not_installed_is_refused_with_what_to_install
     def missing(*args):
         raise ModuleNotFoundError("videos need imageio-ffmpeg: pip install 'stmc[film]'; .webp does without")
 
-    monkeypatch.setattr("stmc.viewing.studio.stores.render_film", missing)
+    monkeypatch.setattr("stmc.viewing.film.render_film", missing)
     [told] = made(sampled(client, steps="preview"))
     answer = client.get(f"/api/motions/{told['motion']['id']}.mp4")
     assert answer.status_code == 501 and "pip install" in answer.json()["error"]

@@ -12,11 +12,12 @@ from threading import Thread
 import numpy as np
 import pytest
 from helpers import browser
-from helpers.scripts import loaded
+from helpers.scripts import ROOT, loaded
 from helpers.studio import knowing
 from PIL import Image
 
 import stmc
+from stmc.editing.constraints import KINDS
 from stmc.viewing.studio import Documents, Sessions, application
 from stmc.viewing.studio.connections import server_of
 from stmc.viewing.studio.refusals import Refused
@@ -390,6 +391,30 @@ def test_a_heading_is_demanded_shown_on_the_tracks_and_met(tab):
     click(tab, "#tab-samples")
     click(tab, ".demand .label")
     tab.wait("!document.getElementById('panel-constraints').hidden")
+
+
+def test_a_kind_of_constraint_that_the_page_does_not_know_is_added_edited_and_measured(server, tmp_path, monkeypatch):
+    """The one that docs/extending/constraint.md makes: the server's description is all that the page needs."""
+    source = (ROOT / "docs/extending/constraint.md").read_text("utf-8").split("```python\n")[1].split("model = ")[0]
+    space: dict = {"__name__": "somebodys_module"}
+    exec(source, space)
+    for module in ("stmc.editing.constraints.reading", "stmc.viewing.studio.server"):
+        monkeypatch.setattr(f"{module}.KINDS", (*KINDS, space["Below"]))
+    with opened(server, tmp_path) as tab:
+        write(tab, "walk")
+        first = shown(tab)
+        click(tab, "#tab-constraints")
+        click(tab, "[data-key=add-below]")
+        second = shown(tab, first)
+        assert tab.ask("document.querySelector('.demand .label').ariaLabel").startswith("Below of the head")
+        field(tab, "[data-key^=height]", "1.25")
+        third = shown(tab, second)
+        tab.wait("document.querySelector('.constraints .error') !== null")
+        told = float(tab.ask("document.querySelector('.constraints .error').textContent").split()[0])
+        head = stmc.motion.body.JOINTS.index("head")
+        above = 100 * (motion_of(tab, third).joints[:20, head, 2] - 1.25).clamp(min=0)
+        assert float(above.max()) == pytest.approx(told, abs=0.05 + 1e-3)
+        assert nameless(tab) == []
 
 
 def test_a_path_can_be_typed_instead_of_drawn_and_what_was_measured_for_another_one_is_not_shown(tab):

@@ -296,7 +296,7 @@ def test_a_film_is_bounded_and_drawn_alone(client, motion, monkeypatch):
         assert may.wait(timeout=60)
         path.write_bytes(b"film")
 
-    monkeypatch.setattr("stmc.viewing.studio.stores.render_film", drawn)
+    monkeypatch.setattr("stmc.viewing.film.render_film", drawn)
     answers: list = []
     first = threading.Thread(target=lambda: answers.append(client.get(f"/api/motions/{name}.webp")))
     first.start()

@@ -39,7 +39,7 @@ from stmc.run import fingerprint
 from stmc.settings.records import SettingError, as_in, setting, shown
 from stmc.settings.shards import Incomplete, Shard, listed
 from stmc.timeline import UnknownPromptWarning, advise
-from stmc.viewing.film_formats import ffmpeg
+from stmc.viewing.exports import EXPORTS
 
 EXAMPLE = "'walk # 0 # 4'"
 """A timeline as it is typed."""
@@ -127,11 +127,11 @@ def make(
 
 def hint(formats: Sequence[str]) -> str:
     """The programs for those of the formats that a newcomer may not know."""
-    blender = " or ".join(f".{kind}" for kind in ("bvh", "glb") if kind in formats)
-    told = [
-        *(["an .html in a browser"] if "html" in formats else []),
-        *([f"a {blender} in Blender"] if blender else []),
-    ]
+    programs: dict[str, list[str]] = {}
+    for each in EXPORTS:
+        if each.opened_in and each.name in formats:
+            programs.setdefault(each.opened_in, []).append(each.suffix)
+    told = [f"{' or '.join(suffixes)} in {program}" for program, suffixes in programs.items()]
     return f": open {', '.join(told)}" if told else ""
 
 
@@ -145,11 +145,12 @@ def check(settings: Settings) -> None:
     if not settings.formats:
         raise SettingError(f"formats=[]: choose from {', '.join(CHOICES)}")
     found_device(settings.device)
-    if "mp4" in settings.formats:
-        try:
-            ffmpeg()
-        except ModuleNotFoundError as error:
-            raise SettingError(f"formats=mp4: {error}") from None
+    for each in EXPORTS:
+        if each.name in settings.formats and each.check is not None:
+            try:
+                each.check()
+            except ModuleNotFoundError as error:
+                raise SettingError(f"formats={each.name}: {error}") from None
 
 
 def open_folder(settings: Settings) -> MotionFolder:

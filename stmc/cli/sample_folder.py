@@ -20,11 +20,11 @@ from stmc.io.files import held, scratch, sha256, write_text
 from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
 from stmc.text.vocabulary import Recognition
 from stmc.timeline import Timeline
-from stmc.viewing.film_formats import FILMS
+from stmc.viewing.exports import EXPORTS, export
 
 FORMATS = ("npz", "bvh", "html")
 """Those that are written if nobody says which."""
-CHOICES = (*FORMATS, "glb", "csv", "xml", "webp", "gif", "mp4")
+CHOICES = tuple(dict.fromkeys((*FORMATS, *(each.name for each in EXPORTS))))
 
 
 class Job(NamedTuple):
@@ -70,7 +70,7 @@ class MotionFolder:
         with scratch(self.path / job.name) as aside:
             made = [aside / f"{job.name}.{kind}" for kind in self.formats]
             for path in made:
-                write_format(motion, path, job, unknown)
+                export(motion, path, job.timeline, title=job.name, unknown=unknown)
             digests = {path.suffix[1:]: sha256(path) for path in made}
             with held(self.path / f".{job.name}.lock", math.inf):
                 request, former = self._recorded(job.name)
@@ -122,13 +122,3 @@ def read_record(path: Path) -> dict:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError):
         return {}
     return read if isinstance(read, dict) else {}
-
-
-def write_format(motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
-    """Write a motion in the format of the path's suffix."""
-    if path.suffix == ".html":
-        write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
-    elif path.suffix in FILMS:
-        stmc.render_film(motion, path, job.timeline)
-    else:
-        stmc.write(motion, path, timeline=job.timeline)

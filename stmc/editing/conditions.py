@@ -18,7 +18,8 @@ from torch import Tensor
 from stmc.composing import Known, Run
 from stmc.diffusion.statistics import Statistics
 from stmc.editing import Kept, changed_prompt, on_body
-from stmc.editing.constraints import Constraint, Guidance, Heading, Keyframe, Path, Pose, Target, project
+from stmc.editing.constraints import Constraint, Guidance, Order, Pose, project
+from stmc.editing.constraints.pose import Place
 from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.body import BodyPart
 from stmc.motion.body_model import Skeleton
@@ -150,16 +151,16 @@ class Conditions:
         return share
 
     @cached_property
-    def _places(self) -> list[tuple[float, float, float, float]]:
-        """x, y, z and heading by which each motion's features are moved to where it begins."""
+    def _places(self) -> list[Place]:
+        """Where each motion begins; the first constraint of a kind decides, and headings after paths."""
         if self.kept:
             return [self._place(kept.motion) for kept in self.kept]
-        first = [each for each in self.constraints if isinstance(each, Path | Heading) and each.start == 0]
-        x, y, angle = next((each.begins() for each in first if isinstance(each, Path)), (0.0, 0.0, 0.0))
-        angle = next((each.angle for each in first if isinstance(each, Heading)), angle)
-        return [(x, y, 0.0, float(angle))] * len(self.frames)
+        place = (0.0, 0.0, 0.0, 0.0)
+        for constraint in sorted(reversed(self.constraints), key=lambda each: each.order):
+            place = constraint.begin_place(place)
+        return [place] * len(self.frames)
 
-    def _place(self, motion: Motion) -> tuple[float, float, float, float]:
+    def _place(self, motion: Motion) -> Place:
         angle = float(motion.heading[0])
         again = self.representation.decode(self.representation.encode(motion), self.fps, None, angle)
         x, y, z = (motion.translation[0] - again.translation[0]).tolist()
@@ -169,28 +170,27 @@ class Conditions:
 
 def cleaned(motions: Sequence[Motion], kept: Sequence[Kept], constraints: Sequence[Constraint]) -> list[Motion]:
     """The motions with feet that stand (see `clean_feet`), but for where legs are `kept` and where `constraints` say
-    how they are: there they stay, and what stands there goes on standing. Hands come back to where they should be."""
+    how they are: there they stay, and what stands there goes on standing. Other limbs are projected again."""
     free = [1 - each.weights.double() for each in kept]
     free = free or [torch.ones(motion.frames, len(BodyPart)).double() for motion in motions]
     return [_cleaned(motion, each, constraints) for motion, each in zip(motions, free, strict=True)]
 
 
 def _cleaned(motion: Motion, free: Float[Tensor, "frames 5"], constraints: Sequence[Constraint]) -> Motion:
-    pose, hands = Pose.of(motion), []
+    pose, limbs = Pose.of(motion), []
     legs = free[:, list(BodyPart).index(BodyPart.LEGS)] > 0
-    for each in [each.settled(pose) for each in constraints]:
-        if isinstance(each, Keyframe):
-            legs[pose.frames_of(each.at, each.at)] = False
-        elif isinstance(each, Target) and each.joint in BodyPart.LEGS.joints:
-            legs[each.frames(pose)] = False
-        elif isinstance(each, Target):
-            hands.append(each)
+    for constraint in [each.anchored_at(pose) for each in constraints]:
+        frames = constraint.leg_frames(pose)
+        if frames is not None:
+            legs[frames] = False
+        elif constraint.order == Order.LIMB:
+            limbs.append(constraint)
     clean = clean_feet(motion, free=legs)
-    if not hands or torch.equal(clean.translation, motion.translation):
+    if not limbs or torch.equal(clean.translation, motion.translation):
         return clean
     exact = clean.to(dtype=torch.float64)
     skeleton = Skeleton.measured(exact.rotations, exact.joints)
-    return project(exact, hands, skeleton, free).to(dtype=clean.joints.dtype)
+    return project(exact, limbs, skeleton, free).to(dtype=clean.joints.dtype)
 
 
 def kept_of(request: GenerateRequest, frames: Sequence[int], skeleton: Skeleton, fps: float | int) -> list[Kept]:

@@ -19,6 +19,7 @@ from stmc.composing import METHODS, Method, Rule, find_method
 from stmc.composing.sampling import INDEPENDENT, Sampling
 from stmc.editing.changes import Change
 from stmc.editing.constraints import Constraint, constraint_of
+from stmc.formats import READABLE
 from stmc.io.untrusted import shown
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom
@@ -57,7 +58,9 @@ class GenerateRequest:
     sampling: Sampling = setting(Sampling(), "settings of sampling; open ones are the method's or the model's")
     joints_from: JointsFrom = setting("skeleton", "source of the joints: the posed skeleton, or the features")
     keep: tuple[Motion, ...] = setting(
-        (), "motion to edit, .npz or .bvh; only `change`, and frames behind its end, are generated"
+        (),
+        f"motion to edit, {' or '.join(each.suffix for each in READABLE)}; "
+        "only `change`, and frames behind its end, are generated",
     )
     change: tuple[Change | Prompt, ...] = setting(
         (), "intervals of `keep` to regenerate: start # end # body parts, in seconds"

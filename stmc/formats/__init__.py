@@ -1,5 +1,5 @@
 """Motions as files for other software. Knows nothing of models or pictures; a timeline goes along as it is."""
 
-from stmc.formats.motion_files import read, write
+from stmc.formats.motion_files import FORMATS, READABLE, Format, format_of, read, write, write_as
 
-__all__ = ["read", "write"]
+__all__ = ["FORMATS", "READABLE", "Format", "format_of", "read", "write", "write_as"]

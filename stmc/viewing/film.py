@@ -16,7 +16,7 @@ from stmc.motion.body_model import Body
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 from stmc.viewing.colours import ink, palette, part_colours, transition_seconds
-from stmc.viewing.film_formats import FILMS, ffmpeg
+from stmc.viewing.exports import FILMS, ffmpeg
 from stmc.viewing.strip import Stage
 
 _SIZE, _DPI = (4.8, 5.6), 100

@@ -3,16 +3,9 @@
 import { button, fill, find, make, watch } from "./dom.js";
 import { heading, number } from "./panels.js";
 import { rounded } from "./state.js";
-import { NAMES, degrees, demandOf, errorOf, meets, paceOf, said, titleOf } from "./constraints.js";
+import { degrees, demandOf, errorOf, fieldOf, kindOf, meets, paceOf, said, spanOf, titleOf } from "./constraints.js";
 
-const LIMBS = ["left_hand", "right_hand", "left_foot", "right_foot", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "head", "pelvis"];
-const ABOUT = {
-  path: "The person walks along a line on the floor: draw it.",
-  target: "A hand or foot is at a place: drag the ball.",
-  hold: "A hand or foot stays where it is.",
-  keyframe: "The pose at the cursor is had again at that time.",
-  heading: "The body looks in a direction.",
-};
+const TIMES = ["start", "end", "moment", "motion_second"];
 
 // Fewer points of a drawn line: none nearer to its neighbours than the way deserves (Douglas and Peucker, 1973).
 export function simplified(points, slack = 0.06) {
@@ -49,36 +42,42 @@ export function createConstraintPanel(studio, player, stage) {
     store.set({ constraint: id });
   }
 
-  const ADD = {
-    path: () => store.set({ drawing: true }),
-    target: () => add({ kind: "target", joint: "right_hand", point: stage.joint("right_hand") ?? [-0.3, -0.4, 1.2], ...span() }),
-    hold: () => add({ kind: "hold", joint: "right_hand", ...span(2) }),
-    keyframe() {
-      const base = studio.chosen();
-      if (base) add({ kind: "keyframe", motion: base.motion.id, second: Math.max(0, Math.min(now(), rounded(base.motion.duration - 0.05))), at: now() });
-    },
-    heading: () => add({ kind: "heading", angle: 0, ...span(2) }),
-  };
+  // The values of a new constraint, by the controls of its fields.
+  function fresh({ name, fields }) {
+    const [{ start, end }, motion] = [span(fieldOf(name, "end")?.default), studio.chosen()?.motion];
+    const usual = (field) => field.default;
+    const begin = {
+      start: () => start, end: () => end, moment: now, joint: usual, angle: usual, number: usual,
+      point: (field) => stage.joint(fieldOf(name, "joint")?.default) ?? field.default,
+      motion: () => motion.id,
+      motion_second: () => Math.max(0, Math.min(now(), rounded(motion.duration - 0.05))),
+    };
+    return { kind: name, ...Object.fromEntries(fields.map((field) => [field.name, begin[field.control](field)])) };
+  }
+
+  function added(kind) {
+    if (fieldOf(kind.name, "line")) return store.set({ drawing: kind.name });
+    if (!fieldOf(kind.name, "motion") || studio.chosen()) add(fresh(kind));
+  }
 
   function drawn(points) {
+    const { drawing: kind, span: chosen } = store.get();
     store.set({ drawing: false });
-    const path = simplified(points).map((point) => point.map((value) => Math.round(value * 100) / 100));
-    if (path.length < 2) return;
-    const { span: chosen } = store.get();
-    add({ kind: "path", points: path, start: chosen?.start ?? 0, end: chosen?.end ?? null });
+    const line = simplified(points).map((point) => point.map((value) => Math.round(value * 100) / 100));
+    if (!kind || line.length < 2) return;
+    add({ kind, [fieldOf(kind, "line").name]: line, start: chosen?.start ?? 0, end: chosen?.end ?? null });
   }
 
   function paint({ model, history, samples, chosen, constraint, drawing }) {
     const sample = samples.find(({ key }) => key === chosen);
     const { constraints } = history.present;
     const missed = constraints.length > 1 && constraints.some((each) => demandOf(sample, each) && !meets(each, demandOf(sample, each)));
-    const kinds = (model?.constraints ?? Object.keys(NAMES)).filter((kind) => ADD[kind]);
     fill(panel,
       heading("Constraints"),
       make("p", { class: "faint" }, "Demands beside the texts. They hold for the chosen interval, or from the cursor on."),
-      make("div", { class: "chips", role: "group", "aria-label": "Add a constraint" }, kinds.map((kind) => button(NAMES[kind], ADD[kind], {
-        class: "chip", title: ABOUT[kind], "data-key": `add-${kind}`, disabled: kind === "keyframe" && !samples.length,
-      }, kind))),
+      make("div", { class: "chips", role: "group", "aria-label": "Add a constraint" }, (model?.constraints ?? []).map((kind) => button(kind.title, () => added(kind), {
+        class: "chip", title: kind.about, "data-key": `add-${kind.name}`, disabled: Boolean(fieldOf(kind.name, "motion")) && !samples.length,
+      }, kind.name))),
       drawing ? make("div", { class: "advice" }, make("p", {}, "Draw on the floor of the stage. Escape ends it."),
         make("div", { class: "actions" }, button("Type its points", () => drawn([[0, 0], [0, -3]]), { "data-key": "type-path" }))) : null,
       missed ? make("p", { class: "advice" }, "Constraints pull against each other: those in red are missed. Move one, give it more time, or delete one.") : null,
@@ -96,28 +95,28 @@ export function createConstraintPanel(studio, player, stage) {
   }
 
   function fieldsOf(each) {
-    const { id, kind } = each;
-    const time = (name, label) => number(`${name}-${id}`, label, each[name] ?? "", (value) => adjust(id, { [name]: rounded(value) }), name === "end" ? { placeholder: "the end" } : {});
-    const times = kind === "keyframe" ? [time("at", "At (s)"), time("second", "Its second")] : [time("start", "Start (s)"), time("end", "End (s)")];
-    return [make("div", { class: "pair" }, times), ...(FIELDS[kind]?.(each) ?? [])];
+    const { fields, open_end } = kindOf(each.kind);
+    const timed = fields.filter(({ control }) => TIMES.includes(control));
+    const time = ({ name, control, title, least, most }) => number(`${name}-${each.id}`, title, each[name] ?? "", (value) => adjust(each.id, { [name]: rounded(value) }),
+      { min: least, max: most, ...(control === "end" ? { placeholder: `the ${open_end}` } : {}) });
+    return [make("div", { class: "pair" }, timed.map(time)), ...fields.flatMap((field) => EDITORS[field.control]?.(each, field) ?? [])];
   }
 
-  const joints = ({ id, joint }) => make("label", { class: "field" }, make("span", {}, "Joint"),
-    make("select", { "data-key": `joint-${id}`, onchange: ({ target }) => adjust(id, { joint: target.value }) },
-      LIMBS.map((name) => make("option", { value: name, selected: name === joint }, said(name)))));
-
-  const FIELDS = {
-    target: (each) => [joints(each), make("div", { class: "triple" }, ["x", "y", "z"].map((axis, index) =>
-      number(`${axis}-${each.id}`, `${axis} (m)`, Math.round(each.point[index] * 100) / 100, (value) => adjust(each.id, { point: each.point.map((old, at) => (at === index ? value : old)) }), { step: "0.05", min: null })))],
-    hold: (each) => [joints(each)],
-    heading: (each) => [number(`angle-${each.id}`, "Degrees to the left of the start", degrees(each.angle), (value) => adjust(each.id, { angle: (value * Math.PI) / 180 }), { step: "15", min: null })],
-    path: (each) => [make("p", { class: "faint" }, paceOf(each, studio.duration())), make("label", { class: "field" }, make("span", {}, "Points: x, y; x, y; … (m)"),
-      make("textarea", { rows: "2", "data-key": `points-${each.id}`, value: each.points.map((point) => point.join(", ")).join("; "), onchange: ({ target }) => typed(each.id, target.value) }))],
+  const EDITORS = {
+    joint: ({ id, ...values }, { name, title, choices }) => make("label", { class: "field" }, make("span", {}, title),
+      make("select", { "data-key": `${name}-${id}`, onchange: ({ target }) => adjust(id, { [name]: target.value }) },
+        choices.map((joint) => make("option", { value: joint, selected: joint === values[name] }, said(joint))))),
+    point: ({ id, ...values }, { name, least, most }) => make("div", { class: "triple" }, ["x", "y", "z"].map((axis, index) =>
+      number(`${axis}-${id}`, `${axis} (m)`, Math.round(values[name][index] * 100) / 100, (value) => adjust(id, { [name]: values[name].map((old, at) => (at === index ? value : old)) }), { step: "0.05", min: least, max: most }))),
+    number: ({ id, ...values }, { name, title, least, most }) => number(`${name}-${id}`, title, values[name], (value) => adjust(id, { [name]: value }), { step: "any", min: least, max: most }),
+    angle: ({ id, ...values }, { name, title }) => number(`${name}-${id}`, title, degrees(values[name]), (value) => adjust(id, { [name]: (value * Math.PI) / 180 }), { step: "15", min: null }),
+    line: (each, { name, title }) => [make("p", { class: "faint" }, paceOf({ points: each[name], ...spanOf(each, studio.duration()) }, studio.duration())), make("label", { class: "field" }, make("span", {}, title),
+      make("textarea", { rows: "2", "data-key": `${name}-${each.id}`, value: each[name].map((point) => point.join(", ")).join("; "), onchange: ({ target }) => typed(each.id, name, target.value) }))],
   };
 
-  function typed(id, text) {
+  function typed(id, name, text) {
     const points = text.split(";").map((pair) => pair.split(",").map(Number));
-    if (points.length > 1 && points.every((point) => point.length === 2 && point.every(Number.isFinite))) adjust(id, { points });
+    if (points.length > 1 && points.every((point) => point.length === 2 && point.every(Number.isFinite))) adjust(id, { [name]: points });
   }
 
   watch(store, ({ model, history: { present: { constraints } }, samples, chosen, constraint, drawing }) =>

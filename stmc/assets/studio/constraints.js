@@ -1,17 +1,24 @@
-// What constraints are called, when they hold, and when a motion meets them. Pure functions; knows no page.
+// What constraints are called, when they hold, and when a motion meets them. The server describes each kind (`describe` in
+// stmc/editing/constraints/constraint.py): nothing here knows one by its name. Knows no page.
 
 import { written } from "./times.js";
 
-export const NAMES = { path: "Path", heading: "Heading", keyframe: "Keyframe", target: "Target", hold: "Hold" };
-const FINE = { path: 5, target: 2, hold: 2, keyframe: 5, heading: 10 }; // centimetres (a heading: degrees)
+const kinds = new Map();
+export const learn = (described) => described.forEach((kind) => kinds.set(kind.name, kind));
+export const kindOf = (name) => kinds.get(name) ?? { name, title: name, about: "", tolerance: Infinity, open_end: "end", fields: [] };
+export const fieldOf = (kind, control) => kindOf(kind).fields.find((field) => field.control === control);
+const valueOf = (constraint, control) => constraint[fieldOf(constraint.kind, control)?.name];
 
 export const said = (joint) => joint.replace("_", " ");
 export const degrees = (angle) => Math.round((angle * 180) / Math.PI);
 
 // Seconds from and to which a constraint holds, in a motion of so many seconds.
-export function spanOf({ kind, start, end, at }, duration) {
-  if (kind === "keyframe") return { start: at, end: at };
-  return { start, end: end ?? (kind === "target" ? start : Math.max(start, duration)) };
+export function spanOf(constraint, duration) {
+  const moment = valueOf(constraint, "moment");
+  if (moment !== undefined) return { start: moment, end: moment };
+  const start = valueOf(constraint, "start") ?? 0;
+  const open = kindOf(constraint.kind).open_end === "start" ? start : Math.max(start, duration);
+  return { start, end: valueOf(constraint, "end") ?? open };
 }
 
 function turned(angle) {
@@ -21,11 +28,12 @@ function turned(angle) {
 
 const whole = (seconds) => written(seconds).replace(" ", "\u00a0"); // not torn at a line's end
 
-export function titleOf({ kind, joint, angle, start, end, at }) {
-  const what = `${NAMES[kind]}${joint ? ` of the ${said(joint)}` : ""}${angle === undefined ? "" : turned(angle)}`;
-  const until = end ?? (kind === "target" ? start : null);
-  if (kind === "keyframe" || until === start) return `${what}, at ${whole(at ?? start)}`;
-  return `${what}, ${whole(start)} to ${until === null ? "the end" : whole(until)}`;
+export function titleOf(constraint) {
+  const [joint, angle] = [valueOf(constraint, "joint"), valueOf(constraint, "angle")];
+  const what = `${kindOf(constraint.kind).title}${joint ? ` of the ${said(joint)}` : ""}${angle === undefined ? "" : turned(angle)}`;
+  const { start, end } = spanOf(constraint, Infinity);
+  if (end === start) return `${what}, at ${whole(start)}`;
+  return `${what}, ${whole(start)} to ${end === Infinity ? "the end" : whole(end)}`;
 }
 
 // How fast a path has to be walked: "2.4 m in 4 s: 0.6 m/s".
@@ -37,5 +45,5 @@ export function paceOf({ points, start, end }, duration) {
 
 // How far a sample is from a constraint as it is now: {error, unit, …}, or undefined where it was made for another one.
 export const demandOf = (sample, constraint) => sample?.demands.find(({ of }) => JSON.stringify(of) === JSON.stringify(constraint));
-export const meets = ({ kind }, { error }) => error <= FINE[kind];
+export const meets = ({ kind }, { error }) => error <= kindOf(kind).tolerance;
 export const errorOf = ({ error, unit }) => `${error.toFixed(1)}${unit === "degrees" ? "°" : " cm"}`;

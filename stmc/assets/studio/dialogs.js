@@ -6,7 +6,6 @@ import { HELP } from "./keys.js";
 import { timelineOf } from "./state.js";
 
 const FRAME_RATES = [20, 24, 25, 30, 50, 60, 120];
-const FILMS = ["webp", "mp4"];
 
 export function show(id) {
   const dialog = find(id);
@@ -37,6 +36,9 @@ export function openHelp() {
 export async function openOpen(studio, saving, begin) {
   const dialog = show("open-dialog");
   const examples = studio.store.get().model?.examples ?? [];
+  const receives = studio.store.get().model?.receives ?? [];
+  find("open-file").accept = [".json", ".txt", ...receives].join();
+  find("open-about").textContent = `A timeline (.json, .txt), or a recorded motion to begin from (${receives.join(", ")}).`;
   const leave = (act) => async () => {
     dialog.close();
     try {
@@ -96,7 +98,7 @@ export function openExport(studio) {
     if (loop) settings.loop = "1";
     await working(find("export-motion"), async () =>
       download(await server.motionFile(sample.motion.id, extension, settings), `${fileName(name)}${loop ? "_loop" : ""}.${extension}`),
-    FILMS.includes(extension) ? "Drawing the film, some four pictures a second…" : "Writing the file…");
+    formats.find((format) => format.name === extension).drawn ? "Drawing the film, some four pictures a second…" : "Writing the file…");
   };
   for (const format of ["json", "txt"])
     find(`export-${format}`).onclick = () => working(find(`export-${format}`), async () =>

@@ -18,12 +18,13 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+// An icon of index.html; a pin for a name that has none.
 export function icon(name) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   svg.setAttribute("class", "icon");
   svg.setAttribute("aria-hidden", "true");
   const use = document.createElementNS("http://www.w3.org/2000/svg", "use");
-  use.setAttribute("href", `#icon-${name}`);
+  use.setAttribute("href", `#icon-${find(`icon-${name}`) ? name : "pin"}`);
   svg.append(use);
   return svg;
 }

@@ -2,6 +2,7 @@
 // touched. Spans are {start, end} in seconds. A `plan` is what the server says of a timeline: `owners`, for each body part
 // [[prompt id or null, start, end], …], and `prompts`, by id, with the body parts that each claims.
 
+import { spanOf } from "./constraints.js";
 import { PARTS, merged } from "./state.js";
 
 const SHORTEST = 0.02; // seconds; less is no frame
@@ -72,10 +73,9 @@ export function asked(document, { owners }) {
   return { parts, constraints: document.constraints.map(({ id, ...demand }) => demand) };
 }
 
-const around = ({ start, end, at, kind }) => {
-  const from = at ?? start;
-  const to = at ?? end ?? (kind === "target" ? start : Infinity);
-  return { start: from - EASE, end: to + EASE };
+const around = (constraint) => {
+  const { start, end } = spanOf(constraint, Infinity);
+  return { start: start - EASE, end: end + EASE };
 };
 
 // Where body parts are asked for something else than `before`, or other demands are made.

@@ -5,6 +5,7 @@ import { find, say, tell, watch } from "./dom.js";
 import { colourOf, partColour } from "./colours.js";
 import { askConflict, openExport, openHelp, openOpen } from "./dialogs.js";
 import { createConstraintPanel } from "./constraint_panel.js";
+import { fieldOf, learn } from "./constraints.js";
 import { createPlayer } from "./player.js";
 import { createPromptPanel, createSamplesPanel, createWordsPanel } from "./panels.js";
 import { createSaving } from "./saving.js";
@@ -36,8 +37,9 @@ createWordsPanel(studio, player);
 
 let dragged = null; // the gesture of a target's drag
 function moved(id, point, finished) {
+  const { kind } = studio.present().constraints.find((constraint) => constraint.id === id);
   dragged ??= studio.gesture();
-  studio.edit({ kind: "adjust", id, change: { point: point.map(rounded) } }, dragged);
+  studio.edit({ kind: "adjust", id, change: { [fieldOf(kind, "point").name]: point.map(rounded) } }, dragged);
   if (!finished) return;
   dragged = null;
   studio.settle();
@@ -81,7 +83,7 @@ find("follow").onclick = toggleFollow;
 find("reset-view").onclick = () => stage.reset();
 
 watch(store, ({ drawing }) => [drawing], ({ drawing }) => {
-  stage.draw(drawing);
+  stage.draw(Boolean(drawing));
   find("drawing").hidden = !drawing;
 });
 watch(store, ({ history, samples }) => [history.present.prompts.length, samples.length], ({ history, samples }) => {
@@ -127,7 +129,7 @@ watch(store, ({ check }) => [check?.error], ({ check }) => check?.error && tell(
 const begin = {
   timeline: (timeline) => saving.create({ document: documentOfTimeline(timeline) }),
   async file(file) {
-    if (/\.(npz|bvh)$/i.test(file.name)) return upload(file);
+    if (store.get().model.receives.some((suffix) => file.name.toLowerCase().endsWith(suffix))) return upload(file);
     const { timelines } = await server.readTimelines(file.name, await file.text());
     begin.timeline(timelines[0]);
     if (timelines.length > 1) say(`The file has ${timelines.length} timelines; this is the first.`);
@@ -249,7 +251,9 @@ async function start() {
   for (;;) {
     try {
       await server.enter();
-      store.set({ model: await server.askModel() });
+      const model = await server.askModel();
+      learn(model.constraints);
+      store.set({ model });
       break;
     } catch (error) {
       if (error.status === 401) return say("This page needs the address that the studio printed when it started.");

@@ -1,9 +1,10 @@
 // What constraints look like in the room: paths on the floor, balls where hands and feet shall be. Knows constraints as
-// the document has them ({kind, id, …}; x, y and z with z up).
+// the document has them ({kind, id, …}; x, y and z with z up), and draws each value by its control, whatever the kind.
 
 import {
   BufferGeometry, DoubleSide, Float32BufferAttribute, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, RingGeometry, SphereGeometry,
 } from "./vendor/three.module.min.js";
+import { kindOf, spanOf } from "./constraints.js";
 
 const COLOUR = 0xe5484d;
 
@@ -45,7 +46,7 @@ export function createMarks(scene) {
   let targets = new Map(); // id → ball
   let headings = []; // [{mark, start, end}]
 
-  function path({ points }) {
+  function lineOf(constraint, points) {
     group.add(new Mesh(line(points), band));
     const [x, y] = points.at(-1);
     const end = new Mesh(ring, solid);
@@ -53,7 +54,7 @@ export function createMarks(scene) {
     group.add(end);
   }
 
-  function target({ id, point: [x, y, z] }, chosen) {
+  function ballOf({ id }, [x, y, z], chosen) {
     const mark = new Mesh(ball, chosen === id ? solid : pale);
     mark.position.set(x, z, -y);
     group.add(mark);
@@ -63,12 +64,14 @@ export function createMarks(scene) {
   }
 
   // On the floor, from the person to where the body shall look.
-  function heading({ id, angle, start, end }, chosen) {
-    const mark = new Mesh(arrow, chosen === id ? solid : pale);
+  function arrowAt(constraint, angle, chosen) {
+    const mark = new Mesh(arrow, chosen === constraint.id ? solid : pale);
     mark.rotation.y = angle;
     group.add(mark);
-    headings.push({ mark, start, end: end ?? Infinity });
+    headings.push({ mark, ...spanOf(constraint, Infinity) });
   }
+
+  const DRAW = { line: lineOf, point: ballOf, angle: arrowAt };
 
   return {
     show(constraints, chosen) {
@@ -76,11 +79,8 @@ export function createMarks(scene) {
       group.clear();
       targets = new Map();
       headings = [];
-      for (const constraint of constraints) {
-        if (constraint.kind === "path") path(constraint);
-        if (constraint.kind === "target") target(constraint, chosen);
-        if (constraint.kind === "heading") heading(constraint, chosen);
-      }
+      for (const constraint of constraints)
+        for (const { name, control } of kindOf(constraint.kind).fields) DRAW[control]?.(constraint, constraint[name], chosen);
     },
     // Headings stand where the person is, while they hold.
     at(time, { x, z }) {

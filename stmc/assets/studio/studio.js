@@ -31,7 +31,7 @@ export const INITIAL = {
   draft: null, // a prompt without a text as yet: {start, end, track}
   span: null, // {start, end}
   constraint: null, // the chosen constraint's id
-  drawing: false,
+  drawing: false, // or the kind of constraint whose line is drawn on the floor
   samples: [], // [{key, seed, steps, motion, demands, asked, varied}]
   chosen: null, // the key of the sample that is kept and exported
   favourites: [], // [{motion, seed, picture, asked}]

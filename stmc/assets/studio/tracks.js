@@ -4,7 +4,7 @@
 import { button, fill, find, icon, keyed, make, watch } from "./dom.js";
 import { PARTS, promptOf, rounded, trackCount } from "./state.js";
 import { colourOf, inkOn, NEUTRAL } from "./colours.js";
-import { NAMES, demandOf, errorOf, meets, spanOf, titleOf } from "./constraints.js";
+import { demandOf, errorOf, kindOf, meets, spanOf, titleOf } from "./constraints.js";
 import { rulerStep, snapped, snappedShift, written } from "./times.js";
 
 const NEAR = 9; // pixels within which things snap
@@ -171,7 +171,7 @@ export function createTracks(studio, player, work) {
       store.set({ constraint: id });
       find("tab-constraints").click(); // it may be the chosen one already
     };
-    const name = button(NAMES[kind], open, { class: "label" }, kind);
+    const name = button(kindOf(kind).title, open, { class: "label" }, kind);
     return make("div", { class: "row part demand" }, name, make("div", { class: "lane" }, make("i", { class: kind })));
   }
 

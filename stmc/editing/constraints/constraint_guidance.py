@@ -19,8 +19,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.diffusion.statistics import Statistics
-from stmc.editing.constraints.pose import Constraint, Pose
-from stmc.editing.constraints.root import Heading, Path
+from stmc.editing.constraints.constraint import Constraint
+from stmc.editing.constraints.pose import Place, Pose
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import heading, rotation_z
 from stmc.motion.representation import SmplRepresentation
@@ -40,14 +40,13 @@ _ITERATIONS = 6
 _ROUNDS = 3
 """In which roots are led to a path: what is smoothed is left to the next."""
 
-Place = tuple[float, float, float, float]
-"""x, y, z and heading by which features, which begin above the origin, are moved to where the motion begins."""
-
 
 @dataclass(frozen=True, eq=False)
 class Guidance:
-    """Clean features of one motion, [frames, features] normalised, brought nearer to `constraints`. `free` says which
-    features may change: 1 as they like, 0 not at all."""
+    """Bring clean features of one motion, [frames, features] normalised, nearer to `constraints`.
+
+    Features begin above the origin: `place` is where the motion begins. `free` says which features may change: 1 as
+    they like, 0 not at all."""
 
     constraints: Sequence[Constraint]
     representation: SmplRepresentation
@@ -81,17 +80,17 @@ class Guidance:
         """The features with the root turned and moved to where paths and headings want it, in closed form: where it is
         is a sum of steps, and a few iterations of a descent do not change many of those and all else together."""
         layout, std = self.representation.layout, self.statistics.std.to(x0)
-        for name, roots in (("yaw_velocity", (Path, Heading)), ("root_velocity", (Path,))):
+        pose = self.pose(x0)
+        for name, steps_of in (("yaw_velocity", _turns), ("root_velocity", _steps)):
             columns = layout[name]
-            for each in [each for each in self.constraints if isinstance(each, roots)] * _ROUNDS:
-                pose = self.pose(x0)
-                if name == "yaw_velocity":
-                    steps = each.turn_left(pose).diff()[:, None]
-                else:
-                    steps = (each.left(pose).diff(dim=0)[:, None] @ rotation_z(pose.heading[:-1])[:, :2, :2])[:, 0]
+            for constraint in [*self.constraints] * _ROUNDS:
+                steps = steps_of(constraint, pose)
+                if steps is None:
+                    continue
                 change = torch.zeros_like(x0)
                 change[:-1, columns] = steps / std[columns]
                 x0 = x0 + change * self.free.to(x0)
+                pose = self.pose(x0)
         return x0
 
     def _least_change(self, x0: Tensor, readiness: Tensor) -> Tensor:
@@ -125,6 +124,18 @@ class Guidance:
         std = self.statistics.std.to(before)[where]
         change[:, where] = rearrange(new - old, "frames joints axes -> frames (joints axes)") / std
         return change
+
+
+def _turns(constraint: Constraint, pose: Pose) -> Float[Tensor, "_ 1"] | None:
+    """Changes of the heading from frame to frame."""
+    turn = constraint.root_turn(pose)
+    return None if turn is None else turn.diff()[:, None]
+
+
+def _steps(constraint: Constraint, pose: Pose) -> Float[Tensor, "_ 2"] | None:
+    """Changes of the pelvis' steps, as the body sees them."""
+    shift = constraint.root_shift(pose)
+    return None if shift is None else (shift.diff(dim=0)[:, None] @ rotation_z(pose.heading[:-1])[:, :2, :2])[:, 0]
 
 
 def _seen(pose: Pose) -> Float[Tensor, "frames 23 3"]:

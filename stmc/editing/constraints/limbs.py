@@ -1,24 +1,50 @@
-"""Hands and feet: somewhere over a span, or wherever they are but still."""
+"""Hands and feet: somewhere over a span, or wherever they are but still.
+
+A finished motion meets targets to the millimetre: two-bone inverse kinematics bends arms and legs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.editing.constraints.pose import Pose, check_numbers, check_span
+from stmc.editing.constraints.constraint import Constraint, Field, span_fields
+from stmc.editing.constraints.pose import RAMP, Pose, bump, check_numbers, check_span
 from stmc.io.untrusted import shown
-from stmc.motion.body import JOINTS
+from stmc.motion.body import JOINTS, PARENTS, BodyPart
+from stmc.motion.body_model import Skeleton
+from stmc.motion.geometry import global_rotations
+from stmc.motion.inverse_kinematics import bend_limb
+from stmc.motion.motion import Motion
 from stmc.settings.records import SettingError
 
+_LEAST = 0.001
+"""Metres off with which a limb has reached its target."""
 
-class _OfJoint:
+_CHAINS = {
+    "wrist": ("shoulder", "elbow", "wrist"),
+    "hand": ("shoulder", "elbow", "wrist"),
+    "ankle": ("hip", "knee", "ankle"),
+    "foot": ("hip", "knee", "ankle"),
+}
+"""The limb that ends in each joint that a target can be of."""
+
+_HINGES = {
+    "left_elbow": (0.0, -1.0, 0.0), "right_elbow": (0.0, 1.0, 0.0), "left_knee": (1.0, 0.0, 0.0),
+    "right_knee": (1.0, 0.0, 0.0),
+}  # fmt: skip
+"""The axis, of the upper bone's own, about which the lower one bends: forearms forwards, shins backwards."""
+
+_OFFERED = tuple(f"{side}_{end}" for end in ("hand", "foot", "wrist", "ankle") for side in ("left", "right"))
+_JOINT = Field("joint", "joint", "Joint", "right_hand", (*_OFFERED, "head", "pelvis"))
+
+
+class _OfJoint(Constraint):
     """What targets and holds share: by how much a joint is `_away` from where it should be."""
-
-    unit: ClassVar[str] = "m"
 
     def errors(self, pose: Pose) -> Float[Tensor, " _"]:
         """Metres from the place."""
@@ -50,6 +76,10 @@ class Target(_OfJoint):
     point: Sequence[float | int]
     start: float | int = 0.0
     end: float | int | None = None
+    name = "target"
+    about = "A hand or foot is at a place: drag the ball."
+    open_end = "start"
+    fields = (*span_fields(1.0), _JOINT, Field("point", "point", "Place", (-0.3, -0.4, 1.2)))
 
     def __post_init__(self) -> None:
         _check_joint(self.joint)
@@ -57,18 +87,23 @@ class Target(_OfJoint):
         object.__setattr__(self, "point", check_numbers("point", self.point, 3))
 
     def frames(self, pose: Pose) -> slice:
-        """The frames it is about.
-
-        Examples:
-            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
-            >>> stmc.Target("left_hand", (0, 0, 1), start=0.5).frames(stmc.editing.constraints.Pose.of(motion))
-            slice(10, 11, None)
-        """
+        """From the start to the end, or one."""
         return pose.frames_of(self.start, self.start if self.end is None else self.end)
 
-    def settled(self, pose: Pose) -> Target:
-        """Itself."""
-        return self
+    def leg_frames(self, pose: Pose) -> slice | None:
+        """Those of a joint of the legs."""
+        return self.frames(pose) if self.joint in BodyPart.LEGS.joints else None
+
+    def project(self, motion: Motion, skeleton: Skeleton, free: Float[Tensor, "frames 5"]) -> Motion:
+        """Bend the limb; where it is too short, move the pelvis by the rest."""
+        bent, span = _bend(motion, self, skeleton, free), self.frames(Pose.of(motion))
+        if span.start >= span.stop or float(self.errors(Pose.of(bent)).max()) < _LEAST:
+            return bent
+        off = bent.joints.new_tensor(self.point) - bent.joints[:, JOINTS.index(self.joint)]
+        share = bump(motion.frames, span, round(RAMP * motion.fps), off) * free[:, list(BodyPart).index(BodyPart.LEGS)]
+        nearest = torch.arange(motion.frames, device=off.device).clamp(span.start, span.stop - 1)
+        translation = motion.translation + share[:, None] * off[nearest]
+        return _bend(Motion.posed(motion.rotations, translation, motion.fps, skeleton), self, skeleton, free)
 
     def _away(self, pose: Pose) -> Float[Tensor, "_ 3"]:
         where = pose.joint(self.joint)[self.frames(pose)]
@@ -87,24 +122,54 @@ class Hold(_OfJoint):
     joint: str
     start: float | int = 0.0
     end: float | int | None = None
+    name = "hold"
+    about = "A hand or foot stays where it is."
+    fields = (*span_fields(2.0), _JOINT)
 
     def __post_init__(self) -> None:
         _check_joint(self.joint)
         check_span(self.joint, self.start, self.end)
 
-    def settled(self, pose: Pose) -> Target | Hold:
-        """At the place where the motion has it on average."""
-        span = pose.frames_of(self.start, self.end)
+    def frames(self, pose: Pose) -> slice:
+        """From the start to the end."""
+        return pose.frames_of(self.start, self.end)
+
+    def anchored_at(self, pose: Pose) -> Target | Hold:
+        """A target where the motion has the joint on average."""
+        span = self.frames(pose)
         if span.start >= span.stop:
             return self
         place = pose.joint(self.joint)[span].mean(dim=0).tolist()
         return Target(self.joint, place, self.start, span.stop / pose.fps)
 
     def _away(self, pose: Pose) -> Float[Tensor, "_ 3"]:
-        where = pose.joint(self.joint)[pose.frames_of(self.start, self.end)]
+        where = pose.joint(self.joint)[self.frames(pose)]
         return where - where.mean(dim=0, keepdim=True)
 
 
 def _check_joint(joint: str) -> None:
     if joint not in JOINTS:
         raise SettingError(f"joint={shown(joint)}: choose from {', '.join(JOINTS)}")
+
+
+def _bend(motion: Motion, target: Target, skeleton: Skeleton, free: Tensor) -> Motion:
+    """The limb bent so that the joint is at the target; before and after, nearly so; its end keeps its direction."""
+    side, _, end = target.joint.partition("_")
+    span = target.frames(Pose.of(motion))
+    if end not in _CHAINS or span.start >= span.stop:
+        return motion
+    chain = [JOINTS.index(f"{side}_{name}") for name in _CHAINS[end]]
+    part = list(BodyPart).index(next(part for part in BodyPart if target.joint in part.joints))
+    path = motion.joints[:, JOINTS.index(target.joint)]
+    off = path.new_tensor(target.point) - path
+    nearest = torch.arange(motion.frames, device=path.device).clamp(span.start, span.stop - 1)
+    share = bump(motion.frames, span, round(RAMP * motion.fps), path) * free[:, part]
+    reach = motion.joints[:, chain[-1]] + share[:, None] * off[nearest] - motion.joints[:, chain[0]]
+    world = global_rotations(motion.rotations, PARENTS)
+    hinge = world[:, chain[0]] @ world.new_tensor(_HINGES[JOINTS[chain[1]]])
+    upper, lower = bend_limb(world[:, chain[0]], world[:, chain[1]], motion.joints[:, chain], reach, hinge)
+    rotations, above = motion.rotations.clone(), world[:, PARENTS[chain[0]]]
+    bent = torch.stack([above.mT @ upper, upper.mT @ lower, lower.mT @ world[:, chain[2]]], dim=1)
+    touched = share > 0
+    rotations[touched] = rotations[touched].index_copy(1, torch.tensor(chain, device=path.device), bent[touched])
+    return Motion.posed(rotations, motion.translation, motion.fps, skeleton)

@@ -1,14 +1,11 @@
-"""What a constraint is: told how a body moves, it answers how far that is from what it demands.
-
-Knows no particular constraint, no features and no network.
-"""
+"""How a body moves, as constraints see it, and the helpers that they share. Knows no constraint."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -23,6 +20,9 @@ from stmc.settings.records import SettingError
 
 RAMP = 0.3
 """Seconds in which a correction comes, and goes."""
+
+Place = tuple[float, float, float, float]
+"""Where a motion begins: x, y and z of the pelvis in metres, and the heading in radians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,36 +53,6 @@ class Pose:
         first = int(start * self.fps)
         last = len(self.translation) if end is None else max(first + 1, int(end * self.fps))
         return slice(min(first, len(self.translation)), min(last, len(self.translation)))
-
-
-@runtime_checkable
-class Constraint(Protocol):
-    """A demand beside the texts, in the world's metres, radians and seconds.
-
-    Examples:
-        >>> reach, stay = stmc.Target("right_hand", (-0.2, -0.4, 1.2), start=0.5), stmc.Hold("left_hand")
-        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1, constraints=[reach, stay])
-        >>> pose = stmc.editing.constraints.Pose.of(motion)
-        >>> bool(reach.errors(pose).max() < 0.02), len(stay.errors(pose)), len(reach.residuals(pose))
-        (True, 20, 3)
-        >>> type(stay.settled(pose)).__name__
-        'Target'
-    """
-
-    unit: ClassVar[str]
-    """Of what `errors` answers: "m" or "rad"."""
-
-    def errors(self, pose: Pose) -> Float[Tensor, " _"]:
-        """How far the motion is from the demand, at each frame that it is about; not negative."""
-        ...
-
-    def residuals(self, pose: Pose) -> Float[Tensor, " _"]:
-        """What should be zero, in metres or what counts like them, differentiable: the squares are minimised."""
-        ...
-
-    def settled(self, pose: Pose) -> Any:
-        """The demand with what it leaves to the motion decided by it, such as where a hand is held."""
-        ...
 
 
 def check_span(name: str, start: float | int, end: float | int | None) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path as File
 from typing import Any
 
+from stmc.editing.constraints.constraint import Constraint
 from stmc.editing.constraints.limbs import Hold, Target
-from stmc.editing.constraints.pose import Constraint
 from stmc.editing.constraints.root import Heading, Path
 from stmc.editing.constraints.whole_body import Keyframe
 from stmc.formats import read
@@ -19,25 +18,8 @@ from stmc.settings.records import SettingError
 _MOST = 2**24
 """Bytes of a file of constraints: a path of a hundred thousand points fits."""
 
-_ROUNDING = 1e-6
-"""Frames by which a second may miss the frame that it names: 1.15 s at 20 frames a second are 22.999… frames."""
-
-
-def _keyframe(find: Callable[[str], Motion], /, at: float | int, motion: str, second: float | int = 0.0) -> Keyframe:
-    """The pose at a `second` of the motion that `find` finds by its name."""
-    pose = find(motion)
-    if not 0 <= second * pose.fps + _ROUNDING < pose.frames:
-        raise SettingError(f"keyframe: {motion} has no pose at {second:g} s: from 0 to below {pose.duration:g} needed")
-    frame = int(second * pose.fps + _ROUNDING)
-    return Keyframe(pose.trimmed(frame, frame + 1), at)
-
-
-def _makers(find: Callable[[str], Motion]) -> dict[str, Callable[..., Constraint]]:
-    return {"path": Path, "heading": Heading, "keyframe": partial(_keyframe, find), "target": Target, "hold": Hold}
-
-
-KINDS = tuple(_makers(read))
-"""The names of all."""
+KINDS: tuple[type[Constraint], ...] = (Path, Heading, Keyframe, Target, Hold)
+"""Every kind that JSON and the studio know; the only listing."""
 
 
 def constraint_of(entry: Any, find: Callable[[str], Motion] = read) -> Constraint:
@@ -51,10 +33,11 @@ def constraint_of(entry: Any, find: Callable[[str], Motion] = read) -> Constrain
     if not isinstance(entry, dict) or len(entry) != 1 or not isinstance(next(iter(entry.values())), dict):
         raise SettingError(f'constraint {shown(str(entry))}: {{"kind": {{...}}}} needed')
     [(kind, arguments)] = entry.items()
-    if kind not in KINDS:
-        raise SettingError(f"constraint {shown(kind)}: choose from {', '.join(KINDS)}")
+    kinds = {each.name: each for each in KINDS}
+    if kind not in kinds:
+        raise SettingError(f"constraint {shown(kind)}: choose from {', '.join(kinds)}")
     try:
-        return _makers(find)[kind](**arguments)
+        return kinds[kind].from_json(find, **arguments)
     except TypeError as error:
         raise SettingError(f"constraint {kind}: {error}") from None
 

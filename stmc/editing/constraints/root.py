@@ -6,14 +6,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.editing.constraints.pose import RAMP, Pose, bump, check_numbers, check_span
+from stmc.editing.constraints.constraint import Constraint, Field, Order, span_fields
+from stmc.editing.constraints.pose import RAMP, Place, Pose, bump, check_numbers, check_span
+from stmc.motion.body import BodyPart
+from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import average_frames, wrap
+from stmc.motion.motion import Motion
 from stmc.settings.records import SettingError
 
 SWAY = 0.02
@@ -25,9 +28,12 @@ _LOOK = 0.15
 _AHEAD = 0.3
 """Seconds over which the direction of a path is measured."""
 
+_ROUNDS = 4
+"""In which a finished motion is moved onto a path."""
+
 
 @dataclass(frozen=True)
-class Path:
+class Path(Constraint):
     """The pelvis goes along `points` (x and y on the floor, metres) from `start` to `end` seconds (None: to the end).
 
     On straight lines, at an even pace, or at the `times` of the points (seconds). The body looks `facing` radians to
@@ -47,7 +53,11 @@ class Path:
     end: float | int | None = None
     facing: float | int | None = 0.0
     times: Sequence[float | int] | None = None
-    unit: ClassVar[str] = "m"
+    name = "path"
+    about = "The person walks along a line on the floor: draw it."
+    tolerance = 0.05
+    order = Order.PATH
+    fields = (*span_fields(4.0), Field("points", "line", "Points: x, y; x, y; … (m)"))
 
     def __post_init__(self) -> None:
         check_span("path", self.start, self.end)
@@ -73,7 +83,7 @@ class Path:
             >>> span, where.shape, direction.shape
             (slice(0, 10, None), torch.Size([10, 2]), torch.Size([10]))
         """
-        span = pose.frames_of(self.start, self.end)
+        span = self.frames(pose)
         last = pose.frames_of(0, self.end).stop if self.end is not None else len(pose.translation)
         whole = max(1, (int(self.end * pose.fps) if self.end is not None else last) - span.start - 1)
         points = torch.tensor(self.points, dtype=torch.float64)
@@ -87,38 +97,26 @@ class Path:
         where = _on(points, knots, frame)
         return span, where.to(pose.translation), torch.atan2(ahead[:, 0], -ahead[:, 1]).to(pose.translation)
 
-    def begins(self) -> tuple[float, float, float]:
-        """x, y and heading of a motion that begins where the path does.
+    def frames(self, pose: Pose) -> slice:
+        """From the start to the end."""
+        return pose.frames_of(self.start, self.end)
 
-        Examples:
-            >>> stmc.Path([(2, 1), (2, -3)]).begins()
-            (2.0, 1.0, 0.0)
-        """
+    def begin_place(self, place: Place) -> Place:
+        """The first point of a path that starts at 0, looking as the path says."""
+        if self.start != 0:
+            return place
         (x, y), (then_x, then_y) = self.points[:2]
-        return x, y, math.atan2(then_x - x, -(then_y - y)) + (self.facing or 0.0)
+        return x, y, place[2], math.atan2(then_x - x, -(then_y - y)) + (self.facing or 0.0)
 
-    def left(self, pose: Pose) -> Float[Tensor, "frames 2"]:
-        """Metres by which to move the pelvis, smoothly, so that it is nearer to the path.
-
-        Examples:
-            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
-            >>> stmc.Path([(0, 0), (0, -1)]).left(stmc.editing.constraints.Pose.of(motion)).shape
-            torch.Size([20, 2])
-        """
+    def root_shift(self, pose: Pose) -> Float[Tensor, "frames 2"]:
+        """Towards the path, by what the pelvis is off beyond its sway."""
         span, where, _ = self.places(pose)
         return _spread(_beyond(where - pose.translation[span, :2], SWAY), span, pose)
 
-    def turn_left(self, pose: Pose) -> Float[Tensor, " frames"]:
-        """Radians by which to turn the body, smoothly, so that it looks nearer to where it should.
-
-        Examples:
-            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
-            >>> pose = stmc.editing.constraints.Pose.of(motion)
-            >>> stmc.Path([(0, 0), (0, -1)], facing=None).turn_left(pose).abs().max()
-            tensor(0.)
-        """
+    def root_turn(self, pose: Pose) -> Float[Tensor, " frames"] | None:
+        """Towards where the body should look beside the path."""
         if self.facing is None:
-            return torch.zeros_like(pose.translation[:, 0])
+            return None
         span, _, direction = self.places(pose)
         return _spread(_too_far(direction + self.facing - pose.heading[span])[:, None], span, pose)[:, 0]
 
@@ -135,13 +133,22 @@ class Path:
             return away
         return torch.cat([away, _aside(pose.heading[span] - direction - self.facing)])
 
-    def settled(self, pose: Pose) -> Path:
-        """Itself."""
-        return self
+    def project(self, motion: Motion, skeleton: Skeleton, free: Float[Tensor, "frames 5"]) -> Motion:
+        """Move the pelvis by what it is off beyond its sway, smoothed and so in a few rounds; behind the span the
+        motion goes on from where it is."""
+        legs = free[:, list(BodyPart).index(BodyPart.LEGS), None]
+        first = (free.min() >= 1).to(legs).reshape(1, 1)  # a kept motion begins where it does
+        free_steps = torch.cat([first, legs[:-1]])
+        for _ in range(_ROUNDS):
+            over = self.root_shift(Pose.of(motion))
+            way = (over.diff(dim=0, prepend=torch.zeros_like(over[:1])) * free_steps).cumsum(dim=0)
+            moved = motion.translation + torch.nn.functional.pad(way, (0, 1))
+            motion = Motion.posed(motion.rotations, moved, motion.fps, skeleton)
+        return motion
 
 
 @dataclass(frozen=True)
-class Heading:
+class Heading(Constraint):
     """The body looks `angle` radians to the left of -y (see `Motion.heading`) from `start` to `end` seconds (None: to
     the end).
 
@@ -153,34 +160,37 @@ class Heading:
     angle: float | int
     start: float | int = 0.0
     end: float | int | None = None
-    unit: ClassVar[str] = "rad"
+    name = "heading"
+    about = "The body looks in a direction."
+    unit = "rad"
+    tolerance = math.radians(10)
+    order = Order.HEADING
+    fields = (*span_fields(2.0), Field("angle", "angle", "Degrees to the left of the start", 0.0))
 
     def __post_init__(self) -> None:
         check_span("heading", self.start, self.end)
         check_numbers("angle", [self.angle], 1)
 
-    def turn_left(self, pose: Pose) -> Float[Tensor, " frames"]:
-        """As of `Path`.
+    def frames(self, pose: Pose) -> slice:
+        """From the start to the end."""
+        return pose.frames_of(self.start, self.end)
 
-        Examples:
-            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
-            >>> stmc.Heading(3.1).turn_left(stmc.editing.constraints.Pose.of(motion)).shape
-            torch.Size([20])
-        """
-        span = pose.frames_of(self.start, self.end)
+    def begin_place(self, place: Place) -> Place:
+        """Looking as a heading demands that starts at 0."""
+        return (*place[:3], float(self.angle)) if self.start == 0 else place
+
+    def root_turn(self, pose: Pose) -> Float[Tensor, " frames"]:
+        """Towards the angle."""
+        span = self.frames(pose)
         return _spread(_too_far(self.angle - pose.heading[span])[:, None], span, pose)[:, 0]
 
     def errors(self, pose: Pose) -> Float[Tensor, " _"]:
         """Radians."""
-        return wrap(pose.heading[pose.frames_of(self.start, self.end)] - self.angle).abs()
+        return wrap(pose.heading[self.frames(pose)] - self.angle).abs()
 
     def residuals(self, pose: Pose) -> Float[Tensor, " _"]:
         """Beyond what a body sways."""
-        return _aside(pose.heading[pose.frames_of(self.start, self.end)] - self.angle)
-
-    def settled(self, pose: Pose) -> Heading:
-        """Itself."""
-        return self
+        return _aside(pose.heading[self.frames(pose)] - self.angle)
 
 
 def _on(points: Tensor, knots: Tensor, frames: Tensor) -> Float[Tensor, "_ 2"]:

@@ -15,12 +15,8 @@ from dataclasses import dataclass, field, replace
 from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple
 
-import torch
-
 from stmc.composing import Progress
 from stmc.composing.sampling import Sampling
-from stmc.editing.constraints import Constraint
-from stmc.editing.constraints.pose import Pose
 from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.motion import Motion
 from stmc.viewing.studio.refusals import Refused, refusal_of
@@ -202,7 +198,7 @@ class Jobs:
         for stage in job.stages:
             for seed, motion in zip(job.request.seeds, self._sampled(job, stage), strict=True):
                 told = self.motions.told(self.motions.add(motion))
-                demands = [_demand(each, motion) for each in job.request.constraints]
+                demands = [each.measure(motion) for each in job.request.constraints]
                 job.tell("motion", seed=seed, stage=stage.name, motion=told, demands=demands)
 
     def _sampled(self, job: Job, stage: Stage) -> Sequence[Motion]:
@@ -229,14 +225,6 @@ def _watched(told: Callable[[], None]) -> Callable[..., Iterator[Any]]:
     return steps
 
 
-def _demand(constraint: Constraint, motion: Motion) -> dict[str, Any]:
-    """How far a motion is from a constraint: centimetres or degrees, at most."""
-    errors = constraint.errors(Pose.of(motion))
-    unit, scale = ("cm", 100.0) if constraint.unit == "m" else ("degrees", 180 / torch.pi)
-    most = float(errors.max()) * scale if len(errors) else 0.0
-    return {"name": type(constraint).__name__.lower(), "error": most, "unit": unit}
-
-
 def _guarded(job: Job, work: Callable[[Job], None]) -> None:
     """Does a job, and tells how it ended; the queue goes on whatever happens."""
     try:
@@ -255,7 +243,7 @@ def _explained(error: Exception, job: Job) -> str:
     if refusal is not None:
         return str(refusal)
     if job.request.constraints and isinstance(error, (ValueError, ArithmeticError)):
-        kinds = sorted({type(each).__name__.lower() for each in job.request.constraints})
+        kinds = sorted({each.name for each in job.request.constraints})
         return f"constraints ({', '.join(kinds)}) cannot be met here: {error}"
     logger.error("job %s", job.name, exc_info=error)
     return "something went wrong; the terminal that runs the studio says what"

@@ -26,8 +26,9 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 import stmc
-from stmc.editing.constraints.reading import KINDS
+from stmc.editing.constraints import KINDS
 from stmc.editing.generate_request import GenerateRequest
+from stmc.formats import READABLE
 from stmc.io.untrusted import shown
 from stmc.model import Model
 from stmc.motion.body import JOINTS, BodyPart
@@ -35,6 +36,7 @@ from stmc.run.suggestions import suggester, with_suggestions
 from stmc.text import Cached
 from stmc.text.vocabulary import sentence_encoder
 from stmc.timeline import Timeline
+from stmc.viewing.exports import EXPORTS
 from stmc.viewing.studio.documents_json import (
     MOST_PROMPTS,
     MOST_SECONDS,
@@ -49,7 +51,7 @@ from stmc.viewing.studio.guard import SESSION, Guard, refused
 from stmc.viewing.studio.jobs import OWN, PREVIEW, Jobs, Stage
 from stmc.viewing.studio.refusals import Refused, read_object, refusal_of, take
 from stmc.viewing.studio.sessions import Sessions
-from stmc.viewing.studio.stores import FORMATS, Documents, Motions, private_folder
+from stmc.viewing.studio.stores import Documents, Motions, private_folder
 
 logger = logging.getLogger(__name__)
 
@@ -67,7 +69,7 @@ FARTHEST = 10_000
 
 ASSETS = Path(str(files("stmc") / "assets"))
 
-TYPES = {"glb": "model/gltf-binary", "html": "text/html", "webp": "image/webp", "mp4": "video/mp4"}
+TYPES = {each.name: each.media_type for each in EXPORTS}
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -200,7 +202,7 @@ class Answers:
         timeline, loop = query.get("timeline"), query.get("loop") == "1"
         shown, fps = None if timeline is None else timeline_of(read_object(timeline.encode())), _rate(query.get("fps"))
         content = await run_in_threadpool(self.motions.exported, name, kind, shown, fps, loop)
-        return _attached(content, f"motion.{kind}", TYPES.get(kind, "application/octet-stream"))
+        return _attached(content, f"motion.{kind}", TYPES[kind])
 
     async def add_job(self, request: Request) -> Response:
         """Queues what is asked for."""
@@ -263,11 +265,12 @@ class Answers:
                 }
                 for each, sentences in examples.items()
             ],
-            "formats": [{"name": name, "about": about} for name, about in FORMATS.items()],
+            "formats": [each.describe() for each in EXPORTS],
+            "receives": [each.suffix for each in READABLE],
             "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],
             "limits": {"duration": MOST_SECONDS, "prompts": MOST_PROMPTS, "samples": MOST_SEEDS},
             "steps": {"preview": PREVIEW.steps, "full": self.steps},
-            "constraints": list(KINDS),
+            "constraints": [kind.describe() for kind in KINDS],
         }
 
     def _request(self, data: dict[str, Any]) -> GenerateRequest:

@@ -16,18 +16,16 @@ from pathlib import Path
 from threading import Lock, Semaphore
 from typing import Any
 
-from stmc.formats import read, write
+from stmc.formats import READABLE, read, write
 from stmc.io.bounds import BoundsError, check_metres
 from stmc.io.files import locked, remove_leftovers, write_text
 from stmc.io.untrusted import UnreadableError, load_json, read_text
 from stmc.motion.loops import looped
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
-from stmc.viewing import render_film
-from stmc.viewing.film_formats import FILMS
+from stmc.viewing.exports import EXPORTS, FILMS, export
 from stmc.viewing.studio.documents_json import MOST_SECONDS
 from stmc.viewing.studio.refusals import Refused
-from stmc.viewing.web import render_html
 
 ID = re.compile(r"[A-Za-z0-9_-]{1,40}")
 
@@ -47,22 +45,6 @@ MOST_DOCUMENTS = 1000
 
 REMEMBERED = 64
 """Motions held in memory."""
-
-FORMATS = {
-    "glb": "a skinned figure: Blender, Unity, Unreal, the web",
-    "bvh": "a skeleton: Blender, Maya, MotionBuilder",
-    "npz": "AMASS's arrays, and stmc's own",
-    "csv": "MuJoCo's qpos, for robots",
-    "xml": "MuJoCo's model of the figure",
-    "html": "a page to look at and to share",
-    "webp": "a film for pages and chats",
-    "mp4": "a film",
-}
-"""What a motion can be taken away as."""
-
-RECEIVED = (".npz", ".bvh")
-"""Suffixes of motions that are brought along."""
-
 
 PATIENCE = 10.0
 """Seconds for which one process waits until another has written a document."""
@@ -149,8 +131,9 @@ class Motions:
 
     def received(self, content: bytes, kind: str) -> str:
         """Keeps the motion of somebody's file with the suffix `kind`. Raises `Refused` where it is none."""
-        if kind not in RECEIVED:
-            raise Refused(422, f"a recorded motion is a {' or a '.join(RECEIVED)} file")
+        readable = [each.suffix for each in READABLE]
+        if kind not in readable:
+            raise Refused(422, f"a recorded motion is a {' or a '.join(readable)} file")
         with self._heavy, tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"motion{kind}"
             path.write_bytes(content)
@@ -162,12 +145,13 @@ class Motions:
         return self.add(motion)
 
     def exported(self, name: str, kind: str, timeline: Timeline | None, fps: float | int | None, loop: bool) -> bytes:
-        """A motion as a file of one of `FORMATS`; a loop goes without the timeline, whose times are not the loop's.
+        """A motion as a file of one of `EXPORTS`; a loop goes without the timeline, whose times are not the loop's.
 
         Raises `Refused` for other formats, for one that needs what is not installed, and for what cannot be a loop, be
         brought to that frame rate, or be written in that format."""
-        if kind not in FORMATS:
-            raise Refused(404, f"no .{kind}: choose from {', '.join(FORMATS)}")
+        names = [each.name for each in EXPORTS]
+        if kind not in names:
+            raise Refused(404, f"no .{kind}: choose from {', '.join(names)}")
         motion = self.get(name)
         try:
             if loop:
@@ -231,15 +215,10 @@ def _check_bounds(motion: Motion) -> None:
 def _file_of(motion: Motion, kind: str, timeline: Timeline | None) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"motion.{kind}"
-        if kind == "html":
-            write_text(path, render_html(motion, timeline, title=timeline.name if timeline else "motion"))
-        elif path.suffix in FILMS:
-            try:
-                render_film(motion, path, timeline)
-            except ModuleNotFoundError as error:
-                raise Refused(501, str(error)) from None
-        else:
-            write(motion, path, timeline=timeline)
+        try:
+            export(motion, path, timeline, title=timeline.name if timeline else "motion")
+        except ModuleNotFoundError as error:
+            raise Refused(501, str(error)) from None
         return path.read_bytes()
 
 
