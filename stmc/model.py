@@ -33,7 +33,7 @@ from stmc.motion.representation import JointsFrom, Representation
 from stmc.settings.records import SettingError, record_of, shown, takes
 from stmc.text import TextEncoder
 from stmc.text.vocabulary import Recogniser, Recognition, Vocabulary
-from stmc.timeline import Timeline, UnknownPromptWarning, advise
+from stmc.timeline import RarelyShownWarning, Timeline, UnknownPromptWarning, advise
 from stmc.timeline.planning import Plan, plan
 
 Precision = Literal["fp32", "bf16"]
@@ -152,16 +152,16 @@ class Model:
         """
         return self._recognise(texts)
 
-    def unknown(self, timelines: Sequence[Timeline]) -> list[Recognition]:
-        """The prompts of timelines that the model hardly knows, each text once.
+    def doubtful(self, timelines: Sequence[Timeline]) -> list[Recognition]:
+        """The prompts of timelines that the model hardly knows, or rarely shows, each text once: see `advice`.
 
         Examples:
-            >>> [prompt] = stmc.load().unknown([stmc.Timeline.parse("walk # 0 # 4\\nswim # 4 # 6")])
+            >>> [prompt] = stmc.load().doubtful([stmc.Timeline.parse("walk # 0 # 4\\nswim # 4 # 6")])
             >>> prompt.text
             'swim'
         """
         texts = [prompt.text for timeline in timelines for prompt in timeline.prompts]
-        return [each for each in self.recognise(texts) if not each.known]
+        return [each for each in self.recognise(texts) if not each.works]
 
     def _once(self, timelines: Sequence[Timeline]) -> frozenset[str]:
         """Texts of prompts that are too long for one crop and tell of what happens once, as far as the model knows."""
@@ -263,7 +263,7 @@ class Model:
             TimelineError: For a timeline that cannot be read or planned.
 
         Warns:
-            UnknownPromptWarning: One for each text that the model hardly knows, with the nearest that it knows.
+            PromptWarning: One for each text of `doubtful`: an `UnknownPromptWarning` or a `RarelyShownWarning`.
 
         Examples:
             >>> model = stmc.load()
@@ -277,8 +277,8 @@ class Model:
         seeds = _seeds(seed, len(timelines))
         if not timelines:
             return []
-        for prompt in self.unknown(timelines):
-            advise(prompt.advice, UnknownPromptWarning)
+        for prompt in self.doubtful(timelines):
+            advise(prompt.advice, RarelyShownWarning if prompt.known else UnknownPromptWarning)
         asked = timelines
         if method.baseline:
             timelines = [method.baseline(timeline, self.fps, self.longest) for timeline in timelines]

@@ -41,7 +41,7 @@ from stmc.run import fingerprint
 from stmc.settings.records import SettingError, about, record_of, setting, shown
 from stmc.settings.shards import Incomplete, Shard, listed
 from stmc.text.vocabulary import Recognition
-from stmc.timeline import UnknownPromptWarning, advise
+from stmc.timeline import PromptWarning, RarelyShownWarning, UnknownPromptWarning, advise
 from stmc.viewing.film_formats import FILMS, ffmpeg
 
 FORMATS = ("npz", "bvh", "html")
@@ -116,17 +116,17 @@ def main(config: DictConfig) -> None:
     model = stmc.load(config.model, device=config.device, precision=config.precision, trusted=config.trusted)
     settings = model.settings(find_method(config.method, config.trusted), **sampling(config))
     model.plans([job.timeline for job in wanted], settings.overlap)  # what cannot be planned fails now
-    unknown = model.unknown([job.timeline for job in wanted if job.name in missing])
-    for prompt in unknown:
-        advise(prompt.advice, UnknownPromptWarning)
-    warnings.simplefilter("ignore", UnknownPromptWarning)  # `generate` would tell again
+    doubtful = model.doubtful([job.timeline for job in wanted if job.name in missing])
+    for prompt in doubtful:
+        advise(prompt.advice, RarelyShownWarning if prompt.known else UnknownPromptWarning)
+    warnings.simplefilter("ignore", PromptWarning)  # `generate` would tell again
     probe(folder)
     remove_leftovers(folder)
     size = config.batch or TOGETHER.get(model.device.type, 1)
     with told(console) as progress:
         task = progress.add_task("Motions", total=len(missing))
         for number, (job, motion) in enumerate(sampled(model, wanted, missing, size, config, progress), start=1):
-            paths = save(motion, job, config, made_by, unknown)
+            paths = save(motion, job, config, made_by, doubtful)
             tell(job, motion, paths, f"{number} of {len(missing)}", config.json, progress.console)
             progress.advance(task)
     console.print(f"motions{of_share(shard)} in {folder.resolve()}{hint(config.formats)}", markup=False)

@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 
 import stmc
 from stmc.run import bundled
-from stmc.run.directories import VOCABULARY
+from stmc.run import VOCABULARY
 from stmc.text.vocabulary import read_vocabulary
 from stmc.viewing.studio import Sessions, application
 
