@@ -61,6 +61,11 @@ class Recognition:
         return self.score >= self.threshold
 
     @property
+    def action(self) -> str:
+        """The name of the content that is nearest; "" where contents have none."""
+        return self.nearest[0].content.name
+
+    @property
     def works(self) -> bool:
         """Whether the prompt is known, and its samples do not show it rarely."""
         return self.known and (self.rate is None or self.rate >= RARELY)
@@ -165,7 +170,7 @@ class Vocabulary:
         unlike = torch.cat([others, (known - CONTRARY).masked_fill(~contradicts, _APART)])
         nearest = self._nearest(agreeing, count) | self._nearest(known, count)
         near = [sentence for sentence, cosine in nearest.items() if cosine >= NEAR]
-        action = self.known[int(agreeing.argmax())].content.name
+        action = next(iter(nearest)).content.name
         return Recognition(
             text,
             tuple(nearest)[:count],
