@@ -154,8 +154,8 @@ def save(
 
     Examples:
         >>> folder = stmc.save(stmc.load(), "my_model", card="What it was trained on.")
-        >>> sorted(path.name for path in folder.iterdir())
-        ['README.md', 'config.yaml', 'statistics.safetensors', 'vocabulary.safetensors', 'weights.safetensors']
+        >>> sorted(path.name for path in folder.glob("*.safetensors"))
+        ['statistics.safetensors', 'vocabulary.safetensors', 'weights.safetensors']
     """
     return _written(Path(folder).expanduser(), model, check(model, trusted), card, dtype)
 
