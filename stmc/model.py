@@ -32,7 +32,7 @@ from stmc.motion.representation import JointsFrom, Representation
 from stmc.settings.records import SettingError, record_of, takes
 from stmc.text import TextEncoder
 from stmc.text.vocabulary import Recogniser, Recognition, Vocabulary
-from stmc.timeline import Timeline, UnknownPromptWarning, advise
+from stmc.timeline import RarelyShownWarning, Timeline, UnknownPromptWarning, advise
 from stmc.timeline.planning import Plan, plan
 
 Precision = Literal["fp32", "bf16"]
@@ -151,16 +151,16 @@ class Model:
         """
         return self._recognise(texts)
 
-    def unknown(self, timelines: Sequence[Timeline]) -> list[Recognition]:
-        """The prompts of timelines that the model hardly knows, each text once.
+    def doubtful(self, timelines: Sequence[Timeline]) -> list[Recognition]:
+        """The prompts of timelines that the model hardly knows, or rarely shows, each text once: see `advice`.
 
         Examples:
-            >>> [prompt] = stmc.load().unknown([stmc.Timeline.parse("walk # 0 # 4\\nswim # 4 # 6")])
+            >>> [prompt] = stmc.load().doubtful([stmc.Timeline.parse("walk # 0 # 4\\nswim # 4 # 6")])
             >>> prompt.text
             'swim'
         """
         texts = [prompt.text for timeline in timelines for prompt in timeline.prompts]
-        return [each for each in self.recognise(texts) if not each.known]
+        return [each for each in self.recognise(texts) if not each.works]
 
     def _once(self, timelines: Sequence[Timeline]) -> frozenset[str]:
         """Texts of prompts that are too long for one crop and tell of what happens once, as far as the model knows."""
@@ -240,8 +240,7 @@ class Model:
 
         Args:
             timelines: One or several, each also as the text of a file: see `Timeline.parse`.
-            seed: One for each timeline, or the first of consecutive ones; a motion depends on its own alone, not on the
-                batch.
+            seed: One for each timeline, or the first of consecutive ones; a motion depends on its own alone.
             method: A name of `composing.METHODS`, a `Method`, or a rule `Plan → Plan`. "stmc" stitches crops at every
                 step, cross-faded; "stmc_paper" is the paper's algorithm to the letter (section 3.3), "sinc",
                 "sinc_lerp", "single_track" and "one_text" its baselines (section 4.3); "multi_diffusion",
@@ -250,7 +249,7 @@ class Model:
             joints_from: See `decode`.
             keep: A motion, generated or recorded, that the result is but for the `change` and what the timeline has
                 behind its end; one for all timelines, or one for each.
-            change: What is made anew of it: `Change`s (seconds, body parts), or prompts of the timeline.
+            change: `Change`s (seconds, body parts) or prompts of the timeline to regenerate in it.
             constraints: Paths, headings, keyframes, hands and feet, for all timelines: see `stmc.editing.constraints`.
             clean_feet: Keep standing feet in place and above the floor, as `stmc.clean_feet` does; kept motion stays,
                 and constraints hold. False: the motion as sampled, which is what an evaluation measures.
@@ -261,7 +260,7 @@ class Model:
             TimelineError: For a timeline that cannot be read or planned.
 
         Warns:
-            UnknownPromptWarning: One for each text that the model hardly knows, with the nearest that it knows.
+            PromptWarning: One for each text of `doubtful`: an `UnknownPromptWarning` or a `RarelyShownWarning`.
 
         Examples:
             >>> model = stmc.load()
@@ -296,8 +295,8 @@ class Model:
         sampling, method, timelines = self.check(request), request.resolved_method, request.timelines
         if not timelines:
             return []
-        for prompt in self.unknown(timelines):
-            advise(prompt.advice, UnknownPromptWarning)
+        for prompt in self.doubtful(timelines):
+            advise(prompt.advice, RarelyShownWarning if prompt.known else UnknownPromptWarning)
         if method.baseline:
             timelines = [method.baseline(timeline, self.fps, self.longest) for timeline in timelines]
         frames = [timeline.frames(self.fps) for timeline in timelines]

@@ -95,7 +95,7 @@ def test_a_text_is_compared_once_and_no_encoder_is_made_for_none(small, monkeypa
     model, timeline = replace(tiny(longest=60), vocabulary=small), stmc.Timeline.parse("walk # 0 # 4\njuggle # 4 # 5")
     assert model.recognise([]) == [] and not made
     model.plans([timeline])
-    assert [each.text for each in model.unknown([timeline, timeline])] == ["juggle"]
+    assert [each.text for each in model.doubtful([timeline, timeline])] == ["juggle"]
     for _ in range(2):
         with pytest.warns(UnknownPromptWarning, match="hardly knows 'juggle'"):
             model.generate(timeline, steps=1)

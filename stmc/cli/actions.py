@@ -1,6 +1,7 @@
 """Ask a model for every action of its data that geometry can tell: `stmc actions model=RUN`.
 
-With `texts=texts.txt`, ask for the 60 texts of MTT, each alone on its own body parts.
+With `texts=texts.txt`, ask for the 60 texts of MTT, each alone on its own body parts. `record=true` stores in the run
+directory how often samples show what they were asked for; `prompts=prompts.json` calibrates when the model warns.
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
+from stmc.cli.action_reports import CONFUSED, report, report_by_distance, report_texts
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel
 from stmc.data.cache import Cache, read_caches
 from stmc.data.sources.contents import CONTENTS
 from stmc.diffusion import NoiseScale
 from stmc.evaluation.benchmarks.atomic_prompts import AtomicPrompt, read_texts
+from stmc.evaluation.benchmarks.calibrating import calibrated, rates_of_warnings, read_prompts
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words, same_meaning
-from stmc.evaluation.benchmarks.novelty import success_by_distance
 from stmc.evaluation.benchmarks.questions import QUESTIONS, rates
 from stmc.evaluation.metrics.retrieval import cosines, ranks
 from stmc.evaluators import Evaluator
@@ -39,8 +41,9 @@ from stmc.model import Precision
 from stmc.motion.kinematics import foot_sliding, hand_step
 from stmc.motion.motion import Motion
 from stmc.motion.representation import Representation, SmplRepresentation
+from stmc.run import calibrate
 from stmc.settings.records import SettingError, setting
-from stmc.text import MiniLM
+from stmc.text.vocabulary import Trial
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing import film_strip
 
@@ -49,12 +52,6 @@ WINDOW = 4.0
 
 AMONG = 3
 """A content is found where the evaluator has it among its best so many."""
-
-SHOWN = 0.75
-"""The share of a text's samples that show it, where a model can do it: 6 of 8."""
-
-CONFUSED = 0.2
-"""The share of motions of one text that pass the check of another, from which on it is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,38 +75,85 @@ class Settings(OnModel):
     recorded: bool = setting(False, "judge the recordings of the cache that show the texts, not a model")
     seconds: float | int = setting(6.0, "that each text lasts", at_least=1)
     batch: int = setting(64, "motions of texts that are sampled at once", at_least=1)
+    record: bool = setting(False, "store the success of each sentence, or the thresholds, in the model's run directory")
+    prompts: str | None = setting(None, "JSON of prompts that the model knows and does not: calibrate its warnings")
     output: str = setting("outputs/actions", "folder of pictures and numbers")
     precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
 
 
 @command("actions", Settings, ("model", "evaluator", "output"))
 def main(config: DictConfig) -> None:
+    if config.prompts:
+        return calibrate_warnings(config)
     if config.texts:
-        return calibrate(config) if config.recorded else ask_texts(config)
-    model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
-    cache, results, console = read_caches(list(config.cache)), {}, Console()
+        return calibrate_checks(config) if config.recorded else ask_texts(config)
+    model, folder = loaded(config), Path(config.output)
+    cache, results, trials, console = read_caches(list(config.cache)), {}, {}, Console()
     evaluator = stmc.load_evaluator(config.evaluator, device=config.device)
     finder = Finder(evaluator, {clip.content for clip in cache.clips})
     real = recorded(cache, model.representation, model.skeleton, config.clips)
     for name in track(chosen(config, set(real)), "Sampling", console=console):
         seconds = min(WINDOW, median(motion.duration for motion in real[name]))
         motions = {text: asked(config, model, name, text, seconds) for text in sentences(config, name)}
-        shares = {text: fmean(map(QUESTIONS[name], several)) for text, several in motions.items()}
-        known = rates(QUESTIONS[name], real[name], {other: real[other] for other in real if other != name})
-        answers = {"shown": fmean(shares.values()), "ceiling": known.ceiling, "chance": known.chance}
+        answers = geometry_answers(name, motions, real)
         sampled = [motion for several in motions.values() for motion in several]
         plausible = {"sampled": plausibility(sampled), "real": plausibility(real[name])}
-        heard = {"found": finder.found(name, sampled), "real_found": finder.found(name, real[name])}
-        results[name] = answers | heard | plausible | {"sentences": shares}
+        found = {text: finder.found(name, several) for text, several in motions.items()}
+        heard = {"found": fmean(found.values()), "real_found": finder.found(name, real[name])}
+        results[name] = answers | heard | plausible
+        for text, several in motions.items():
+            trials[text] = trial(config, model, name, several, answers["sentences"].get(text), found[text])
         draw(folder / f"{name}.png", {f"{name}, recorded": real[name][0]} | {t: m[0] for t, m in motions.items()})
         write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
     report(results, console)
     report_by_distance(results, console)
+    record(config, model, trials)
+
+
+def geometry_answers(name: str, motions: Mapping[str, Sequence[Motion]], real: Mapping[str, Sequence[Motion]]) -> dict:
+    """How often samples of each sentence show a content, real motion of it, and real motion of others; None where
+    geometry cannot tell."""
+    if name not in QUESTIONS:
+        return {"shown": None, "ceiling": None, "chance": None, "sentences": {}}
+    question = QUESTIONS[name]
+    shares = {text: fmean(map(question, several)) for text, several in motions.items()}
+    known = rates(question, real[name], {other: real[other] for other in real if other != name})
+    return {"shown": fmean(shares.values()), "ceiling": known.ceiling, "chance": known.chance, "sentences": shares}
+
+
+def trial(
+    config: DictConfig,
+    model: stmc.Model,
+    action: str,
+    motions: Sequence[Motion],
+    geometry: float | None,
+    evaluator: float | None = None,
+) -> Trial:
+    """What a run directory keeps of a sentence's samples."""
+    settings = model.settings(guidance=config.guidance, steps=config.steps, noise_scale=config.noise_scale)
+    return Trial(action, len(motions), geometry, evaluator, settings.steps, settings.guidance, config.seed)
+
+
+def record(config: DictConfig, model: stmc.Model, trials: Mapping[str, Trial]) -> None:
+    """Store trials in the model's run directory, where that is asked for, beside those of other sentences."""
+    if config.record:
+        path = calibrate(config.model, model.vocabulary.calibration.with_trials(trials))
+        Console().print(f"success of {len(trials)} sentences stored in {path}", soft_wrap=True, markup=False)
+
+
+def loaded(config: DictConfig) -> stmc.Model:
+    """The model. Raises `SettingError` where success cannot be stored, since no prompt would be compared with it."""
+    model = stmc.load(config.model, device=config.device, precision=config.precision)
+    if (config.record or config.prompts) and model.vocabulary is None:
+        raise SettingError(f"model={config.model}: has no vocabulary, so there is nothing to calibrate")
+    return model
 
 
 def chosen(config: DictConfig, recorded: set[str]) -> list[str]:
     """The contents to ask for. Raises `SettingError` where real motion, a question or a sentence is missing."""
-    known = [name for name in QUESTIONS if name in recorded and CONTENTS[name].unseen]
+    told = {CONTENTS[name].sentences for name in QUESTIONS}  # walks to either side are called walks
+    others = [name for name, each in CONTENTS.items() if config.record and each.sentences not in told]
+    known = [name for name in (*QUESTIONS, *others) if name in recorded and CONTENTS[name].unseen]
     if not known:
         raise SettingError(f"cache={', '.join(config.cache)}: no content that geometry can tell")
     if missing := [name for name in config.contents if name not in known]:
@@ -199,41 +243,54 @@ def recorded(
     }
 
 
-def report(results: dict, console: Console) -> None:
-    """How often the samples show each content, beside how often real motion of it does, and real motion of others; how
-    often the evaluator finds it; how far feet slide in them, and in real motion."""
-    shares = ("shown", "ceiling", "chance", "found", "real_found")
-    table = Table("content", "success", "real motion", "chance", "found", "real motion", "slide, cm", "real motion")
-    for name, row in results.items():
-        slides = [row[whose]["sliding_cm"] for whose in ("sampled", "real")]
-        cells = ["" if slide is None else f"{slide:.1f}" for slide in slides]
-        table.add_row(name, *(f"{row[column]:.0%}" for column in shares), *cells)
-    means = [fmean(row[column] for row in results.values()) for column in shares]
-    table.add_row("mean", *(f"{mean:.0%}" for mean in means))
-    console.print(table)
-    for whose in ("sampled", "real"):
-        console.print(
-            f"largest hand step, {whose}: {max(row[whose]['hand_step_cm'] for row in results.values()):.0f} cm"
-        )
-
-
 def ask_texts(config: DictConfig) -> None:
     """How many samples of each text of MTT show it, and their own side alone, and whether its prompt warns."""
-    model = stmc.load(config.model, device=config.device, precision=config.precision)
+    model = loaded(config)
     prompts = read_texts(config.texts)
     if unknown := [prompt.text for prompt in prompts if prompt.text not in MTT_CHECKS]:
         raise SettingError(f"texts={config.texts}: {unknown[0]!r} is none of MTT's {len(MTT_CHECKS)} texts")
     words = reworded(config.paraphrases, prompts)
     known = model.recognise(list(words.values())) if model.vocabulary else []
-    warned = {text: not each.known for text, each in zip(words, known, strict=False)}
-    results = {}
+    warned = {text: not each.works for text, each in zip(words, known, strict=False)}
+    results, trials = {}, {}
     for prompt, motions in zip(prompts, sampled_texts(config, model, prompts, words), strict=True):
         answers = [text_answers(prompt.text, motion) for motion in motions]
         results[prompt.text] = {"words": words[prompt.text], "warned": warned.get(prompt.text)} | {
             name: fmean(answer[name] for answer in answers) for name in answers[0]
         }
+        action = asked_action(prompt.text, model)
+        trials[words[prompt.text]] = trial(config, model, action, motions, results[prompt.text]["sided"])
     write_text(Path(config.output) / "mtt_texts.json", json.dumps(results, indent=1) + "\n")
     report_texts(results, config.samples)
+    record(config, model, trials)
+
+
+def asked_action(text: str, model: stmc.Model) -> str:
+    """The action that a text of MTT asks for: the first of those whose clips show it that the model knows, if any."""
+    actions = MTT_CHECKS[text].actions
+    known = {content.name for content in model.vocabulary.contents} if model.vocabulary else ()
+    return next((action for action in actions if action in known), actions[0])
+
+
+def calibrate_warnings(config: DictConfig) -> None:
+    """Choose the recogniser's thresholds by listed prompts and by sentences that no training sees; print how well the
+    model warns with its old ones and with these, and store these where that is asked for."""
+    model = loaded(config)
+    before, contents = model.vocabulary.calibration, {content.name for content in model.vocabulary.contents}
+    inside, unknown = read_prompts(config.prompts)
+    known = {text: name for name in CONTENTS if name in contents for text in CONTENTS[name].unseen}
+    known |= {text: action for text, action in inside.items() if action in contents}
+    texts = [*known, *unknown, *MTT_CHECKS]
+    found = {each.text: each for each in model.recognise(texts)}
+    if not found:
+        raise SettingError(f"prompts={config.prompts}: MiniLM, by which prompts are compared, cannot be had")
+    after = calibrated(before, known, unknown, found)
+    console = Console(soft_wrap=True, highlight=False)
+    for name, calibration in (("before", before), ("after", after)):
+        console.print(f"{name}: {rates_of_warnings(calibration, known, unknown, found)}")
+    console.print(f"threshold: {after.threshold}", *(f"{name} {each}" for name, each in after.thresholds.items()))
+    if config.record:
+        console.print(f"stored in {calibrate(config.model, after)}", markup=False)
 
 
 def reworded(path: str | None, prompts: Sequence[AtomicPrompt]) -> dict[str, str]:
@@ -276,33 +333,7 @@ def text_answers(text: str, motion: Motion) -> dict[str, bool]:
     return {"shown": shown, "sided": sided} | others
 
 
-def report_texts(results: Mapping[str, Mapping], samples: int) -> None:
-    """Each text with its samples, whether it warns and which others they pass; then how many texts are shown."""
-    console, table = Console(), Table("text", "shown", "its side alone", "warns", "passes also")
-    for text, row in results.items():
-        counts = [f"{samples * row[name]:.0f}/{samples}" for name in ("shown", "sided")]
-        name = text if row["words"] == text else f"{text}: {row['words']}"
-        warns = {None: "?", True: "warns", False: ""}[row["warned"]]
-        table.add_row(name, counts[0], counts[1] if mirror_words(text) != text else "", warns, others_passed(row))
-    console.print(table)
-    shown = {text: row["sided"] >= SHOWN for text, row in results.items()}
-    silent = sum(not shown[text] and row["warned"] is False for text, row in results.items())
-    warned = sum(shown[text] and bool(row["warned"]) for text, row in results.items())
-    mean = fmean(row["shown"] for row in results.values())
-    console.print(
-        f"shown: {sum(shown.values())} of {len(results)} texts, in {SHOWN:.0%} of the samples or more; "
-        f"mean {mean:.2f}; missed without a warning: {silent}; shown although warned of: {warned}",
-        soft_wrap=True,
-    )
-
-
-def others_passed(row: Mapping) -> str:
-    """The other texts whose checks are passed most often, above `CONFUSED`."""
-    passed = sorted(((row[other], other) for other in MTT_CHECKS if row.get(other, 0) > CONFUSED), reverse=True)
-    return ", ".join(f"{other} {share:.0%}" for share, other in passed[:3])
-
-
-def calibrate(config: DictConfig) -> None:
+def calibrate_checks(config: DictConfig) -> None:
     """Of each text, how often recorded motions of its own pass its check, and those of all other texts. A text that
     claims other body parts is not named: what its motions do with these is no part of it."""
     cache, representation = read_caches(list(config.cache)), SmplRepresentation()
@@ -319,13 +350,3 @@ def calibrate(config: DictConfig) -> None:
         passes = f"{shares[text][text]:.0%}" if own[text] else ""
         table.add_row(text, str(len(own[text])), passes, f"{fmean(others.values()):.1%}", worst)
     Console().print(table)
-
-
-def report_by_distance(results: dict, console: Console) -> None:
-    """How often the samples show sentences that are near to one of the training on these contents, and far from all."""
-    shares = {text: share for row in results.values() for text, share in row["sentences"].items()}
-    training = [text for name in results for text in CONTENTS[name].sentences]
-    table = Table("cosine to the nearest training sentence", "sentences", "success")
-    for name, count, success in success_by_distance(shares, training, MiniLM()):
-        table.add_row(name, str(count), "" if success is None else f"{success:.0%}")
-    console.print(table)

@@ -38,7 +38,7 @@ from stmc.model import Precision
 from stmc.run import fingerprint
 from stmc.settings.records import SettingError, as_in, setting, shown
 from stmc.settings.shards import Incomplete, Shard, listed
-from stmc.timeline import UnknownPromptWarning, advise
+from stmc.timeline import PromptWarning, RarelyShownWarning, UnknownPromptWarning, advise
 from stmc.viewing.exports import EXPORTS
 
 EXAMPLE = "'walk # 0 # 4'"
@@ -111,16 +111,16 @@ def make(
     """Sample what is missing in batches, and write each motion as soon as it is there."""
     sampling = model.check(wanted[0].request)
     model.plans([job.timeline for job in wanted], sampling.overlap)  # what cannot be planned fails now
-    unknown = model.unknown([job.timeline for job in wanted if job.name in missing])
-    for prompt in unknown:
-        advise(prompt.advice, UnknownPromptWarning)
-    warnings.simplefilter("ignore", UnknownPromptWarning)  # `sample` would tell again
+    doubtful = model.doubtful([job.timeline for job in wanted if job.name in missing])
+    for prompt in doubtful:
+        advise(prompt.advice, RarelyShownWarning if prompt.known else UnknownPromptWarning)
+    warnings.simplefilter("ignore", PromptWarning)  # `sample` would tell again
     probe(folder.path)
     remove_leftovers(folder.path)
     with told(console) as progress:
         task = progress.add_task("Motions", total=len(missing))
         for number, (job, motion) in enumerate(sampled(model, wanted, missing, size, progress), start=1):
-            paths = folder.save(motion, job, unknown)
+            paths = folder.save(motion, job, doubtful)
             tell(job, motion, paths, f"{number} of {len(missing)}", as_json, progress.console)
             progress.advance(task)
 

@@ -9,9 +9,8 @@ from stmc.run.directories import (
     CARD,
     CONFIG,
     STATISTICS,
-    VOCABULARY,
-    WEIGHTS,
     bundled,
+    calibrate,
     check,
     fingerprint,
     load,
@@ -19,6 +18,7 @@ from stmc.run.directories import (
     save,
     save_evaluator,
 )
+from stmc.run.model_vocabulary import CALIBRATION, VOCABULARY, WEIGHTS
 from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting
 from stmc.run.suggestions import suggest_parts, with_suggested_parts
 
@@ -26,6 +26,7 @@ __all__ = [
     "BUNDLED",
     "BUNDLED_EVALUATOR",
     "BUNDLED_MODELS",
+    "CALIBRATION",
     "CARD",
     "CONFIG",
     "EVALUATOR_PARTS",
@@ -38,6 +39,7 @@ __all__ = [
     "build",
     "build_fitting",
     "bundled",
+    "calibrate",
     "check",
     "construct",
     "fingerprint",

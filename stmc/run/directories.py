@@ -1,9 +1,9 @@
 """Run directories: a model or an evaluator as files, and back.
 
 A run directory holds `config.yaml` (how to build the parts, and a digest of the numbers), `weights.safetensors`,
-`statistics.safetensors` and a card, `README.md`; a model's perhaps `vocabulary.safetensors`. All of it is data: nothing
-is unpickled, interpolated or imported on a file's behalf, and before memory is asked for the network is compared with
-the weights' header.
+`statistics.safetensors` and a card, `README.md`; a model's perhaps `vocabulary.safetensors` and `calibration.json`. All
+of it is data: nothing is unpickled, interpolated or imported on a file's behalf, and before memory is asked for the
+network is compared with the weights' header.
 """
 
 from __future__ import annotations
@@ -28,19 +28,24 @@ from stmc.motion.body import JOINTS
 from stmc.motion.body_model import Skeleton
 from stmc.run.configs import TARGET, RunError, brief, config_text, read_config
 from stmc.run.construction import Part
+from stmc.run.model_vocabulary import (
+    VOCABULARY,
+    WEIGHTS,
+    read_model_vocabulary,
+    write_model_calibration,
+    write_model_vocabulary,
+)
 from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting, check_widths, sketch_fitting
 from stmc.run.run_record import EvaluatorSettings, ModelSettings, settings_of
 from stmc.run.weights import misfit, read_specs, specs_of
 from stmc.settings.records import shown
 from stmc.settings.renamed import with_new_names
-from stmc.text.vocabulary import Vocabulary, VocabularyError, read_vocabulary, write_vocabulary
+from stmc.text.vocabulary import Calibration
 
 BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_wide", "tmr_wide"
 """What is loaded where no folder is named."""
 BUNDLED_MODELS = (BUNDLED, "mdm_smpl_wide_fast", "mdm_smpl_cmu", "flow_mdm_wide")
-CONFIG, WEIGHTS, STATISTICS, CARD = "config.yaml", "weights.safetensors", "statistics.safetensors", "README.md"
-VOCABULARY = "vocabulary.safetensors"
-"""What a model was trained to hear; runs may have none."""
+CONFIG, STATISTICS, CARD = "config.yaml", "statistics.safetensors", "README.md"
 LARGEST, SMALLEST_STD = 1e6, 1e-13
 """Bounds of statistics: no feature is a kilometre wide, and what varies less than this does not vary."""
 
@@ -110,7 +115,7 @@ def load(
         config=config,
         precision=precision,
         sampling=sampling,
-        vocabulary=_vocabulary(folder, config),
+        vocabulary=read_model_vocabulary(folder, config),
     )
     return model.to(place)
 
@@ -149,8 +154,8 @@ def save(
 
     Examples:
         >>> folder = stmc.save(stmc.load(), "my_model", card="What it was trained on.")
-        >>> sorted(path.name for path in folder.iterdir())
-        ['README.md', 'config.yaml', 'statistics.safetensors', 'vocabulary.safetensors', 'weights.safetensors']
+        >>> sorted(path.name for path in folder.glob("*.safetensors"))
+        ['statistics.safetensors', 'vocabulary.safetensors', 'weights.safetensors']
     """
     return _written(Path(folder).expanduser(), model, check(model, trusted), card, dtype)
 
@@ -164,6 +169,22 @@ def save_evaluator(
 ) -> Path:
     """Writes the evaluator as a run directory; returns the folder. Otherwise as `save`."""
     return _written(Path(folder).expanduser(), evaluator, check(evaluator, trusted), card, dtype)
+
+
+def calibrate(folder: str | Path | None, calibration: Calibration) -> Path:
+    """Store what was measured of a run directory's model in the directory; return the file, which replaces an older
+    one. Its next `load` has it in `vocabulary.calibration`.
+
+    Examples:
+        >>> folder = stmc.save(stmc.load(), "my_run", card="")
+        >>> trials = {"bow": stmc.text.vocabulary.Trial("bow", samples=8, geometry=0.25)}
+        >>> stmc.run.calibrate(folder, stmc.text.vocabulary.Calibration(trials)).name
+        'calibration.json'
+        >>> [bow] = stmc.load(folder).recognise(["bow"])
+        >>> bow.advice
+        "'bow' rarely works: 25 % of samples show it"
+    """
+    return write_model_calibration(calibration, _run_directory(folder))
 
 
 def check(record: Model | Evaluator, trusted: Sequence[str] = ()) -> dict[str, Any]:
@@ -237,11 +258,7 @@ def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any],
 
     write_whole(folder / WEIGHTS, write_weights)
     write_whole(folder / STATISTICS, lambda path: save_file(numbers, path))
-    vocabulary = record.vocabulary if isinstance(record, Model) else None
-    if vocabulary is None:
-        (folder / VOCABULARY).unlink(missing_ok=True)
-    else:
-        write_vocabulary(vocabulary, folder / VOCABULARY)
+    write_model_vocabulary(record.vocabulary if isinstance(record, Model) else None, folder)
     write_whole(folder / CARD, lambda path: path.write_text(card, encoding="utf-8"))
     write_text(folder / CONFIG, config_text({**config, "digest": _digest(folder)}))
     return folder
@@ -283,16 +300,6 @@ def _check_digest(folder: Path, config: Mapping[str, Any]) -> None:
     for name, digest in told.items():
         if found.get(name) != digest:
             raise RunError(f"{folder / _DIGESTED[name]} is damaged: its SHA-256 is not the digest in {CONFIG}")
-
-
-def _vocabulary(folder: Path, config: Mapping[str, Any]) -> Vocabulary | None:
-    """The model's vocabulary; a file that the digest does not name is of another model that lay here before."""
-    if not (folder / VOCABULARY).is_file() or "vocabulary" not in config.get("digest", ("vocabulary",)):
-        return None
-    try:
-        return read_vocabulary(folder / VOCABULARY)
-    except VocabularyError as error:
-        raise RunError(str(error)) from error
 
 
 def _config(folder: Path, parts: Mapping[str, Part]) -> dict[str, Any]:

@@ -10,7 +10,8 @@ from dataclasses import replace
 from functools import cache, partial
 
 from stmc.motion.body import BodyPart
-from stmc.run.directories import VOCABULARY, bundled
+from stmc.run.directories import bundled
+from stmc.run.model_vocabulary import VOCABULARY
 from stmc.text import TextEncoder
 from stmc.text.vocabulary import Suggestion, read_vocabulary, sentence_encoder, suggest
 from stmc.timeline import Timeline

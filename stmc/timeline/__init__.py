@@ -1,12 +1,14 @@
 """Timelines: `Prompt`, `Timeline`, their two file formats, and the baselines that are another timeline."""
 
-from stmc.timeline.advice import TimelineWarning, UnknownPromptWarning, advise
+from stmc.timeline.advice import PromptWarning, RarelyShownWarning, TimelineWarning, UnknownPromptWarning, advise
 from stmc.timeline.baseline_timelines import one_text, single_track
 from stmc.timeline.prompts import Prompt, Timeline
 from stmc.timeline.timeline_files import TimelineError
 
 __all__ = [
     "Prompt",
+    "PromptWarning",
+    "RarelyShownWarning",
     "Timeline",
     "TimelineError",
     "TimelineWarning",

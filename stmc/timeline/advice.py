@@ -15,8 +15,16 @@ class TimelineWarning(UserWarning):
     """Something a timeline can mean but hardly wants, such as one body part claimed by two prompts at once."""
 
 
-class UnknownPromptWarning(UserWarning):
+class PromptWarning(UserWarning):
+    """A prompt that a model may not show."""
+
+
+class UnknownPromptWarning(PromptWarning):
     """A prompt that is far from all that a model was trained with: it will do something else."""
+
+
+class RarelyShownWarning(PromptWarning):
+    """A prompt whose action the model was trained with, and which few of its samples show."""
 
 
 def advise(message: str, category: type[UserWarning] = TimelineWarning) -> None:

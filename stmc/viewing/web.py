@@ -51,7 +51,7 @@ def render_html(
     button says which, and the page follows by itself where the body would be too small to see.
 
     The body is a mannequin with the motion's own bones, or the mesh of `body`. Prompts that are `unknown` to the model
-    (see `Model.unknown`) bear a mark, with the nearest known ones as its tooltip.
+    (see `Model.doubtful`) bear a mark, with the nearest known ones as its tooltip.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)

@@ -9,8 +9,7 @@ from helpers.tiny_model import Hashes, tiny
 from starlette.testclient import TestClient
 
 import stmc
-from stmc.run import bundled
-from stmc.run.directories import VOCABULARY
+from stmc.run import VOCABULARY, bundled
 from stmc.text.vocabulary import read_vocabulary
 from stmc.viewing.studio import Sessions, application
 

@@ -56,7 +56,7 @@ export function createPromptPanel(studio, player, work, tracks) {
     queueMicrotask(() => tracks.focus(id));
   }
 
-  const advice = (id, { nearest }) => make("div", { class: "advice" },
+  const advice = (id, { sentence, known, nearest }) => known ? make("p", { class: "advice" }, sentence) : make("div", { class: "advice" },
     make("p", {}, `The model hardly knows this and may do something else. ${nearest.length ? "It knows:" : "It knows nothing near."}`),
     make("div", { class: "chips" }, nearest.length
       ? nearest.map((text) => button(text, () => edit({ kind: "write", id, text }), { class: "chip", "data-key": `near-${text}` }))
@@ -97,10 +97,10 @@ export function createPromptPanel(studio, player, work, tracks) {
       store.set({ selected: prompt.id });
       queueMicrotask(() => tracks.focus(prompt.id));
     };
-    const unknown = check?.prompts[prompt.id]?.advice;
+    const doubt = check?.prompts[prompt.id]?.advice;
     return make("li", {}, make("button", { type: "button", class: "entry", onclick: choose, "data-key": prompt.id },
       make("i", { class: "swatch", style: `background:${colourOf(prompt.colour)}` }), make("span", {}, prompt.text),
-      unknown ? make("b", { class: "doubt", role: "img", "aria-label": "the model hardly knows it", title: unknown.sentence }, "?") : null,
+      doubt ? make("b", { class: "doubt", role: "img", "aria-label": doubt.known ? "it rarely works" : "the model hardly knows it", title: doubt.sentence }, "?") : null,
       make("span", { class: "faint" }, `${written(prompt.start)} to ${written(prompt.end)}`)));
   }
 

@@ -75,21 +75,22 @@ export function createTracks(studio, player, work) {
     const { id, text, start, end, track, locked } = prompt;
     const colour = colourOf(prompt.colour);
     const told = state.check?.prompts[id];
-    const unknown = told?.advice ?? null;
+    const doubt = told?.advice ?? null;
     const wrong = state.check?.prompt === id ? state.check.error : null;
     const chosen = state.selected === id || id === "draft";
     bar.style.cssText = `left:${x(start)};width:${x(end - start)};top:${track * height}px;--colour:${colour};--ink:${inkOn(colour)}`;
     bar.classList.toggle("chosen", chosen);
-    bar.classList.toggle("unknown", Boolean(unknown || wrong));
+    bar.classList.toggle("unknown", Boolean(doubt || wrong));
     bar.classList.toggle("locked", Boolean(locked));
     bar.setAttribute("aria-pressed", String(chosen));
     const first = state.history.present.prompts[0]?.id;
     bar.tabIndex = chosen || (!state.selected && id === first) ? 0 : -1;
-    bar.title = wrong ?? unknown?.sentence ?? text;
+    bar.title = wrong ?? doubt?.sentence ?? text;
     const where = [`${written(start)} to ${written(end)}`, `track ${track + 1}`, ...(told?.parts ?? prompt.parts)].join(", ");
     const known = told && state.model?.contents.length ? "the model knows it" : null;
-    bar.setAttribute("aria-label", [text, where, unknown ? "the model hardly knows it" : known, locked && "locked", wrong].filter(Boolean).join(". "));
-    bar.children[2].replaceChildren(...[unknown || wrong ? make("b", {}, "?") : null, locked ? icon("lock") : null].filter(Boolean));
+    const doubted = doubt?.known ? "it rarely works" : "the model hardly knows it";
+    bar.setAttribute("aria-label", [text, where, doubt ? doubted : known, locked && "locked", wrong].filter(Boolean).join(". "));
+    bar.children[2].replaceChildren(...[doubt || wrong ? make("b", {}, "?") : null, locked ? icon("lock") : null].filter(Boolean));
     paintText(bar, prompt, state.editing === id || id === "draft");
   }
 

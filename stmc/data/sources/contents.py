@@ -9,13 +9,13 @@ mirrored clip always has a sentence of its own.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from types import MappingProxyType
 
 from stmc.motion.body import BodyPart
+from stmc.text.vocabulary.qualifiers import mirrored
 
 PLAIN_SHARE = 0.5
 """Share of the draws in which a styled clip is described without its style, so that plain texts reach every style."""
@@ -59,28 +59,6 @@ class Content:
             self.topic,
             tuple((mirrored(imperative), mirrored(gerund)) for imperative, gerund in self.gerunds),
         )
-
-
-def mirrored(text: str) -> str:
-    """`text` about the mirror image: left ↔ right, clockwise ↔ counterclockwise, case and everything else kept.
-
-    Whole words only ("upright" stays), also within names ("raise-up-left-hand") and before "-ward(s)"; every spelling
-    of anticlockwise becomes clockwise, and clockwise becomes counterclockwise.
-    """
-    return _SIDED.sub(_swap, text)
-
-
-_SIDED = re.compile(
-    r"(?<![a-z])(left|right|clockwise|(?:counter|anti)[- ]?clockwise)(?=(?:wards?)?(?![a-z]))", flags=re.IGNORECASE
-)
-
-
-def _swap(match: re.Match[str]) -> str:
-    word = match[0]
-    other = {"left": "right", "right": "left", "clockwise": "counterclockwise"}.get(word.lower(), "clockwise")
-    if word.isupper():
-        return other.upper()
-    return other.capitalize() if word[0].isupper() else other
 
 
 def _read() -> Iterator[Content]:

@@ -1,9 +1,12 @@
-"""What a model was trained to hear: its sentences and contents, whether it knows a prompt, and the body parts of one.
+"""What a model was trained to hear: its sentences and contents, whether it knows a prompt, how often its samples then
+show it, and the body parts of one.
 
 Knows sentences, their embeddings and body parts; knows no motion, no network and no timeline.
 """
 
 from stmc.text.vocabulary.building import build_vocabulary
+from stmc.text.vocabulary.calibration import RARELY, Calibration, Trial
+from stmc.text.vocabulary.calibration_files import read_calibration, write_calibration
 from stmc.text.vocabulary.recogniser import Recogniser
 from stmc.text.vocabulary.sentences import Content, Sentence, embed_sentences, sentence_encoder
 from stmc.text.vocabulary.suggestion import Suggestion, suggest
@@ -11,17 +14,22 @@ from stmc.text.vocabulary.vocabulary import Recognition, Vocabulary
 from stmc.text.vocabulary.vocabulary_files import VocabularyError, read_vocabulary, write_vocabulary
 
 __all__ = [
+    "RARELY",
+    "Calibration",
     "Content",
     "Recogniser",
     "Recognition",
     "Sentence",
     "Suggestion",
+    "Trial",
     "Vocabulary",
     "VocabularyError",
     "build_vocabulary",
     "embed_sentences",
+    "read_calibration",
     "read_vocabulary",
     "sentence_encoder",
     "suggest",
+    "write_calibration",
     "write_vocabulary",
 ]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
@@ -14,6 +15,8 @@ from torch import Tensor
 from stmc.io.untrusted import shown
 from stmc.motion.body import BodyPart
 from stmc.text import TextEncoder
+from stmc.text.vocabulary.agreement import Agreement
+from stmc.text.vocabulary.calibration import RARELY, Calibration
 from stmc.text.vocabulary.sentences import Content, Sentence, embed_sentences
 
 THRESHOLD = 0.6
@@ -23,29 +26,49 @@ NEAR = 0.45
 """Cosine from which a known sentence is worth naming: of "tango" and "salsa footwork" it is 0.48, of "swim" and "a sip"
 0.43."""
 
+CONTRARY = 0.1
+"""Cosine by which a sentence with other words for side, direction or speed counts less than an everyday action: what it
+tells of may be known in other words. Measured with the left or right form of each action left out."""
+
 NEAREST = 3
 """Known sentences that a message names."""
 
 EXAMPLES = 5
 """Sentences that tell what a content is."""
 
+_APART = -1.0
+"""Cosine of what is not to be compared."""
+
 
 @dataclass(frozen=True)
 class Recognition:
-    """How near a prompt is to what a model knows. `nearest` are known sentences: the first example of each of the
-    nearest contents, or where contents have no names the nearest themselves; `near` are those of them whose content is
-    at least `NEAR`; `score` is what is compared with `threshold`."""
+    """How near a prompt is to what a model knows. `nearest` are known sentences, those first that agree with the
+    prompt's words for side, direction and speed: the first example of each of the nearest contents, or where contents
+    have no names the nearest themselves; `near` are those of them whose content is at least `NEAR`; `score` is what is
+    compared with `threshold`. `rate` is the share of samples that show such a prompt, from 0 to 1; None: not measured.
+    """
 
     text: str
     nearest: tuple[Sentence, ...]
     score: float
-    threshold: float
+    threshold: float | int
     near: tuple[Sentence, ...]
+    rate: float | int | None = None
 
     @property
     def known(self) -> bool:
         """Whether the prompt is near enough."""
         return self.score >= self.threshold
+
+    @property
+    def action(self) -> str:
+        """The name of the content that is nearest; "" where contents have none."""
+        return self.nearest[0].content.name
+
+    @property
+    def works(self) -> bool:
+        """Whether the prompt is known, and its samples do not show it rarely."""
+        return self.known and (self.rate is None or self.rate >= RARELY)
 
     @property
     def happens_once(self) -> bool:
@@ -55,7 +78,11 @@ class Recognition:
 
     @property
     def advice(self) -> str:
-        """What to tell of a prompt that is not known, in a line."""
+        """Describe in a line why the prompt may fail; "" where it works."""
+        if self.works:
+            return ""
+        if self.known:
+            return f"{shown(self.text)} rarely works: {100 * self.rate:.0f} % of samples show it"
         texts = ", ".join(shown(sentence.text) for sentence in self.near)
         near = f"the nearest it knows: {texts}" if texts else "it knows nothing near"
         return f"the model hardly knows {shown(self.text)} and may do something else; {near}"
@@ -69,7 +96,10 @@ class Vocabulary:
 
     A prompt is known where 2 k - o is at least `threshold`: k is its cosine to the nearest known sentence, o that to
     the nearest other one, both as seen from the mean of the others, since what all sentences share tells nothing. So
-    "ride a bicycle" is not known although "ride a motorcycle" is: it is an everyday action itself.
+    "ride a bicycle" is not known although "ride a motorcycle" is: it is an everyday action itself. Known sentences that
+    contradict the prompt's side, direction or speed count among the others, `CONTRARY` less: "jog backwards" is not
+    known where all jogs are forwards. `calibration` is what was measured of the model; its thresholds replace
+    `threshold`.
 
     Examples:
         >>> vocabulary = stmc.load().vocabulary
@@ -81,6 +111,7 @@ class Vocabulary:
     others: tuple[Sentence, ...]
     embeddings: Float[Tensor, "sentences width"]
     threshold: float | int = THRESHOLD
+    calibration: Calibration = field(default_factory=Calibration)
 
     def __post_init__(self) -> None:
         if not self.known or not self.others:
@@ -134,15 +165,34 @@ class Vocabulary:
 
     def _recognition(self, text: str, row: Float[Tensor, " sentences"], count: int) -> Recognition:
         known, others = row[: len(self.known)], row[len(self.known) :]
+        agrees, contradicts = self._agreement.of(text)
+        agreeing = known.masked_fill(~agrees, _APART)
+        unlike = torch.cat([others, (known - CONTRARY).masked_fill(~contradicts, _APART)])
+        nearest = self._nearest(agreeing, count) | self._nearest(known, count)
+        near = [sentence for sentence, cosine in nearest.items() if cosine >= NEAR]
+        action = next(iter(nearest)).content.name
+        return Recognition(
+            text,
+            tuple(nearest)[:count],
+            float(2 * agreeing.max() - unlike.max()),
+            self.calibration.threshold_of(action, self.threshold),
+            tuple(near[:count]),
+            self.calibration.rate(text, action),
+        )
+
+    def _nearest(self, cosines: Float[Tensor, " known"], count: int) -> dict[Sentence, float]:
+        """The first examples of up to `count` contents, each with the cosine of its nearest sentence."""
         nearest: dict[Sentence, float] = {}
-        for place in known.argsort(descending=True).tolist():
-            sentence = self.known[place]
-            nearest.setdefault(self.examples.get(sentence.content, (sentence,))[0], float(known[place]))
-            if len(nearest) == count:
+        for place in cosines.argsort(descending=True).tolist():
+            if len(nearest) == count or cosines[place] == _APART:
                 break
-        score = float(2 * known.max() - others.max())
-        near = tuple(sentence for sentence, cosine in nearest.items() if cosine >= NEAR)
-        return Recognition(text, tuple(nearest), score, self.threshold, near)
+            sentence = self.known[place]
+            nearest.setdefault(self.examples.get(sentence.content, (sentence,))[0], float(cosines[place]))
+        return nearest
+
+    @cached_property
+    def _agreement(self) -> Agreement:
+        return Agreement(self.known)
 
     def _examples(self, places: Sequence[int]) -> tuple[Sentence, ...]:
         rows = self._rows[list(places)]

@@ -38,7 +38,7 @@ _KEYS = ("contents", "known", "others", "threshold")
 
 
 class VocabularyError(ValueError):
-    """A file that is no vocabulary, or a damaged one; the message names it and says what is wrong."""
+    """A file that is no vocabulary or calibration, or a damaged one; the message names it and says what is wrong."""
 
 
 def write_vocabulary(vocabulary: Vocabulary, path: Path) -> None:
@@ -101,7 +101,7 @@ def _rows(table: Mapping[str, Any], key: str, width: int) -> Sequence[Any]:
 
 def _content(row: Sequence[Any]) -> Content:
     name, parts, cyclic = row
-    _check_text(name, LONGEST_NAME)
+    check_text(name, LONGEST_NAME)
     if not isinstance(parts, list) or any(part not in list(BodyPart) for part in parts) or not isinstance(cyclic, bool):
         raise VocabularyError(f"content {shown(name)}: body parts needed and whether it is cyclic, not {shown(row)}")
     return Content(name, frozenset(map(BodyPart, parts)), cyclic)
@@ -109,12 +109,13 @@ def _content(row: Sequence[Any]) -> Content:
 
 def _sentence(row: Sequence[Any], contents: Sequence[Content]) -> Sentence:
     text, place = row
-    _check_text(text, LONGEST_TEXT)
+    check_text(text, LONGEST_TEXT)
     if isinstance(place, bool) or not isinstance(place, int) or not 0 <= place < len(contents):
         raise VocabularyError(f"sentence {shown(text)}: the place of a content needed, not {shown(place)}")
     return Sentence(text, contents[place])
 
 
-def _check_text(text: Any, most: int) -> None:
+def check_text(text: Any, most: int) -> None:
+    """Raise `VocabularyError` for anything but a printable text of at most `most` characters."""
     if not isinstance(text, str) or len(text) > most or not text.isprintable():
         raise VocabularyError(f"{shown(text)}: at most {most} printable characters needed")

@@ -105,8 +105,8 @@ def write_timeline(timeline: Timeline, kind: str) -> str:
 def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any]:
     """What the page shows of a timeline before it is sampled. Raises `Refused` for what cannot be planned.
 
-    The prompts' body parts, which ones the model hardly knows, the rows they lie in, and for every body part who owns
-    it when, with the transitions between (seconds).
+    The prompts' body parts, which ones the model hardly knows or rarely shows, the rows they lie in, and for every body
+    part who owns it when, with the transitions between (seconds).
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", TimelineWarning)
@@ -116,9 +116,9 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any
             model.plans([timeline])
         except TimelineError as error:
             raise Refused(422, str(error), prompt=None) from None
-    unknown = {each.text: each for each in model.unknown([timeline])}
+    doubtful = {each.text: each for each in model.doubtful([timeline])}
     prompts = [
-        _described(prompt, row, None if listed else suggested[prompt.text], unknown.get(prompt.text))
+        _described(prompt, row, None if listed else suggested[prompt.text], doubtful.get(prompt.text))
         for prompt, row, listed in zip(timeline.prompts, timeline.rows, own, strict=True)
     ]
     return {
@@ -130,12 +130,12 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any
     }
 
 
-def _described(prompt: Prompt, row: int, suggestion: Suggestion | None, unknown: Recognition | None) -> dict[str, Any]:
+def _described(prompt: Prompt, row: int, suggestion: Suggestion | None, doubt: Recognition | None) -> dict[str, Any]:
     return {
         "parts": in_order(prompt.claims),
         "suggested": suggestion is not None,
         "confidence": None if suggestion is None else suggestion.confidence,
-        "advice": _advice(unknown),
+        "advice": _advice(doubt),
         "row": row,
     }
 
@@ -152,4 +152,5 @@ def _owned(timeline: Timeline, fps: float | int, overlap: float | int) -> dict[s
 def _advice(recognition: Recognition | None) -> dict[str, Any] | None:
     if recognition is None:
         return None
-    return {"sentence": recognition.advice, "nearest": [sentence.text for sentence in recognition.near]}
+    near = [] if recognition.known else [sentence.text for sentence in recognition.near]
+    return {"sentence": recognition.advice, "known": recognition.known, "nearest": near}

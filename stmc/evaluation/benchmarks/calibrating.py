@@ -1,0 +1,127 @@
+"""From measured success and two lists of prompts to the recogniser's thresholds, and how well it then warns.
+
+Knows recognitions and MTT's texts; knows no model and no motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
+from stmc.io.untrusted import UnreadableError, load_json, read_text, shown
+from stmc.text.vocabulary import RARELY, Calibration, Recognition
+
+SHOWN = 0.75
+"""The share of a text's samples that show it, where a model can do it: 6 of 8."""
+
+MOST_LOST = 0.05
+"""The share of known prompts that may warn."""
+
+ENOUGH = 8
+"""Known prompts, and unknown ones, that an action needs for a threshold of its own."""
+
+_MOST_BYTES = 2**22
+
+
+@dataclass(frozen=True)
+class Rates:
+    """How well a model warns: how many of the `asked` texts of MTT are `missed` without a warning, and the shares of
+    `known` and of `unknown` prompts that warn (None: there are none)."""
+
+    missed: int
+    asked: int
+    known: float | None
+    unknown: float | None
+
+    def __str__(self) -> str:
+        known, unknown = ("?" if share is None else f"{share:.1%}" for share in (self.known, self.unknown))
+        return (
+            f"missed without a warning: {self.missed} of {self.asked} texts of MTT; "
+            f"known prompts that warn: {known}; unknown prompts that warn: {unknown}"
+        )
+
+
+def read_prompts(path: str | Path) -> tuple[dict[str, str], list[str]]:
+    """Read the known prompts, each with its action, and the unknown ones, which are about no action of the model, of a
+    file `{"inside": [[action, text]], "outside": [text], "unusual": [text]}`; the last may be missing.
+
+    Raises `ValueError` for any other file.
+    """
+    try:
+        table = load_json(read_text(Path(path), _MOST_BYTES))
+    except UnreadableError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if not isinstance(table, Mapping) or not {"inside", "outside"} <= set(table):
+        raise ValueError(f"{path}: an object with inside and outside needed, not {shown(table)}")
+    inside, outside = table["inside"], [table["outside"], table.get("unusual", [])]
+    if not isinstance(inside, list) or not all(_are_texts(row) and len(row) == 2 for row in inside):
+        raise ValueError(f"{path}: inside: a list of [action, text] needed, not {shown(inside)}")
+    if wrong := [texts for texts in outside if not _are_texts(texts)]:
+        raise ValueError(f"{path}: outside and unusual: lists of texts needed, not {shown(wrong[0])}")
+    return {text: action for action, text in inside}, [text for texts in outside for text in texts]
+
+
+def calibrated(
+    calibration: Calibration, known: Mapping[str, str], unknown: Sequence[str], found: Mapping[str, Recognition]
+) -> Calibration:
+    """Choose the threshold that tells most of the `unknown` prompts from the `known` ones, of which at most `MOST_LOST`
+    lie below it; for an action with `ENOUGH` prompts of both kinds, one of its own.
+
+    Args:
+        calibration: What was measured; known prompts of actions that work rarely, which warn rightly, do not count.
+        known: Prompts and their actions.
+        unknown: Prompts about no action of the model.
+        found: The recognition of each prompt.
+    """
+    working = [found[text] for text in working_prompts(calibration, known)]
+    others = [found[text] for text in unknown]
+    thresholds = {}
+    for action in {each.action for each in others}:
+        own = [[each.score for each in several if each.action == action] for several in (working, others)]
+        if min(map(len, own)) >= ENOUGH:
+            thresholds[action] = threshold_between(*own)
+    scores = [[each.score for each in several] for several in (working, others)]
+    common = threshold_between(*scores) if all(scores) else calibration.threshold
+    return replace(calibration, threshold=common, thresholds=dict(sorted(thresholds.items())))
+
+
+def threshold_between(known: Sequence[float], unknown: Sequence[float]) -> float:
+    """The threshold with the most unknown scores below it, less the share of the known ones; at most `MOST_LOST` of
+    these lie below. Of equally good ones, the lowest; rounded to thousandths."""
+    scores = sorted({*known, *unknown})
+    candidates = [scores[0], *((low + high) / 2 for low, high in pairwise(scores))]
+
+    def gain(threshold: float) -> tuple[float, float]:
+        lost, caught = (sum(score < threshold for score in several) / len(several) for several in (known, unknown))
+        return (caught - lost if lost <= MOST_LOST else -1.0, -threshold)
+
+    return round(max(candidates, key=gain), 3)
+
+
+def rates_of_warnings(
+    calibration: Calibration, known: Mapping[str, str], unknown: Sequence[str], found: Mapping[str, Recognition]
+) -> Rates:
+    """Count the warnings: for the texts of MTT that were tried, for known prompts of actions that work, for unknown
+    ones. The arguments are those of `calibrated`."""
+    warns = {
+        text: not replace(each, threshold=calibration.threshold_of(each.action, each.threshold)).works
+        for text, each in found.items()
+    }
+    asked = [text for text in MTT_CHECKS if text in calibration.trials]
+    missed = [text for text in asked if (calibration.trials[text].rate or 0.0) < SHOWN and not warns[text]]
+    working = working_prompts(calibration, known)
+    shares = [sum(map(warns.__getitem__, texts)) / len(texts) if texts else None for texts in (working, unknown)]
+    return Rates(len(missed), len(asked), *shares)
+
+
+def working_prompts(calibration: Calibration, known: Mapping[str, str]) -> list[str]:
+    """The known prompts whose own samples and whose action's are not measured to work rarely."""
+    rates = {text: calibration.rate(text, action) for text, action in known.items()}
+    return [text for text, rate in rates.items() if rate is None or rate >= RARELY]
+
+
+def _are_texts(values: object) -> bool:
+    return isinstance(values, list) and all(isinstance(value, str) for value in values)

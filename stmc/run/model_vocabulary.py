@@ -1,0 +1,61 @@
+"""The vocabulary of a run directory's model, and what was measured of that model: two files beside its weights.
+
+Knows run directories' files; knows no models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from stmc.io.files import sha256
+from stmc.run.configs import RunError
+from stmc.text.vocabulary import (
+    Calibration,
+    Vocabulary,
+    VocabularyError,
+    read_calibration,
+    read_vocabulary,
+    write_calibration,
+    write_vocabulary,
+)
+
+WEIGHTS = "weights.safetensors"
+VOCABULARY, CALIBRATION = "vocabulary.safetensors", "calibration.json"
+"""What a model was trained to hear, and how often its samples show that; runs may have none."""
+
+
+def write_model_vocabulary(vocabulary: Vocabulary | None, folder: Path) -> None:
+    """Write both files beside the weights; those of a model that lay here before are removed."""
+    if vocabulary is None:
+        (folder / VOCABULARY).unlink(missing_ok=True)
+    else:
+        write_vocabulary(vocabulary, folder / VOCABULARY)
+    if vocabulary is None or vocabulary.calibration.is_empty:
+        (folder / CALIBRATION).unlink(missing_ok=True)
+    else:
+        write_model_calibration(vocabulary.calibration, folder)
+
+
+def write_model_calibration(calibration: Calibration, folder: Path) -> Path:
+    """Write what was measured of the model beside its weights, whose digest tells whose measurements they are."""
+    if not (folder / WEIGHTS).is_file():
+        raise RunError(f"{folder} is not a run directory: {WEIGHTS} missing")
+    write_calibration(replace(calibration, weights=sha256(folder / WEIGHTS)), folder / CALIBRATION)
+    return folder / CALIBRATION
+
+
+def read_model_vocabulary(folder: Path, config: Mapping[str, Any]) -> Vocabulary | None:
+    """Read the model's vocabulary, with its calibration; a file that the config's digest does not name, or that was
+    measured with other weights, is of another model that lay here before. Raises `RunError` for a damaged file."""
+    if not (folder / VOCABULARY).is_file() or "vocabulary" not in config.get("digest", ("vocabulary",)):
+        return None
+    try:
+        vocabulary = read_vocabulary(folder / VOCABULARY)
+        calibration = read_calibration(folder / CALIBRATION) if (folder / CALIBRATION).exists() else Calibration()
+    except VocabularyError as error:
+        raise RunError(str(error)) from error
+    own = calibration.weights == sha256(folder / WEIGHTS)
+    return replace(vocabulary, calibration=calibration) if own else vocabulary

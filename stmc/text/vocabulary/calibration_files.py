@@ -1,0 +1,90 @@
+"""A calibration as one JSON file, a line for each sentence that was tried.
+
+The file may be anybody's: its size is bounded, and everything in it is checked.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from stmc.io.files import write_text
+from stmc.io.untrusted import UnreadableError, cut, load_json, read_text, shown
+from stmc.text.vocabulary.calibration import Calibration, Trial
+from stmc.text.vocabulary.sentences import LONGEST_TEXT
+from stmc.text.vocabulary.vocabulary_files import LONGEST_NAME, MOST_SENTENCES, VocabularyError, check_text
+
+MOST_BYTES = 8 * 2**20
+"""Of a file; that of the bundled model's actions takes 0.05."""
+
+_KEYS = tuple(each.name for each in fields(Calibration))
+_TRIAL = tuple(each.name for each in fields(Trial))
+_WHOLE = {"samples": (1, 10**6), "steps": (1, 10**6), "seed": (0, 2**63)}
+_SHARES = {"geometry": (0, 1), "evaluator": (0, 1), "guidance": (0, 1000)}
+"""Least and most of each number; the second may be null."""
+
+
+def write_calibration(calibration: Calibration, path: Path) -> None:
+    """Write the file, which appears whole or not at all."""
+    rows = [f"  {_json(text)}: {_json(asdict(trial))}" for text, trial in sorted(calibration.trials.items())]
+    trials = "{\n" + ",\n".join(rows) + "\n }" if rows else "{}"
+    others = {key: getattr(calibration, key) for key in _KEYS if key != "trials"}
+    lines = [*(f" {_json(key)}: {_json(value)}" for key, value in others.items()), f' "trials": {trials}']
+    write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read the file that `write_calibration` wrote. Raises `VocabularyError` for any other."""
+    try:
+        return _calibration(load_json(read_text(path, MOST_BYTES)))
+    except (VocabularyError, UnreadableError, OSError) as error:
+        raise VocabularyError(f"{path} cannot be read: {cut(' '.join(str(error).split()), 200)}") from error
+
+
+def _calibration(table: Any) -> Calibration:
+    _check_keys(table, _KEYS, "a calibration")
+    if not isinstance(table["weights"], str) or not re.fullmatch(r"[0-9a-f]{64}|", table["weights"]):
+        raise VocabularyError(f"weights={shown(table['weights'])}: a SHA-256 of 64 hexadecimal digits needed")
+    for key in ("trials", "thresholds"):
+        if not isinstance(table[key], Mapping) or len(table[key]) > MOST_SENTENCES:
+            raise VocabularyError(f"{key}: an object of at most {MOST_SENTENCES} entries needed")
+    if table["threshold"] is not None:
+        _check_number(table["threshold"], "threshold", -3, 3)
+    for name, threshold in table["thresholds"].items():
+        check_text(name, LONGEST_NAME)
+        _check_number(threshold, f"threshold of {shown(name)}", -3, 3)
+    trials = {text: _trial(text, row) for text, row in table["trials"].items()}
+    return Calibration(trials, table["threshold"], table["thresholds"], table["weights"])
+
+
+def _trial(text: str, row: Any) -> Trial:
+    check_text(text, LONGEST_TEXT)
+    _check_keys(row, _TRIAL, shown(text))
+    check_text(row["action"], LONGEST_NAME)
+    for key, (least, most) in _WHOLE.items():
+        _check_number(row[key], f"{shown(text)}: {key}", least, most, whole=True)
+    for key, (least, most) in _SHARES.items():
+        if row[key] is not None:
+            _check_number(row[key], f"{shown(text)}: {key}", least, most)
+    return Trial(**row)
+
+
+def _check_keys(table: Any, keys: tuple[str, ...], name: str) -> None:
+    if not isinstance(table, Mapping) or set(table) != set(keys):
+        raise VocabularyError(f"{name}: an object of {', '.join(keys)} needed, not {shown(table)}")
+
+
+def _check_number(value: Any, name: str, least: int, most: int, whole: bool = False) -> None:
+    kinds = int if whole else (int, float)
+    if isinstance(value, bool) or not isinstance(value, kinds) or not least <= value <= most:
+        raise VocabularyError(
+            f"{name}={shown(value)}: a {'whole ' if whole else ''}number from {least} to {most} needed"
+        )
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,108 @@
+"""Words of a text that qualify its action: which side, which direction, how fast; and the text of its mirror image.
+
+A closed table of English words; knows no sentences, no embeddings and no actions.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal
+
+Kind = Literal["side", "direction", "speed"]
+
+Qualifiers = Mapping[Kind, frozenset[str]]
+"""The values that a text names, of each kind; a kind that it does not name is absent."""
+
+_ASIDE = r"(?! (?:away|now|after|before|here|there|behind|in front|next|up|down|angles?)\b)"
+"""Behind "right", which then names no side."""
+
+_WORDS: Mapping[Kind, Mapping[str, re.Pattern[str]]] = MappingProxyType({
+    "side": {
+        "left": re.compile(r"\bleft(?:wards?)?\b|\b(?:counter|anti)[- ]?clockwise\b"),
+        "right": re.compile(
+            rf"(?<!\ball )\bright(?:wards?)?\b{_ASIDE}"
+            r"|(?<!counter)(?<!anti)(?<!counter[- ])(?<!anti[- ])clockwise\b"
+        ),
+        "both": re.compile(r"\bboth\b|\btwo (?:arms|hands|fists|feet|legs)\b"),
+    },
+    "direction": {
+        "forward": re.compile(r"\b(?:for|on)wards?\b|\bahead\b"),
+        "backward": re.compile(r"\b(?:back|rear)wards?\b|\bin reverse\b"),
+        "sideways": re.compile(r"\bside(?:ways|wards)\b|\blaterally\b"),
+    },
+    "speed": {
+        "slow": re.compile(r"\bslow(?:ly|er)?\b|\b(?:leisurely|unhurried(?:ly)?)\b"),
+        "quick": re.compile(
+            r"\b(?:quick|rapid|brisk|swift|hurried)(?:ly)?\b|\b(?:quicker|fast|faster|speedy|speedily)\b"
+        ),
+    },
+})  # fmt: skip
+"""Seen from above, counterclockwise is to the left."""
+
+_BOTH = frozenset({"left", "right"})
+
+_DEFAULTS: Mapping[Kind, frozenset[str]] = MappingProxyType({"side": _BOTH, "direction": frozenset({"forward"})})
+"""The values that a text without words for them may mean: a jog is one forwards, and applause is with both hands."""
+
+
+def read_qualifiers(text: str) -> Qualifiers:
+    """Find the side ("left", "right"), direction ("forward", "backward", "sideways") and speed ("slow", "quick").
+
+    "Both" hands or feet are the left and the right.
+
+    Examples:
+        >>> sorted(read_qualifiers("jog backwards, slowly, with both hands up").items())
+        [('direction', frozenset({'backward'})), ('side', frozenset({'left', 'right'})), ('speed', frozenset({'slow'}))]
+    """
+    lower = " ".join(text.lower().split())
+    named = {kind: {value for value, words in table.items() if words.search(lower)} for kind, table in _WORDS.items()}
+    if "both" in named["side"]:
+        named["side"] = set(_BOTH)
+    return {kind: frozenset(values) for kind, values in named.items() if values}
+
+
+def agree(asked: Qualifiers, known: Qualifiers) -> bool:
+    """Whether a text that names `known` shows an action as `asked`.
+
+    Whatever is not asked for may be anything. A side and a direction that are asked for must be named, but for those
+    that go without saying; a speed must not be another. Several directions or speeds ask for a change on the way, which
+    is not judged.
+    """
+    return all(_agrees(kind, values, known.get(kind)) for kind, values in asked.items())
+
+
+def without_defaults(asked: Qualifiers) -> Qualifiers:
+    """Drop the values that go without saying."""
+    return {kind: values for kind, values in asked.items() if values != _DEFAULTS.get(kind)}
+
+
+def _agrees(kind: Kind, asked: frozenset[str], known: frozenset[str] | None) -> bool:
+    if kind != "side" and len(asked) > 1:
+        return True
+    if known is None:
+        return asked == _DEFAULTS.get(kind, asked)
+    return asked == known
+
+
+def mirrored(text: str) -> str:
+    """`text` about the mirror image: left ↔ right, clockwise ↔ counterclockwise, case and everything else kept.
+
+    Whole words only ("upright" stays), also within names ("raise-up-left-hand") and before "-ward(s)"; every spelling
+    of anticlockwise becomes clockwise, and clockwise becomes counterclockwise.
+    """
+    return _SIDED.sub(_swap, text)
+
+
+_SIDED = re.compile(
+    r"(?<![a-z])(left|right|clockwise|(?:counter|anti)[- ]?clockwise)(?=(?:wards?)?(?![a-z]))", flags=re.IGNORECASE
+)
+
+
+def _swap(match: re.Match[str]) -> str:
+    word = match[0]
+    other = {"left": "right", "right": "left", "clockwise": "counterclockwise"}.get(word.lower(), "clockwise")
+    if word.isupper():
+        return other.upper()
+    return other.capitalize() if word[0].isupper() else other
