@@ -45,7 +45,7 @@ async function start() {
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "f") toggleFollow();
-    else if (!playedByKey(event, player)) return;
+    else if (!playedByKey(event, player, () => duration)) return;
     event.preventDefault();
   });
 

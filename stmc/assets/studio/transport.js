@@ -64,10 +64,10 @@ export function createTimelineBar(host, lane, cursor, player, durationOf) {
 }
 
 // Space plays and pauses; the arrows go a quarter of a second back and on. Answers whether the key was one of them.
-export function playedByKey({ key, target }, player) {
+export function playedByKey({ key, target }, player, durationOf) {
   const step = { ArrowLeft: -0.25, ArrowRight: 0.25 }[key];
   if (key === " " && !target.matches("button, select, [type=radio]:not(:checked)")) player.play();
-  else if (step && !target.matches("select, [type=radio], [type=range]")) player.seek(player.time() + step);
+  else if (step && !target.matches("select, [type=radio], [type=range]")) player.seek(Math.min(player.time() + step, durationOf()));
   else return false;
   return true;
 }
