@@ -89,7 +89,8 @@ def blue(picture: np.ndarray) -> int:
 
 
 def orange(picture: np.ndarray) -> int:
-    return int(((picture[..., 0] - picture[..., 2]) > 70).sum())
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    return int(((red - blue > 70) & (green - blue > 30)).sum())
 
 
 def red(picture: np.ndarray) -> int:

@@ -356,7 +356,7 @@ def save(
     with scratch(folder / job.name) as aside:
         made = [aside / f"{job.name}.{kind}" for kind in config.formats]
         for path in made:
-            write_format(motion, path, job, unknown)
+            write_format(motion, path, job, unknown, config.constraints)
         digests = {path.suffix[1:]: sha256(path) for path in made}
         with held(folder / f".{job.name}.lock", math.inf):
             request, former = recorded(folder, job.name)
@@ -370,10 +370,14 @@ def save(
     return paths
 
 
-def write_format(motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
-    """Write a motion in the format of the path's suffix."""
+def write_format(
+    motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition], constraints: str | None = None
+) -> None:
+    """Write a motion in the format of the path's suffix; a page shows the `constraints` of a file."""
     if path.suffix == ".html":
-        write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
+        marks = [] if constraints is None else stmc.read_constraints(constraints)
+        page = stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown, constraints=marks)
+        write_text(path, page)
     elif path.suffix in FILMS:
         stmc.render_film(motion, path, job.timeline)
     else:

@@ -82,10 +82,8 @@ def glb_of(
     document |= {"accessors": binary.accessors, "bufferViews": binary.views, "buffers": [{"byteLength": binary.size}]}
     text = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + binary.size)
-    return b"".join(
-        [head, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", binary.size, b"BIN\0"), *binary.chunks]
-    )
+    chunks = [struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", binary.size, b"BIN\0"), *binary.chunks]
+    return b"".join([struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + binary.size), *chunks])
 
 
 class _Binary:
@@ -97,9 +95,7 @@ class _Binary:
         self.accessors: list[dict[str, Any]] = []
         self.size = 0
 
-    def add(
-        self, array: np.ndarray, target: int | None = None, bounds: bool = False, normalized: bool = False
-    ) -> int:
+    def add(self, array: np.ndarray, target: int | None = None, bounds: bool = False, normalized: bool = False) -> int:
         """The index of the accessor of an array, whose rows are the elements; matrices are turned column by column.
         `normalized`: whole numbers that stand for -1 to 1, or 0 to 1."""
         rows = np.ascontiguousarray(array.swapaxes(1, 2) if array.ndim == 3 else array)
@@ -148,9 +144,7 @@ def _material(part: BodyPart) -> dict[str, Any]:
     }
 
 
-def _mesh(
-    binary: _Binary, skin: Skin, tints: Float[np.ndarray, "vertices 3"] | None, compact: bool
-) -> dict[str, Any]:
+def _mesh(binary: _Binary, skin: Skin, tints: Float[np.ndarray, "vertices 3"] | None, compact: bool) -> dict[str, Any]:
     """One piece for each body part, all of the same vertices."""
     carriers, weights = _carriers(skin)
     attributes = {

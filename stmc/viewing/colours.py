@@ -75,7 +75,9 @@ def transitions(spans: Spans, fps: int | float, overlap: int | float) -> list[tu
     return [(max(start - half, 0.0), min(start + half, last)) for _, start, _ in spans[1:]]
 
 
-def owned_seconds(timeline: Timeline, fps: int | float, frames: int, overlap: int | float) -> dict[str, dict[str, list]]:
+def owned_seconds(
+    timeline: Timeline, fps: int | float, frames: int, overlap: int | float
+) -> dict[str, dict[str, list]]:
     """For pages: the "owners" of each body part as [prompt's index or None, start, end], and the "transitions" between
     them as [start, end], in seconds."""
     owned = owners(timeline, fps, frames)

@@ -34,6 +34,7 @@ from stmc.viewing.colours import (
 _PAGE, _READ_WITHIN = "stmc-view-", 3600.0
 """Of the pages that `view` opens: how their files' names begin, and the seconds within which browsers read them."""
 
+
 def render_html(
     motion: Motion,
     timeline: Timeline | None = None,

@@ -27,7 +27,7 @@ from starlette.staticfiles import StaticFiles
 
 import stmc
 from stmc.editing import Change
-from stmc.editing.constraints import constraint_of
+from stmc.editing.constraints import Constraint, constraint_of
 from stmc.editing.constraints.reading import KINDS
 from stmc.io.untrusted import cut
 from stmc.model import Model
@@ -197,8 +197,14 @@ class Answers:
         name, kind, query = request.path_params["name"], request.path_params["kind"], request.query_params
         timeline, loop = query.get("timeline"), query.get("loop") == "1"
         shown, fps = None if timeline is None else timeline_of(read_object(timeline.encode())), _rate(query.get("fps"))
-        content = await run_in_threadpool(self.motions.exported, name, kind, shown, fps, loop)
+        content = await run_in_threadpool(self._exported, name, kind, shown, fps, loop, query.get("constraints"))
         return _attached(content, f"motion.{kind}", TYPES.get(kind, "application/octet-stream"))
+
+    def _exported(
+        self, name: str, kind: str, timeline: Timeline | None, fps: float | None, loop: bool, constraints: str | None
+    ) -> bytes:
+        demands = [] if constraints is None else self._constraints(read_object(constraints.encode()))
+        return self.motions.exported(name, kind, timeline, fps, loop, demands)
 
     async def add_job(self, request: Request) -> Response:
         """Queues what is asked for."""
@@ -271,7 +277,7 @@ class Answers:
         timeline, _ = with_suggestions(timeline_of(take(data, "timeline", dict)), self.suggest)
         stages = {"preview": (PREVIEW,), "full": (PREVIEW, Stage("full", self.steps))}
         keep, change = take(data, "keep", str, None), _few(take(data, "change", list, []), "change")
-        constraints = _few(take(data, "constraints", list, []), "constraints")
+        constraints = self._constraints(data)
         steps = take(data, "steps", str, "full")
         if steps not in stages:
             raise Refused(422, f"steps={steps}: choose from {', '.join(stages)}")
@@ -281,10 +287,14 @@ class Answers:
             stages=stages[steps],
             keep=None if keep is None else self.motions.get(keep),
             change=tuple(map(_change, change)),
-            constraints=tuple(constraint_of(_near(each), self.motions.get) for each in constraints),
+            constraints=constraints,
             clean_feet=take(data, "clean_feet", bool, True),
             tab=take(data, "tab", str, "")[:100],
         )
+
+    def _constraints(self, data: dict[str, Any]) -> tuple[Constraint, ...]:
+        entries = _few(take(data, "constraints", list, []), "constraints")
+        return tuple(constraint_of(_near(each), self.motions.get) for each in entries)
 
 
 def bundled_timelines() -> list[Timeline]:
