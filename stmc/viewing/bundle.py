@@ -43,7 +43,7 @@ def content_policy(script: str) -> str:
 
 
 @cache
-def bundle(entry: str) -> str:
+def bundle_script(entry: str) -> str:
     """A script that runs the module `entry` of the package's assets, with all the modules that it imports."""
     sources: dict[str, str] = {}
     _collect(entry, sources)
@@ -89,6 +89,6 @@ def _pairs(names: str, joint: str, swapped: bool = False) -> list[str]:
 def assemble(template: str, entry: str, styles: Sequence[str], texts: Mapping[str, str]) -> str:
     """A self-contained page: a `template` of the assets with the bundle of a module, style sheets, and texts (HTML) in
     place of each `/* name */` that it has."""
-    script, style = bundle(entry), "\n".join(map(read_asset, styles))
+    script, style = bundle_script(entry), "\n".join(map(read_asset, styles))
     known = {"script": script, "policy": content_policy(script), "style": style, **texts}
     return _PLACE.sub(lambda match: known[match[1]], read_asset(template))
