@@ -2,7 +2,6 @@ import base64
 import hashlib
 import html
 import json
-import math
 import re
 import sys
 import types
@@ -28,7 +27,6 @@ from stmc.motion.skins import PARTS, Skin, build_mannequin, skin_of
 from stmc.timeline import Timeline
 from stmc.timeline.planning import plan
 from stmc.viewing import film_strip, plot_plan, plot_timeline, render_html, view
-from stmc.viewing.camera import framing
 from stmc.viewing.colours import NEUTRAL, as_rgb, ink, owners, palette, part_colours, transitions
 
 WALK, RAISE = "walk forwards", "raise the right arm"
@@ -164,21 +162,6 @@ def test_a_face_of_the_user_s_body_belongs_to_the_part_that_moves_it(tmp_path):
     write_body(tmp_path, "smpl", weights=weights, f=faces)
     parts = [PARTS[index] for index in Skin.of_body(load_body(tmp_path)).parts]
     assert parts == [BodyPart.LEFT_ARM, BodyPart.LEFT_ARM, BodyPart.LEGS, BodyPart.HEAD]
-
-
-@pytest.mark.parametrize("seconds", [0.5, 6.0, 30.0])
-def test_the_camera_sees_every_joint_of_every_frame(seconds):
-    joints = walking(seconds=seconds).joints.numpy()
-    fov, aspect = math.radians(38), 1.9
-    position, target = framing(joints, np.array([0.0, -1.0, 0.0]), fov, aspect)
-    ahead = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    seen = (joints.reshape(-1, 3) - position) @ np.stack([right, np.cross(right, ahead), ahead]).T
-    assert seen[:, 2].min() > 0
-    across, upwards = np.abs(seen[:, :2] / seen[:, 2:]).max(axis=0) / math.tan(fov / 2)
-    assert across < aspect and upwards < 1
-    assert max(across / aspect, upwards) > 0.6  # and no farther away than it must be
 
 
 def test_the_figure_shows_every_prompt_in_its_colour_at_its_seconds_and_all_five_parts(timeline):
