@@ -9,6 +9,7 @@ import pytest
 from helpers import browser
 from helpers.motions import walking
 
+from stmc.editing.constraints import Target
 from stmc.timeline import Timeline
 from stmc.viewing import render_html
 
@@ -19,13 +20,19 @@ pytestmark = [
 ]
 
 
+NASTY = '</script><script>document.body.dataset.hurt = 1</script><img src=x onerror="document.body.dataset.hurt = 1">'
+"""A title that must not become a part of the page."""
+
+
 @pytest.fixture(scope="module")
 def tab(tmp_path_factory) -> Iterator[browser.Tab]:
-    """The page of someone who steps in place for 3 s and raises the right arm from 1 to 2 s, opened at 0.4 s."""
+    """The page of someone who steps in place for 3 s and raises the right arm from 1 to 2 s, opened at 0.4 s; the right
+    hand should have reached a place."""
     timeline = Timeline.parse("step in place # 0 # 3 # legs\nraise the right arm # 1 # 2 # right arm")
     folder = tmp_path_factory.mktemp("page")
     path = folder / "motion.html"
-    content = render_html(walking(seconds=3.0, speed=0.0, turn=0.0), timeline, title="steps", overlap=0.2)
+    motion, reach = walking(seconds=3.0, speed=0.0, turn=0.0), Target("right_hand", (-0.9, -0.2, 1.6), start=1.0)
+    content = render_html(motion, timeline, title=NASTY, overlap=0.2, constraints=[reach])
     path.write_text(content, "utf-8")
     with browser.tab(folder / "profile", 700, 760) as opened:
         opened.open(f"{path.as_uri()}#t=0.4")
@@ -45,14 +52,19 @@ class Shot(NamedTuple):
 def shots(tab) -> dict[float, Shot]:
     """What is to be seen at two moments; to the second the tracks are clicked."""
     first = settled(tab)
-    box = tab.ask("document.querySelector('.ruler').getBoundingClientRect().toJSON()")
-    tab.click(box["left"] + box["width"] * 1.5 / 3.0, box["top"] + 5)
+    scrub(tab, 1.5 / 3.0)
     tab.wait("Math.abs(document.body.dataset.time - 1.5) < 0.02")
     return {0.4: first, 1.5: settled(tab)}
 
 
+def scrub(tab: browser.Tab, share: float) -> None:
+    """Clicks the tracks at a share of the time."""
+    box = tab.ask("document.getElementById('ruler').getBoundingClientRect().toJSON()")
+    tab.click(box["left"] + box["width"] * share, box["top"] + 5)
+
+
 def settled(tab: browser.Tab) -> Shot:
-    """The page once it shows a body and stays the same for two seconds (the recording is paused; viser fades in)."""
+    """The page once it shows a body and stays the same for two seconds (it is paused)."""
     kept, since = cut(tab), time.monotonic()
     patience = since + browser.PATIENCE
     while time.monotonic() < patience:
@@ -66,7 +78,7 @@ def settled(tab: browser.Tab) -> Shot:
 
 
 def cut(tab: browser.Tab) -> Shot:
-    rows = ("#stmc-heading", "#root canvas", "#stmc-tracks")
+    rows = ("#heading", "#stage canvas", "#tracks")
     boxes = [tab.ask(f"document.querySelector('{row}').getBoundingClientRect().toJSON()") for row in rows]
     picture = tab.picture()
     return Shot(*(picture[int(box["top"]) + 1 : int(box["bottom"]) - 1] for box in boxes))
@@ -77,7 +89,13 @@ def blue(picture: np.ndarray) -> int:
 
 
 def orange(picture: np.ndarray) -> int:
-    return int(((picture[..., 0] - picture[..., 2]) > 70).sum())
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    return int(((red - blue > 70) & (green - blue > 30)).sum())
+
+
+def red(picture: np.ndarray) -> int:
+    """Pixels in the colour of constraints."""
+    return int((np.abs(picture - [229, 72, 77]).max(axis=-1) < 25).sum())
 
 
 def silhouette(picture: np.ndarray) -> np.ndarray:
@@ -87,6 +105,7 @@ def silhouette(picture: np.ndarray) -> np.ndarray:
 
 def cursor(tracks: np.ndarray) -> float:
     """Where along the tracks the dark line stands, 0 to 1."""
+    tracks = tracks[:60]
     dark = (tracks.max(axis=-1) < 70).sum(axis=0)
     painted = np.flatnonzero((tracks[..., 2] - tracks[..., 0] > 70).sum(axis=0) > 10)  # the blue bars span all seconds
     return float((dark.argmax() - painted[0]) / (painted[-1] - painted[0]))
@@ -124,10 +143,29 @@ def test_the_page_asks_the_network_for_nothing_and_throws_no_error(tab, shots):
     assert [params for method, params in tab.events if method == "Runtime.exceptionThrown"] == []
 
 
-def test_the_cursor_follows_the_recording_once_the_space_bar_plays_it_on(tab, shots):
+def test_a_title_stays_a_text(tab, shots):
+    assert tab.ask("document.title") == NASTY == tab.ask("document.querySelector('h1').textContent")
+    assert tab.ask("document.body.dataset.hurt === undefined && document.images.length === 0")
+
+
+def test_the_browser_has_nothing_to_say_of_the_page(tab, shots):
+    said = [params for method, params in tab.events if method in ("Runtime.consoleAPICalled", "Log.entryAdded")]
+    assert [each for each in said if "error" in (each.get("type"), each.get("entry", {}).get("level"))] == []
+
+
+def test_a_constraint_has_a_mark_on_the_stage_and_a_row(tab, shots):
+    assert red(shots[0.4].scene) > 20
+    assert red(shots[0.4].tracks) > 20
+    assert "target right hand" in tab.ask("document.getElementById('tracks').textContent")
+
+
+def test_the_space_bar_plays_it_on_and_pictures_are_drawn(tab, shots):
+    before = tab.ask("+document.getElementById('stage').dataset.pictures")
     for kind in ("keyDown", "keyUp"):
-        tab.call("Input.dispatchKeyEvent", type=kind, code="Space", key=" ")
+        tab.call("Input.dispatchKeyEvent", type=kind, key=" ")
     tab.wait("Math.abs(document.body.dataset.time - 1.5) > 0.1")
+    tab.wait(f"document.getElementById('stage').dataset.pictures > {before} + 2")
+    tab.wait("document.getElementById('stage').dataset.time === document.body.dataset.time")
 
 
 @pytest.fixture(scope="module")
@@ -152,21 +190,20 @@ def body_across(tab: browser.Tab) -> tuple[float, float]:
 
 def test_a_narrow_window_shows_all_of_the_page_and_the_button_decides_whether_the_camera_follows(phone):
     assert phone.ask("document.documentElement.scrollWidth") <= 390
-    pressed = "document.getElementById('stmc-follow').getAttribute('aria-pressed')"
+    pressed = "document.getElementById('follow').getAttribute('aria-pressed')"
     if phone.ask(pressed) == "true":
-        phone.ask("document.getElementById('stmc-follow').click()")
+        phone.ask("document.getElementById('follow').click()")
     stays = []
     for follows in (False, True):
         assert phone.ask(pressed) == str(follows).lower()
         places = []
         for share in (0.1, 0.9):
-            box = phone.ask("document.querySelector('.ruler').getBoundingClientRect().toJSON()")
-            phone.click(box["left"] + box["width"] * share, box["top"] + 5)
+            scrub(phone, share)
             phone.wait(f"Math.abs(document.body.dataset.time - {5 * share}) < 0.05")
             left, right = body_across(phone)
             assert -0.98 < left < right < 0.98
             places.append((left + right) / 2)
         stays.append(abs(places[1] - places[0]))
-        phone.ask("document.getElementById('stmc-follow').click()")
+        phone.ask("document.getElementById('follow').click()")
     assert stays[1] < 0.15
     assert stays[0] > 2 * stays[1]

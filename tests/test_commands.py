@@ -390,7 +390,7 @@ def test_a_misspelt_command_is_answered_with_the_nearest_as_help_lists_it(typed,
     assert capsys.readouterr().err == f"unknown command '{typed}': did you mean {meant}?\n"
 
 
-SLOW_TO_IMPORT = ("matplotlib", "roma", "scipy", "sympy", "torch._dynamo", "transformers", "trimesh", "viser")
+SLOW_TO_IMPORT = ("matplotlib", "roma", "scipy", "sympy", "torch._dynamo", "transformers", "trimesh")
 
 
 def test_help_of_sampling_imports_nothing_slow_but_torch():

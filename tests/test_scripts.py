@@ -596,6 +596,14 @@ def test_the_page_shows_the_transitions_that_were_sampled(sample, run, tmp_path)
         assert {round(4 * float(span) / 100, 2) for _, span in spans} == ({width} if width else set())
 
 
+def test_the_page_shows_the_constraints_that_were_sampled_with(sample, run, tmp_path):
+    path = tmp_path / "constraints.json"
+    path.write_text('[{"heading": {"angle": 0.5, "start": 0.5, "end": 1}}]')
+    common = ("walk # 0 # 2", f"model={run}", "steps=2", "formats=html", f"output={tmp_path}", f"constraints={path}")
+    assert sample.main([*common]) == 0
+    assert re.search(r'>heading</div><div class="row part demand"', (tmp_path / "walk_0.html").read_text())
+
+
 def test_the_record_of_a_motion_can_be_read_by_people(sampled):
     record = json.loads((sampled / "two_0000_0.json").read_text())
     assert record["seed"] == 0

@@ -408,6 +408,20 @@ def test_a_motion_can_be_taken_away_in_every_format(client):
         assert f"motion.{kind}" in answer.headers["content-disposition"]
 
 
+def test_a_page_bears_the_constraints_that_are_sent_and_a_loop_does_not(client):
+    [told] = made(sampled(client, steps="preview"))
+    path = {"path": {"points": [[0, 0], [0, -2]], "start": 0, "end": 1}}
+
+    def page(**settings) -> str:
+        sent = {"constraints": json.dumps({"constraints": [path]})} | settings
+        return client.get(f"/api/motions/{told['motion']['id']}.html", params=sent).text
+
+    assert "row part demand" in page()
+    assert "row part demand" not in page(loop="1")
+    wrong = {"constraints": json.dumps({"constraints": [{"path": {"points": [[0, 0]]}}]})}
+    assert client.get(f"/api/motions/{told['motion']['id']}.html", params=wrong).status_code == 422
+
+
 def test_a_loop_goes_without_the_timeline_whose_times_are_not_its_own(client, tmp_path):
     [told] = made(sampled(client, steps="preview"))
     files = {}

@@ -1,6 +1,7 @@
 """A survey in a real browser, answered as a rater would, and the file it saves analysed: headless Chromium."""
 
 import base64
+import io
 import json
 import time
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from helpers import browser
 from helpers.motions import walking
+from PIL import Image
 from test_study import pair
 
 from stmc.evaluation.study import Aspect, Key, Kind, Question, Survey, Vote, analyse, design, read_answers, survey_page
@@ -63,37 +65,34 @@ def press(tab: browser.Tab, key: str, text: str = "") -> None:
 def seek(tab: browser.Tab, share: float) -> None:
     """Drags the slider to a share of the time."""
     tab.ask(
-        f"(() => {{ const bar = document.getElementById('scrub'); bar.value = {share} * bar.max;"
+        f"(() => {{ const bar = document.getElementById('seek'); bar.value = {share} * bar.max;"
         " bar.dispatchEvent(new Event('input')); })()"
     )
 
 
 def settle(tab: browser.Tab, share: float) -> None:
-    """Until a paused page shows that time."""
-    tab.wait(f"Math.abs(document.body.dataset.time - {share} * document.getElementById('scrub').max) < 0.02")
+    """Until a paused page shows that time, on the stage too."""
+    tab.wait(f"Math.abs(document.body.dataset.time - {share} * document.getElementById('seek').max) < 0.02")
+    tab.wait("document.getElementById('stage').dataset.time === document.body.dataset.time")
 
 
 def pause(tab: browser.Tab) -> None:
-    if "Pause" in tab.ask("document.getElementById('play').textContent"):
+    if tab.ask("document.getElementById('play').getAttribute('aria-label')") == "Pause":
         press(tab, " ")
-        tab.wait("document.getElementById('play').textContent.includes('Play')")
+        tab.wait("document.getElementById('play').getAttribute('aria-label') === 'Play'")
 
 
 def panels(tab: browser.Tab) -> list[np.ndarray]:
-    """Both canvases as they are drawn, [height, width, 4] from 0 to 255."""
-    code = """Array.from(document.querySelectorAll('canvas'), (canvas) => {
-      const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
-      return [canvas.height, canvas.width, btoa(Array.from(data, (value) => String.fromCharCode(value)).join(''))];
-    })"""
-    return [
-        np.frombuffer(base64.b64decode(data), np.uint8).reshape(height, width, 4).astype(int)
-        for height, width, data in tab.ask(code)
-    ]
+    """Both halves of the stage as they were last drawn, [height, width, 3] from 0 to 255."""
+    code = "document.querySelector('#stage canvas').toDataURL('image/png').split(',')[1]"
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(tab.ask(code)))).convert("RGB")).astype(int)
+    half = picture.shape[1] // 2
+    return [picture[:, :half], picture[:, -half:]]
 
 
 def limbs(panel: np.ndarray) -> np.ndarray:
-    """Where arms and legs are, [height, width]: nothing else has a colour (what is hardly opaque has any)."""
-    return (np.ptp(panel[..., :3], axis=-1) > 40) & (panel[..., 3] > 200)
+    """Where arms and legs are, [height, width]: nothing else has a colour."""
+    return np.ptp(panel, axis=-1) > 40
 
 
 def question(*clips: Clip, text: str = "walk # 0 # 3") -> Question:
@@ -106,7 +105,7 @@ def test_equal_motions_give_equal_pictures_also_while_they_play(tab, tmp_path):
     seen = []
     for _ in range(4):
         left, right = panels(tab)
-        assert np.array_equal(left, right)
+        assert (np.abs(left - right).max(axis=-1) > 30).mean() < 0.002  # lines are smoothed by pairs of pixels
         assert limbs(left).sum() > 1000
         seen.append(left)
         time.sleep(0.15)
@@ -117,7 +116,7 @@ def test_both_bodies_are_wholly_to_be_seen_at_any_time_and_from_any_side(tab, tm
     runner, stretched = Clip.of(walking(3.0, speed=4.0, turn=1.5)), Clip.of(walking(3.0, speed=0.3)).stretched()
     start(tab, tmp_path, Survey("seen", (question(runner, stretched),)))
     pause(tab)
-    box = tab.ask("document.getElementById('left').getBoundingClientRect().toJSON()")
+    box = tab.ask("document.getElementById('stage').getBoundingClientRect().toJSON()")
     for share, (right, down) in (
         (0.0, (0, 0)),
         (0.4, (150, 0)),
@@ -127,13 +126,13 @@ def test_both_bodies_are_wholly_to_be_seen_at_any_time_and_from_any_side(tab, tm
     ):
         seek(tab, share)
         settle(tab, share)
-        x, y = box["left"] + box["width"] / 2, box["top"] + box["height"] / 2
+        x, y = box["left"] + box["width"] / 4, box["top"] + box["height"] / 2
         for kind, dx, dy in (("mousePressed", 0, 0), ("mouseMoved", right, down), ("mouseReleased", right, down)):
             tab.call("Input.dispatchMouseEvent", type=kind, x=x + dx, y=y + dy, button="left", buttons=1, clickCount=1)
-        time.sleep(0.3)
+        time.sleep(1.0)
         for panel in panels(tab):
             body = limbs(panel)
-            assert body.sum() > 300
+            assert body.sum() > 200
             assert not (body[:2].any() or body[-2:].any() or body[:, :2].any() or body[:, -2:].any())
 
 

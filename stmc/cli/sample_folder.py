@@ -70,7 +70,14 @@ class MotionFolder:
         with scratch(self.path / job.name) as aside:
             made = [aside / f"{job.name}.{kind}" for kind in self.formats]
             for path in made:
-                export(motion, path, job.timeline, title=job.name, unknown=unknown)
+                export(
+                    motion,
+                    path,
+                    job.timeline,
+                    title=job.name,
+                    unknown=unknown,
+                    constraints=job.request.constraints,
+                )
             digests = {path.suffix[1:]: sha256(path) for path in made}
             with held(self.path / f".{job.name}.lock", math.inf):
                 request, former = self._recorded(job.name)

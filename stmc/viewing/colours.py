@@ -75,6 +75,21 @@ def transitions(spans: Spans, fps: int | float, overlap: int | float) -> list[tu
     return [(max(start - half, 0.0), min(start + half, last)) for _, start, _ in spans[1:]]
 
 
+def owned_seconds(
+    timeline: Timeline, fps: int | float, frames: int, overlap: int | float
+) -> dict[str, dict[str, list]]:
+    """For pages: the "owners" of each body part as [prompt's index or None, start, end], and the "transitions" between
+    them as [start, end], in seconds."""
+    owned = owners(timeline, fps, frames)
+    return {
+        "owners": {part: [[who, start / fps, end / fps] for who, start, end in spans] for part, spans in owned.items()},
+        "transitions": {
+            part: [[start / fps, end / fps] for start, end in transitions(spans, fps, overlap)]
+            for part, spans in owned.items()
+        },
+    }
+
+
 def part_colours(
     timeline: Timeline | None, fps: int | float, frames: int, overlap: int | float = 0.0
 ) -> Float[np.ndarray, "frames parts 3"]:

@@ -56,7 +56,7 @@ EXPORTS: tuple[Format, ...] = (
         _save_page,
         opened_in="a browser",
         media_type="text/html",
-        options=("title", "unknown"),
+        options=("title", "unknown", "constraints"),
     ),
     _film(".webp", "a film", "slides, chats, web pages", "a film: `stmc.render_film`", media_type="image/webp"),
     _film(".gif", "a film", "slides, chats", "a film in 256 colours", media_type="image/gif"),

@@ -1,35 +1,38 @@
-"""A motion as one page to look at in a browser: viser's recording, and the timeline below it, in step with it."""
+"""A motion as one page to look at in a browser: the studio's stage, and the timeline below it, in step with it."""
 
 from __future__ import annotations
 
+import base64
 import html
-import json
 import tempfile
 import time
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
+from stmc.editing.constraints import Constraint, Pose
+from stmc.formats.glb import Animation, glb_of
+from stmc.motion.body import BodyPart
 from stmc.motion.body_model import Body
 from stmc.motion.motion import Motion
-from stmc.motion.skins import skin_of
+from stmc.motion.skins import Skin, skin_of
 from stmc.text.vocabulary import Recognition
 from stmc.timeline import Prompt, Timeline
-from stmc.viewing.colours import NEUTRAL, ink, owners, palette, part_colours, transition_seconds, transitions
-
-_ALONE = (
-    '<meta http-equiv="Content-Security-Policy" content="default-src data: blob:; '
-    "script-src 'unsafe-inline' 'unsafe-eval' blob:; style-src 'unsafe-inline'\">"
+from stmc.viewing.bundle import as_json, assemble
+from stmc.viewing.colours import (
+    NEUTRAL,
+    ink,
+    owned_seconds,
+    owners,
+    palette,
+    transition_seconds,
+    transitions,
 )
-"""Has the browser refuse whatever does not come with the page itself."""
-
 
 _PAGE, _READ_WITHIN = "stmc-view-", 3600.0
 """Of the pages that `view` opens: how their files' names begin, and the seconds within which browsers read them."""
-
-_FOLLOW = '<button id="stmc-follow" type="button" aria-pressed="false">follow</button>'
 
 
 def render_html(
@@ -39,16 +42,17 @@ def render_html(
     overlap: int | float | None = None,
     body: Body | None = None,
     unknown: Sequence[Recognition] = (),
+    constraints: Sequence[Constraint] = (),
 ) -> str:
-    """A self-contained HTML page (some 1.5 MB, and as much again for every minute) that loads nothing from anywhere and
+    """A self-contained HTML page (at most 2 MB for a minute at 20 frames a second) that loads nothing from anywhere and
     opens from a file.
 
     It plays the motion in a loop with every body part in the colour of the prompt it obeys (neutral in gaps and in the
     middle of transitions, which last `overlap` seconds; None: as long as those that the motion was sampled with), on a
-    floor with the pelvis' path. With a `timeline` (by whose name the page is called unless `title` says otherwise) it
-    shows the texts that hold, and the tracks with a cursor that can be dragged. "#t=2.5" behind the page's address
-    opens it paused at 2.5 seconds. The camera sees the whole motion in a window of any shape, or follows the body: a
-    button says which, and the page follows by itself where the body would be too small to see.
+    floor with the pelvis' path and the marks of `constraints`. With a `timeline` (by whose name the page is called
+    unless `title` says otherwise) it shows the texts that hold, and the tracks with a cursor that can be dragged.
+    "#t=2.5" behind the page's address opens it paused at 2.5 seconds. The camera follows the body; a button lets it
+    stand where it sees the whole motion.
 
     The body is a mannequin with the motion's own bones, or the mesh of `body`. Prompts that are `unknown` to the model
     (see `Model.doubtful`) bear a mark, with the nearest known ones as its tooltip.
@@ -59,25 +63,18 @@ def render_html(
         >>> "<title>A walk</title>" in html
         True
     """
-    from stmc.viewing.scene import record  # not above: viser is slow to import
-
     title = title or (timeline.name if timeline is not None else "")
     overlap = transition_seconds(motion, overlap)
-    colours = part_colours(timeline, motion.fps, motion.frames, overlap)
-    content = record(motion, skin_of(motion, body), colours)
-    assets = files("stmc") / "assets"
-    style, script = ((assets / f"page.{kind}").read_text("utf-8") for kind in ("css", "js"))
-    below = "" if timeline is None else _tracks(timeline, motion, overlap, {each.text: each.advice for each in unknown})
-    heading = f'<div id="stmc-heading"><h1>{html.escape(title)}</h1><p>{_chips(timeline)}</p>{_FOLLOW}</div>'
-    for old, new in (
-        ("<head>", f"<head>{_ALONE}"),
-        ("<title>Viser</title>", f"<title>{html.escape(title or 'motion')}</title>"),
-        ("<body>", f'<body data-duration="{motion.duration:.4f}" data-view="{html.escape(_view(motion))}">'),
-        ("</body>", f"<style>{style}</style>{heading}{below}<script>{script}</script></body>"),
-    ):
-        assert content.count(old) == 1, (old, content.count(old))  # else viser's page is not the one we know
-        content = content.replace(old, new)
-    return content
+    marks = [_mark(f"c{number}", constraint, motion) for number, constraint in enumerate(constraints)]
+    advice = {each.text: each.advice for each in unknown}
+    texts = {
+        "title": html.escape(title or "motion"),
+        "heading": html.escape(title),
+        "now": _chips(timeline),
+        "tracks": _tracks(timeline, motion, overlap, advice, marks) if timeline is not None or marks else "",
+        "motion": as_json(_data(motion, timeline, overlap, skin_of(motion, body)) | {"marks": marks}),
+    }
+    return assemble("page.html", "page.js", ("stage.css", "page.css"), texts)
 
 
 def view(
@@ -87,6 +84,7 @@ def view(
     overlap: int | float | None = None,
     body: Body | None = None,
     height: int = 640,
+    constraints: Sequence[Constraint] = (),
 ) -> None:
     """Show the page of `render_html`: below the notebook's cell (`height` pixels tall), or in the web browser.
 
@@ -94,7 +92,7 @@ def view(
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
         >>> stmc.view(motion, title="A walk")
     """
-    content = render_html(motion, timeline, title, overlap, body)
+    content = render_html(motion, timeline, title, overlap, body, (), constraints)
     if _in_notebook():
         from IPython.display import HTML, display
 
@@ -128,14 +126,32 @@ def _in_notebook() -> bool:
     return hasattr(get_ipython(), "kernel")
 
 
-def _view(motion: Motion) -> str:
-    """What the page's camera has to know: where it sees everything, and the pelvis' path over the floor, ten times a
-    second (m)."""
-    from stmc.viewing.scene import cameras  # not above: viser is slow to import
+def _data(motion: Motion, timeline: Timeline | None, overlap: int | float, skin: Skin) -> dict[str, Any]:
+    """What the page's script has to know, but for the marks."""
+    figure = glb_of(skin, {"motion": Animation(motion)}, compact=True)
+    if timeline is None:
+        owned = {"owners": {part: [[0, 0.0, motion.duration]] for part in BodyPart}, "transitions": {}}
+    else:
+        owned = owned_seconds(timeline, motion.fps, motion.frames, overlap)
+    return {
+        "figure": base64.b64encode(figure).decode("ascii"),
+        "duration": motion.duration,
+        "heading": float(motion.heading[0]),
+        "colours": palette(1 if timeline is None else len(timeline.prompts)),
+        **owned,
+    }
 
-    step = max(1, int(motion.fps / 10))
-    path = motion.translation[::step, :2].double().cpu().numpy().round(3).tolist()
-    return json.dumps({"cameras": cameras(motion), "path": path, "rate": motion.fps / step}, separators=(",", ":"))
+
+def _mark(name: str, constraint: Constraint, motion: Motion) -> dict[str, Any]:
+    """A constraint as the stage draws it: its kind and whatever it has that JSON has, too; a hold where the motion
+    holds it."""
+    kind, settled = _kind(constraint), constraint.settled(Pose.of(motion))
+    values = {key: value for key, value in vars(settled).items() if isinstance(value, int | float | str | tuple | None)}
+    return values | {"id": name, "kind": _kind(settled), "name": kind}
+
+
+def _kind(constraint: Constraint) -> str:
+    return type(constraint).__name__.lower()
 
 
 def _chips(timeline: Timeline | None) -> str:
@@ -148,8 +164,21 @@ def _chips(timeline: Timeline | None) -> str:
     )
 
 
-def _tracks(timeline: Timeline, motion: Motion, overlap: int | float, advice: Mapping[str, str]) -> str:
-    """The rows below the scene: tracks of prompts, the five body parts, seconds. `advice`: for texts that have some."""
+def _tracks(
+    timeline: Timeline | None,
+    motion: Motion,
+    overlap: int | float,
+    advice: Mapping[str, str],
+    marks: Sequence[Mapping[str, Any]],
+) -> str:
+    """The rows below the scene: tracks of prompts, the five body parts, constraints, seconds. `advice`: for texts that
+    have some."""
+    rows = [] if timeline is None else [*_prompts(timeline, motion, advice), *_parts(timeline, motion, overlap)]
+    rows += [_row(*_demand(mark, motion)) for mark in marks]
+    return f'<section id="tracks" aria-label="Timeline">{"".join(rows)}{_ruler(motion.duration)}</section>'
+
+
+def _prompts(timeline: Timeline, motion: Motion, advice: Mapping[str, str]) -> list[str]:
     colours = palette(len(timeline.prompts))
     bars: list[list[str]] = [[] for _ in timeline.tracks]
     for prompt, row, colour in zip(timeline.prompts, timeline.rows, colours, strict=True):
@@ -157,16 +186,28 @@ def _tracks(timeline: Timeline, motion: Motion, overlap: int | float, advice: Ma
         kind = "bar unknown" if prompt.text in advice else "bar"
         style = _place(prompt.start, prompt.end, motion.duration) + _paint(colour)
         bars[row].append(f'<div class="{kind}" {_while(prompt)} title="{told}" style="{style}">{text}</div>')
-    rows = [_row(f"track {row + 1}" if len(bars) > 1 else "prompts", "row", pieces) for row, pieces in enumerate(bars)]
-    rows.append('<div class="gap"></div>')
+    names = [f"track {row + 1}" if len(bars) > 1 else "prompts" for row in range(len(bars))]
+    return [*(_row(name, "row", pieces) for name, pieces in zip(names, bars, strict=True)), '<div class="gap"></div>']
+
+
+def _parts(timeline: Timeline, motion: Motion, overlap: int | float) -> Iterator[str]:
+    colours = palette(len(timeline.prompts))
     for part, spans in owners(timeline, motion.fps, motion.frames).items():
         pieces = [
             _span("span", start, end, motion, f"background:{NEUTRAL if owner is None else colours[owner]}")
             for owner, start, end in spans
         ]
         pieces += [_span("span change", start, end, motion) for start, end in transitions(spans, motion.fps, overlap)]
-        rows.append(_row(part, "row part", pieces))
-    return f'<div id="stmc-tracks">{"".join(rows)}<div id="stmc-time"></div>{_ruler(motion.duration)}</div>'
+        yield _row(part, "row part", pieces)
+
+
+def _demand(mark: Mapping[str, Any], motion: Motion) -> tuple[str, str, list[str]]:
+    """Name, class and span of a constraint's row."""
+    start = mark.get("at", mark.get("start", 0.0))
+    end = mark.get("end", start if "at" in mark else None)
+    end = motion.duration if end is None and mark["kind"] != "target" else end or start
+    name = " ".join([mark["name"], str(mark.get("joint", "")).replace("_", " ")]).strip()
+    return html.escape(name), "row part demand", [_span("span", start * motion.fps, end * motion.fps, motion)]
 
 
 def _row(name: str, kind: str, pieces: list[str]) -> str:
@@ -186,7 +227,7 @@ def _ruler(duration: int | float) -> str:
     step = next(step for step in (0.5, 1, 2, 5, 10, 20, 30, 60, 300, 1e9) if duration / step <= 16)
     ticks = (tick * step for tick in range(int(duration / step) + 1))
     marks = "".join(f'<b style="left:{100 * tick / duration:.3f}%">{tick:g}</b>' for tick in ticks)
-    return f'<div class="row ruler">{marks}<div id="stmc-cursor"></div></div>'
+    return f'<div></div><div class="row" id="ruler">{marks}</div><div id="cursor"></div>'
 
 
 def _place(start: int | float, end: int | float, duration: int | float) -> str:

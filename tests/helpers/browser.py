@@ -55,7 +55,7 @@ class Tab:
             time.sleep(0.1)
 
     def open(self, address: str) -> None:
-        for domain in ("Page", "Runtime", "Network"):
+        for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
         self.call("Page.navigate", url=address)
 

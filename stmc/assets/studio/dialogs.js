@@ -4,6 +4,7 @@ import * as server from "./server.js";
 import { button, fill, find, make, say } from "./dom.js";
 import { HELP } from "./keys.js";
 import { timelineOf } from "./state.js";
+import { argued } from "./work.js";
 
 const FRAME_RATES = [20, 24, 25, 30, 50, 60, 120];
 
@@ -96,6 +97,7 @@ export function openExport(studio) {
     const settings = { fps: find("export-fps").value, timeline: JSON.stringify(timelineOf(studio.present())) };
     const loop = find("export-loop").checked;
     if (loop) settings.loop = "1";
+    if (extension === "html") settings.constraints = JSON.stringify({ constraints: studio.present().constraints.map(argued) });
     await working(find("export-motion"), async () =>
       download(await server.motionFile(sample.motion.id, extension, settings), `${fileName(name)}${loop ? "_loop" : ""}.${extension}`),
     formats.find((format) => format.name === extension).drawn ? "Drawing the film, some four pictures a second…" : "Writing the file…");

@@ -32,6 +32,13 @@ export function icon(name) {
 export const button = (text, onclick, attributes = {}, name = null) =>
   make("button", { type: "button", onclick, ...attributes }, name && icon(name), text && make("span", {}, text));
 
+// The colours of the room, as the page's style has them.
+export function roomStyle() {
+  const style = getComputedStyle(document.documentElement);
+  const value = (name) => style.getPropertyValue(name).trim();
+  return { room: value("--room"), line: value("--floor"), way: value("--way"), shadow: Number(value("--shadow")) };
+}
+
 // Children of `parent`, one for each item, kept by key: made by `create(item)`, brought up to date by `update(element, item)`.
 export function keyed(parent, items, keyOf, create, update) {
   const old = new Map([...parent.children].map((child) => [child.dataset.key, child]));

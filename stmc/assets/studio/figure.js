@@ -1,4 +1,4 @@
-// A person of a .glb file: the skinned figure, its animation, and the way of its pelvis over the floor. Knows no timeline.
+// A person of a .glb file: the skinned figure, its animations, and the way of its pelvis over the floor. Knows no timeline.
 
 import { AnimationMixer, DoubleSide, Group, Mesh, MeshBasicMaterial, SRGBColorSpace, Vector3 } from "./vendor/three.module.min.js";
 import { GLTFLoader } from "./vendor/GLTFLoader.js";
@@ -6,12 +6,15 @@ import { ribbon } from "./marks.js";
 
 const loader = new GLTFLoader();
 const SWAY = 0.35; // seconds over which the followed way is smoothed
+const FLESH = 0.24; // metres by which the body is larger than its joints: the skull, the hands
+const LOOKS = 60; // poses by which the size of a motion is measured
+
+// Of a file that stands in a page as base64.
+export const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
 
 export async function figureOf(bytes) {
   const file = await loader.parseAsync(bytes, "");
-  const [clip] = file.animations;
   const mixer = new AnimationMixer(file.scene);
-  mixer.clipAction(clip).play();
   const materials = new Map(); // body part → material
   const joints = new Map(); // name → bone
   file.scene.traverse((node) => {
@@ -21,16 +24,25 @@ export async function figureOf(bytes) {
     node.frustumCulled = false; // the bounds of a skinned mesh are those of its rest pose
     materials.set(node.material.name, node.material);
   });
-  const places = clip.tracks.find(({ name }) => name.endsWith("pelvis.position"));
   const group = new Group();
-  group.add(file.scene);
-  const way = wayOf(places);
-  group.add(way);
+  const way = new Mesh(ribbon([], 0, 0), new MeshBasicMaterial({ transparent: true, opacity: 0.6, side: DoubleSide, depthWrite: false }));
+  group.add(file.scene, way);
+  let clip = null;
+  let places = null; // of the pelvis
 
-  return {
+  const figure = {
     group,
     joints,
-    duration: clip.duration,
+    // Which of the file's animations plays.
+    choose(name) {
+      clip = file.animations.find((each) => each.name === name);
+      places = clip.tracks.find((track) => track.name.endsWith("pelvis.position"));
+      figure.duration = clip.duration;
+      mixer.stopAllAction(); // what another animation has scaled is as it was again
+      mixer.clipAction(clip).play();
+      way.geometry.dispose();
+      way.geometry = ribbon(wayOf(places), 0.018, 0.006);
+    },
     pose(time) {
       mixer.setTime(Math.min(Math.max(time, 0), Math.max(clip.duration - 1e-4, 0)));
     },
@@ -38,10 +50,13 @@ export async function figureOf(bytes) {
       for (const [part, material] of materials) material.color.setRGB(...colourOf(part), SRGBColorSpace);
     },
     paintWay(colour) {
-      way.material.color.set(colour);
+      way.visible = Boolean(colour);
+      if (colour) way.material.color.set(colour);
     },
     // Where the camera looks at a time: the pelvis without its swaying.
     followed: (time) => smoothed(places, time),
+    // The ball around the body at all times: about where it is followed, or about the middle of its way.
+    bounds: (follows) => ballOf(figure, follows ? null : middleOf(places)),
     dispose() {
       group.traverse((node) => {
         node.geometry?.dispose();
@@ -49,13 +64,44 @@ export async function figureOf(bytes) {
       });
     },
   };
+  figure.choose(file.animations[0].name);
+  return figure;
 }
 
 function wayOf({ values }) {
   const points = [];
   for (let at = 0; at < values.length; at += 3) points.push([values[at], values[at + 2]]);
-  const material = new MeshBasicMaterial({ transparent: true, opacity: 0.6, side: DoubleSide, depthWrite: false });
-  return new Mesh(ribbon(points, 0.018, 0.006), material);
+  return points;
+}
+
+function middleOf(places) {
+  const [low, high] = [new Vector3(Infinity, 0, Infinity), new Vector3(-Infinity, 0, -Infinity)];
+  for (const [x, z] of wayOf(places)) {
+    low.min(new Vector3(x, 0, z));
+    high.max(new Vector3(x, 0, z));
+  }
+  return low.add(high).multiplyScalar(0.5);
+}
+
+function ballOf(figure, middle) {
+  const points = []; // [place beside the middle, flesh around]
+  let [low, high] = [Infinity, -Infinity];
+  for (let look = 0; look <= LOOKS; look++) {
+    const time = (figure.duration * look) / LOOKS;
+    figure.pose(time);
+    figure.group.updateMatrixWorld(true);
+    const centre = middle ?? figure.followed(time);
+    for (const bone of figure.joints.values()) {
+      const place = bone.getWorldPosition(new Vector3());
+      const flesh = FLESH * bone.getWorldScale(new Vector3()).x;
+      low = Math.min(low, place.y - flesh);
+      high = Math.max(high, place.y + flesh);
+      points.push([place.sub(centre), flesh]);
+    }
+  }
+  const height = (low + high) / 2;
+  const away = ({ x, y, z }) => Math.hypot(x, y - height, z);
+  return { middle, height, radius: Math.max(...points.map(([place, flesh]) => away(place) + flesh)) };
 }
 
 function smoothed({ times, values }, time) {

@@ -1,7 +1,7 @@
 // Puts the page together: the bar above, the player, the stage's samples, and what belongs to the page as a whole.
 
 import * as server from "./server.js";
-import { find, say, tell, watch } from "./dom.js";
+import { find, roomStyle, say, tell, watch } from "./dom.js";
 import { colourOf, partColour } from "./colours.js";
 import { askConflict, openExport, openHelp, openOpen } from "./dialogs.js";
 import { createConstraintPanel } from "./constraint_panel.js";
@@ -13,6 +13,7 @@ import { createShown } from "./shown.js";
 import { createStage } from "./stage.js";
 import { createStudio } from "./studio.js";
 import { createTracks } from "./tracks.js";
+import { createTransport } from "./transport.js";
 import { createWork } from "./work.js";
 import { listenToKeys } from "./keys.js";
 import { documentOfTimeline, rounded, trackCount } from "./state.js";
@@ -46,19 +47,8 @@ function moved(id, point, finished) {
 }
 
 // ---- time ---------------------------------------------------------------------------------------------------------------
-player.listen((time, playing) => {
-  stage.at(time);
-  find("time").textContent = `${clock(time)} / ${clock(studio.duration())} s`;
-  find("seek").max = studio.duration();
-  find("seek").value = time;
-  const play = find("play");
-  if (play.dataset.playing === String(playing)) return;
-  play.dataset.playing = String(playing);
-  play.setAttribute("aria-label", playing ? "Pause" : "Play");
-  play.querySelector("use").setAttribute("href", playing ? "#icon-pause" : "#icon-play");
-});
-find("seek").oninput = ({ target }) => player.seek(target.valueAsNumber);
-find("play").onclick = () => player.play();
+player.listen(stage.at);
+const transport = createTransport(player, studio.duration);
 // The first motion that is made plays once by itself; never into an edit, and not for those who want no motion.
 let played = matchMedia("(prefers-reduced-motion: reduce)").matches;
 watch(store, ({ samples }) => [samples], ({ samples, job, quality, draft, editing, history }) => {
@@ -66,11 +56,6 @@ watch(store, ({ samples }) => [samples], ({ samples, job, quality, draft, editin
   played = true;
   if (!draft && !editing && history.gesture === null) player.play(true);
 });
-find("speed").onchange = ({ target }) => (player.speed = Number(target.value));
-find("loop").onclick = ({ currentTarget }) => {
-  player.loops = !player.loops;
-  currentTarget.setAttribute("aria-pressed", String(player.loops));
-};
 
 // ---- the stage's own buttons --------------------------------------------------------------------------------------------
 let follows = true;
@@ -168,8 +153,7 @@ watch(store, ({ history, saved }) => [history, saved], ({ history, saved }) => {
   find("saved").textContent = SAVED[saved];
   find("saved").dataset.state = saved;
   document.title = `${history.present.name} – stmc studio`;
-  find("seek").max = studio.duration();
-  find("time").textContent = `${clock(player.time())} / ${clock(studio.duration())} s`;
+  transport.show();
 });
 
 // ---- panels' tabs -------------------------------------------------------------------------------------------------------
@@ -203,9 +187,7 @@ function wear(theme) {
   find("theme").setAttribute("aria-label", `Colours: ${theme}`);
   find("theme").title = `Colours: ${theme}`;
   find("theme").querySelector("use").setAttribute("href", `#icon-${theme}`);
-  const style = getComputedStyle(document.documentElement);
-  const value = (name) => style.getPropertyValue(name).trim();
-  stage.theme({ room: value("--room"), line: value("--floor"), way: value("--way"), shadow: Number(value("--shadow")) });
+  stage.theme(roomStyle());
 }
 function recalledTheme() {
   try {

@@ -5,6 +5,7 @@ export function createPlayer(durationOf) {
   let time = 0;
   let playing = false;
   let before = null;
+  let rested = 0; // seconds at the end
   const tell = () => listeners.forEach((listener) => listener(time, playing));
 
   function tick(now) {
@@ -13,12 +14,11 @@ export function createPlayer(durationOf) {
     before = now;
     time += passed * player.speed;
     if (time >= durationOf()) {
-      if (player.loops) time = 0;
-      else {
-        time = durationOf();
-        playing = false;
-      }
-    }
+      time = durationOf();
+      rested += passed;
+      if (!player.loops) playing = false;
+      else if (rested >= player.rest) time = 0;
+    } else rested = 0;
     tell();
     requestAnimationFrame(tick);
   }
@@ -26,6 +26,7 @@ export function createPlayer(durationOf) {
   const player = {
     speed: 1,
     loops: true,
+    rest: 0, // seconds for which the last frame stands before it begins again
     time: () => time,
     playing: () => playing,
     listen: (listener) => listeners.push(listener),

@@ -2,7 +2,7 @@
 // and the stage; knows no jobs.
 
 import * as server from "./server.js";
-import { button, find, keyed, make, say, watch } from "./dom.js";
+import { button, find, keyed, make, roomStyle, say, watch } from "./dom.js";
 import { figureOf } from "./figure.js";
 
 const MOST_KEPT = 24; // figures' files, in memory
@@ -41,8 +41,7 @@ export function createShown(studio, stage) {
     for (const [id, figure] of figures) if (!next.has(id)) figure.dispose();
     figures = next;
     stage.show(samples.filter(({ motion }) => next.has(motion.id)).map(({ key, motion }) => ({ key, figure: next.get(motion.id) })), chosen);
-    const style = getComputedStyle(document.documentElement);
-    for (const figure of next.values()) figure.paintWay(style.getPropertyValue("--way").trim());
+    for (const figure of next.values()) figure.paintWay(roomStyle().way);
     label();
     find("stage").setAttribute("aria-busy", "false");
     document.body.dataset.shown = samples.map(({ motion }) => motion.id).join(" ");

@@ -9,10 +9,15 @@ import { OrbitControls } from "./vendor/OrbitControls.js";
 import { createMarks } from "./marks.js";
 
 const HEIGHT = 0.9; // metres above the floor that the camera looks at
+const SIDE = [2.6, 1.0, 4.2]; // metres from there to the camera
+const ROOM = 1.02; // of the picture for what is within bounds
+const FARTHEST = 40; // metres
+const fovOf = (width, height) => (width < height ? 40 : 32); // degrees
 const FLOOR = new Plane(new Vector3(0, 1, 0), 0);
 
-// `tell`: {drawn(points), moved(id, point, finished), chosen(id)}, what the hand does in the room.
-export function createStage(host, tell) {
+// `tell`: {drawn(points), moved(id, point, finished), chosen(id)}, what the hand does in the room; null: nothing but to
+// turn the camera.
+export function createStage(host, tell = null) {
   const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
   const renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
   renderer.shadowMap.enabled = true;
@@ -26,10 +31,12 @@ export function createStage(host, tell) {
   camera.position.set(2.6, 1.9, 4.2);
   const controls = new OrbitControls(camera, renderer.domElement);
   controls.target.set(0, HEIGHT, 0);
+  let bounds = null; // {middle, height, radius} that the camera has in its picture, else it stands near a person
+  let turn = 0; // radians about the upright axis by which the camera's first side is another one
   controls.enableDamping = !calm;
   controls.maxPolarAngle = 0.495 * Math.PI;
   controls.minDistance = 1.2;
-  controls.maxDistance = 40;
+  controls.maxDistance = FARTHEST;
   const light = lit(scene);
   const floor = floorOf(scene);
   const marks = createMarks(scene);
@@ -43,11 +50,13 @@ export function createStage(host, tell) {
   let last = null; // where the followed figure was
   let tool = null; // {kind, points, …} while a hand draws or drags
   let drawing = false;
+  let pictures = 0; // drawn so far
 
   const invalidate = () => (stale = true);
   controls.addEventListener("change", invalidate);
   new ResizeObserver(() => {
     renderer.setSize(host.clientWidth, host.clientHeight, false);
+    if (bounds) fit(camera.position.clone().sub(controls.target));
     invalidate();
   }).observe(host);
 
@@ -95,6 +104,7 @@ export function createStage(host, tell) {
     renderer.setScissorTest(true);
     cells().forEach((cell, index) => renderView(cell, index));
     host.dataset.time = time.toFixed(3);
+    host.dataset.pictures = ++pictures;
   }
 
   function renderView({ x, y, width, height }, index) {
@@ -105,7 +115,7 @@ export function createStage(host, tell) {
     const here = figures[index]?.figure.followed(time) ?? new Vector3();
     const shift = follows && last ? here.clone().sub(last) : new Vector3();
     camera.aspect = width / height;
-    camera.fov = width < height ? 40 : 32;
+    camera.fov = fovOf(width, height);
     camera.updateProjectionMatrix();
     camera.position.add(shift);
     camera.updateMatrixWorld();
@@ -132,7 +142,7 @@ export function createStage(host, tell) {
   }
 
   function down(event) {
-    if (event.button) return;
+    if (event.button || !tell) return;
     if (drawing) {
       tool = { kind: "path", points: [] };
     } else {
@@ -178,9 +188,22 @@ export function createStage(host, tell) {
   for (const end of ["pointerup", "pointercancel"]) renderer.domElement.addEventListener(end, up);
 
   function reset() {
+    fit(new Vector3(...SIDE).applyAxisAngle(new Vector3(0, 1, 0), turn));
+  }
+
+  // The camera `away` from where it looks, and as far as it takes to see all of the bounds in any view.
+  function fit(away) {
     const here = figures[main]?.figure.followed(time) ?? new Vector3();
-    controls.target.set(here.x, HEIGHT, here.z);
-    camera.position.set(here.x + 2.6, 1.9, here.z + 4.2);
+    const { x, z } = bounds?.middle ?? here;
+    controls.target.set(x, bounds?.height ?? HEIGHT, z);
+    if (bounds) {
+      const { width, height } = cells()[0];
+      const half = (fovOf(width, height) * Math.PI) / 360;
+      const across = Math.atan(Math.tan(half) * (width / height || 1));
+      away.setLength((ROOM * bounds.radius) / Math.sin(Math.min(half, across)));
+    }
+    controls.maxDistance = Math.max(FARTHEST, away.length());
+    camera.position.copy(controls.target).add(away);
     last = here;
     invalidate();
   }
@@ -211,6 +234,11 @@ export function createStage(host, tell) {
     follow(on) {
       follows = on;
       if (on) reset();
+    },
+    // What the camera has in its picture from now on (null: a person from near), and from which side at first.
+    aim(next, side = turn) {
+      [bounds, turn] = [next, side];
+      reset();
     },
     draw(on) {
       drawing = on;
@@ -277,8 +305,8 @@ function floorOf(scene) {
         #include <colorspace_fragment>
       }`,
   });
-  const grid = new Mesh(new PlaneGeometry(24, 24), lines);
-  const shade = new Mesh(new PlaneGeometry(24, 24), new ShadowMaterial({ opacity: 0.22 }));
+  const grid = new Mesh(new PlaneGeometry(18, 18), lines);
+  const shade = new Mesh(new PlaneGeometry(6, 6), new ShadowMaterial({ opacity: 0.22 })); // as far as shadows reach
   shade.receiveShadow = true;
   for (const plane of [grid, shade]) {
     plane.rotation.x = -Math.PI / 2;

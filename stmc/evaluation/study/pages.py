@@ -1,37 +1,79 @@
-"""A survey as one page that loads nothing from anywhere and holds no answer. Looks and player are in assets/study.*."""
+"""A survey as one page that loads nothing from anywhere and holds no answer. Looks and script are in assets/study.*."""
 
 from __future__ import annotations
 
-import json
-from importlib.resources import files
+import base64
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
-from stmc.evaluation.study.clips import TREE
+import numpy as np
+from jaxtyping import Float
+
+from stmc.evaluation.study.clips import Clip
 from stmc.evaluation.study.surveys import Question, Survey
+from stmc.formats.glb import glb_of
+from stmc.motion.body import JOINTS
+from stmc.motion.body_model import Skeleton
+from stmc.motion.skins import Skin, build_mannequin
+from stmc.viewing.bundle import as_json, assemble
+from stmc.viewing.colours import as_rgb
 
-_ASSETS = ("study.html", "study.css", "study_stage.js", "study.js")
+SIDES = {"left": "#6f95c4", "right": "#cf9a62", "": "#b0b6c0"}
+"""The colours of the person's left and right limbs, and of the rest; the page's legend has them, too."""
+_SAME = 1e-3
+"""Metres by which a bone of one body may differ."""
 
 
 def survey_page(survey: Survey) -> str:
-    """A self-contained HTML page (some 50 kB for each ten seconds of a motion): both motions in step, the timeline with
-    a bar that moves along it, two questions a pair, answers as a file to download.
+    """A self-contained HTML page (some 1.5 MB, and 50 kB for each ten seconds of a motion): both motions in step, the
+    timeline with a bar that moves along it, two questions a pair, answers as a file to download.
 
     It keeps the answers in the browser as they are given, so that a closed tab loses nothing.
     """
-    content, style, *scripts = ((files("stmc") / "assets" / name).read_text("utf-8") for name in _ASSETS)
-    data = {"survey": survey.id, "tree": TREE, "questions": [_asked(question) for question in survey.questions]}
-    embedded = json.dumps(data, separators=(",", ":")).replace("<", r"\u003c")
-    for mark, text in (("/* style */", style), ("/* script */", "\n".join(scripts)), ("/* survey */", embedded)):
-        assert content.count(mark) == 1, mark
-        content = content.replace(mark, text)
-    return content
+    clips = {name: clip for question in survey.questions for name, clip in question.sides}
+    bodies = _bodies(clips)
+    data = {
+        "survey": survey.id,
+        "figures": [base64.b64encode(_figure(skeleton, clips, names)).decode("ascii") for skeleton, names in bodies],
+        "questions": [_asked(question, [names for _, names in bodies]) for question in survey.questions],
+    }
+    return assemble("study.html", "study.js", ("stage.css", "study.css"), {"survey": as_json(data)})
 
 
-def _asked(question: Question) -> dict:
+def _asked(question: Question, figures: Sequence[Collection[str]]) -> dict[str, Any]:
     timeline = question.timeline
     prompts = [
         {"text": prompt.text, "start": prompt.start, "end": prompt.end, "row": row}
         for prompt, row in zip(timeline.prompts, timeline.rows, strict=True)
     ]
-    clips = [{"id": name} | clip.data() for name, clip in question.sides]
+    numbers = {name: number for number, names in enumerate(figures) for name in names}
+    clips = [{"id": name, "figure": numbers[name]} for name, _ in question.sides]
     duration = max(timeline.duration, *(clip.duration for _, clip in question.sides))
     return {"id": question.id, "duration": duration, "prompts": prompts, "clips": clips}
+
+
+def _bodies(clips: Mapping[str, Clip]) -> list[tuple[Skeleton, list[str]]]:
+    """The bodies of all clips, each once, with the names of those that it moves in: bones are equal to a millimetre."""
+    bodies: list[tuple[Skeleton, list[str]]] = []
+    for name, clip in clips.items():
+        own = Skeleton.measured(clip.motion.rotations, clip.motion.joints)
+        for skeleton, names in bodies:
+            if (own.offsets - skeleton.offsets).abs().max() < _SAME:
+                names.append(name)
+                break
+        else:
+            bodies.append((own, [name]))
+    return bodies
+
+
+def _figure(body: Skeleton, clips: Mapping[str, Clip], names: Sequence[str]) -> bytes:
+    """A mannequin with some clips as its animations; its left and right limbs differ in colour."""
+    skin = build_mannequin(body)
+    return glb_of(skin, {name: clips[name].animation for name in names}, tints=_tints(skin), compact=True)
+
+
+def _tints(skin: Skin) -> Float[np.ndarray, "vertices 3"]:
+    """Linear colours of the vertices by the side of the joint that carries them most."""
+    sides = [name.partition("_")[0] if "_" in name else "" for name in JOINTS]
+    colours = np.stack([as_rgb(SIDES[side]) ** 2.2 for side in sides])
+    return colours[skin.weights.argmax(axis=1)]

@@ -16,7 +16,7 @@ from stmc.motion.body import BodyPart
 from stmc.run.suggestions import Suggest, with_suggestions
 from stmc.text.vocabulary import Recognition, Suggestion
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
-from stmc.viewing.colours import owners, transitions
+from stmc.viewing.colours import owned_seconds
 from stmc.viewing.studio.refusals import Refused, take, take_texts
 
 MOST_SECONDS = 300
@@ -125,7 +125,7 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any
         "prompts": prompts,
         "rows": len(timeline.tracks),
         "duration": timeline.duration,
-        **_owned(timeline, model.fps, model.own_sampling.overlap or 0.0),
+        **owned_seconds(timeline, model.fps, timeline.frames(model.fps), model.own_sampling.overlap or 0.0),
         "warnings": list(dict.fromkeys(str(each.message) for each in caught)),
     }
 
@@ -138,15 +138,6 @@ def _described(prompt: Prompt, row: int, suggestion: Suggestion | None, doubt: R
         "advice": _advice(doubt),
         "row": row,
     }
-
-
-def _owned(timeline: Timeline, fps: float | int, overlap: float | int) -> dict[str, Any]:
-    owned: dict[str, list] = {}
-    changes: dict[str, list] = {}
-    for part, spans in owners(timeline, fps, timeline.frames(fps)).items():
-        owned[part] = [[owner, start / fps, end / fps] for owner, start, end in spans]
-        changes[part] = [[start / fps, end / fps] for start, end in transitions(spans, fps, overlap)]
-    return {"owners": owned, "transitions": changes}
 
 
 def _advice(recognition: Recognition | None) -> dict[str, Any] | None:

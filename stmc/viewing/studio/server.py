@@ -26,7 +26,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 import stmc
-from stmc.editing.constraints import KINDS
+from stmc.editing.constraints import KINDS, Constraint, constraint_of
 from stmc.editing.generate_request import GenerateRequest
 from stmc.formats import READABLE
 from stmc.io.untrusted import shown
@@ -201,8 +201,14 @@ class Answers:
         name, kind, query = request.path_params["name"], request.path_params["kind"], request.query_params
         timeline, loop = query.get("timeline"), query.get("loop") == "1"
         shown, fps = None if timeline is None else timeline_of(read_object(timeline.encode())), _rate(query.get("fps"))
-        content = await run_in_threadpool(self.motions.exported, name, kind, shown, fps, loop)
+        content = await run_in_threadpool(self._exported, name, kind, shown, fps, loop, query.get("constraints"))
         return _attached(content, f"motion.{kind}", TYPES[kind])
+
+    def _exported(
+        self, name: str, kind: str, timeline: Timeline | None, fps: float | None, loop: bool, constraints: str | None
+    ) -> bytes:
+        demands = [] if constraints is None else self._constraints(read_object(constraints.encode()))
+        return self.motions.exported(name, kind, timeline, fps, loop, demands)
 
     async def add_job(self, request: Request) -> Response:
         """Queues what is asked for."""
@@ -289,6 +295,10 @@ class Answers:
         if steps not in stages:
             raise Refused(422, f"steps={shown(steps)}: choose from {', '.join(stages)}")
         return stages[steps]
+
+    def _constraints(self, data: dict[str, Any]) -> tuple[Constraint, ...]:
+        entries = _bounded("constraints", take(data, "constraints", list, []))
+        return tuple(constraint_of(each, self.motions.get) for each in entries)
 
 
 def bundled_timelines() -> list[Timeline]:

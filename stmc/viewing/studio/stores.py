@@ -10,12 +10,13 @@ import re
 import secrets
 import tempfile
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock, Semaphore
 from typing import Any
 
+from stmc.editing.constraints import Constraint
 from stmc.formats import READABLE, read, write
 from stmc.io.bounds import BoundsError, check_metres
 from stmc.io.files import locked, remove_leftovers, write_text
@@ -144,8 +145,17 @@ class Motions:
         _check_bounds(motion)
         return self.add(motion)
 
-    def exported(self, name: str, kind: str, timeline: Timeline | None, fps: float | int | None, loop: bool) -> bytes:
-        """A motion as a file of one of `EXPORTS`; a loop goes without the timeline, whose times are not the loop's.
+    def exported(
+        self,
+        name: str,
+        kind: str,
+        timeline: Timeline | None,
+        fps: float | int | None,
+        loop: bool,
+        constraints: Sequence[Constraint] = (),
+    ) -> bytes:
+        """A motion as a file of one of `EXPORTS`; a loop goes without the timeline and the constraints, whose times are
+        not the loop's.
 
         Raises `Refused` for other formats, for one that needs what is not installed, and for what cannot be a loop, be
         brought to that frame rate, or be written in that format."""
@@ -155,11 +165,11 @@ class Motions:
         motion = self.get(name)
         try:
             if loop:
-                motion, timeline = looped(motion), None
+                motion, timeline, constraints = looped(motion), None, ()
             if f".{kind}" in FILMS:
                 return self._film_of(_at_rate(motion, fps), kind, timeline)
             with self._heavy:
-                return _file_of(_at_rate(motion, fps), kind, timeline)
+                return _file_of(_at_rate(motion, fps), kind, timeline, constraints)
         except Refused:
             raise
         except (ValueError, OverflowError) as error:
@@ -212,11 +222,12 @@ def _check_bounds(motion: Motion) -> None:
         raise Refused(422, str(error)) from None
 
 
-def _file_of(motion: Motion, kind: str, timeline: Timeline | None) -> bytes:
+def _file_of(motion: Motion, kind: str, timeline: Timeline | None, constraints: Sequence[Constraint] = ()) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"motion.{kind}"
         try:
-            export(motion, path, timeline, title=timeline.name if timeline else "motion")
+            title = timeline.name if timeline else "motion"
+            export(motion, path, timeline, title=title, constraints=constraints)
         except ModuleNotFoundError as error:
             raise Refused(501, str(error)) from None
         return path.read_bytes()
