@@ -17,7 +17,6 @@ from typing import get_args
 
 import torch
 from omegaconf import DictConfig
-from PIL import Image
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -34,6 +33,7 @@ from stmc.evaluation.benchmarks.novelty import success_by_distance
 from stmc.evaluation.benchmarks.questions import QUESTIONS, rates
 from stmc.evaluation.metrics.retrieval import cosines, ranks
 from stmc.evaluators import Evaluator
+from stmc.io.extras import require
 from stmc.io.files import write_text, write_whole
 from stmc.model import Precision
 from stmc.motion.kinematics import foot_sliding, hand_step
@@ -42,7 +42,6 @@ from stmc.motion.representation import Representation, SmplRepresentation
 from stmc.settings.records import SettingError, setting
 from stmc.text import MiniLM
 from stmc.timeline import Prompt, Timeline
-from stmc.viewing import film_strip
 
 WINDOW = 4.0
 """Seconds of a cyclic clip that are asked at once, and of a cyclic content that are sampled."""
@@ -86,6 +85,7 @@ class Settings(OnModel):
 def main(config: DictConfig) -> None:
     if config.texts:
         return calibrate(config) if config.recorded else ask_texts(config)
+    require("matplotlib", "PIL")
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
     cache, results, console = read_caches(list(config.cache)), {}, Console()
     evaluator = stmc.load_evaluator(config.evaluator, device=config.device)
@@ -165,10 +165,12 @@ def plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:
 
 def draw(path: Path, motions: Mapping[str, Motion]) -> None:
     """Film strips of some motions, one below the other, each under its name."""
+    from PIL import Image  # not above: it comes with an extra
+
     strips = []
     for name, motion in motions.items():
         drawn = BytesIO()
-        film_strip(motion, title=name).savefig(drawn, format="png", dpi=60)
+        stmc.film_strip(motion, title=name).savefig(drawn, format="png", dpi=60)
         strips.append(Image.open(drawn))
     page = Image.new("RGB", (max(strip.width for strip in strips), sum(strip.height for strip in strips)), "white")
     top = 0

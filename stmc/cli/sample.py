@@ -33,6 +33,7 @@ from stmc.cli.shared_settings import OnModel, Sharded
 from stmc.composing import METHODS, find_method
 from stmc.composing.sampling import INDEPENDENT, Sampling
 from stmc.diffusion.tensors import found_device
+from stmc.io.extras import require
 from stmc.io.filenames import distinct, name_of_texts
 from stmc.io.files import held, probe, remove_leftovers, scratch, sha256, write_text
 from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
@@ -42,7 +43,7 @@ from stmc.settings.records import SettingError, about, record_of, setting, shown
 from stmc.settings.shards import Incomplete, Shard, listed
 from stmc.text.vocabulary import Recognition
 from stmc.timeline import UnknownPromptWarning, advise
-from stmc.viewing.film_formats import FILMS, ffmpeg
+from stmc.viewing.film_formats import FILMS, REQUIRED
 
 FORMATS = ("npz", "bvh", "html")
 """Those that are written if nobody says which."""
@@ -152,11 +153,8 @@ def check(config: DictConfig) -> None:
     if not config.formats:
         raise SettingError(f"formats=[]: choose from {', '.join(CHOICES)}")
     found_device(config.device)
-    if "mp4" in config.formats:
-        try:
-            ffmpeg()
-        except ModuleNotFoundError as error:
-            raise SettingError(f"formats=mp4: {error}") from None
+    for kind in config.formats:
+        require(*REQUIRED.get(kind, ()))
     beside(config)  # what cannot be read fails now
 
 

@@ -25,12 +25,10 @@ from rich.console import Console
 import stmc
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel, Threaded
+from stmc.io.extras import require
 from stmc.io.files import locked, probe
 from stmc.model import Precision
 from stmc.settings.records import SettingError, setting
-from stmc.viewing.studio import Sessions, application
-from stmc.viewing.studio.connections import server_of
-from stmc.viewing.studio.stores import private_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +47,9 @@ class Settings(OnModel, Threaded):
 
 @command("studio", Settings)
 def main(config: DictConfig) -> None:
+    require("starlette", "uvicorn")
+    from stmc.viewing.studio.stores import private_folder  # not above: the studio comes with an extra
+
     folder = Path(config.folder).expanduser()
     probe(private_folder(folder))
     with locked(folder), listen(config.port) as listening:
@@ -57,6 +58,9 @@ def main(config: DictConfig) -> None:
 
 def serve(config: DictConfig, folder: Path, listening: socket.socket) -> None:
     """The studio, until it is ended."""
+    from stmc.viewing.studio import Sessions, application
+    from stmc.viewing.studio.connections import server_of
+
     console = Console(soft_wrap=True, highlight=False)
     sessions, port = Sessions(), listening.getsockname()[1]
     with console.status("loading the model"):

@@ -1,15 +1,7 @@
-"""The files that hold a film, and the package that writes videos; quick to import, unlike what draws."""
-
-from importlib import import_module
-from types import ModuleType
+"""The files that hold a film or a page, and the packages that write them; quick to import, unlike these."""
 
 FILMS = (".webp", ".gif", ".mp4")
 
-
-def ffmpeg() -> ModuleType:
-    """What writes videos. Raises `ModuleNotFoundError` that says how to come by it."""
-    try:
-        return import_module("imageio_ffmpeg")
-    except ModuleNotFoundError as error:
-        message = "videos need imageio-ffmpeg: pip install 'stmc[film]'; .webp does without"
-        raise ModuleNotFoundError(message, name="imageio_ffmpeg") from error
+REQUIRED = {"html": ("viser",), "webp": ("matplotlib", "PIL"), "gif": ("matplotlib", "PIL")}
+REQUIRED["mp4"] = (*REQUIRED["webp"], "imageio_ffmpeg")
+"""Modules that a format needs beside the library's own dependencies."""

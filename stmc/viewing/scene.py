@@ -11,13 +11,16 @@ import numpy as np
 import rich
 import roma
 import torch
-import viser
 from jaxtyping import Float
 
+from stmc.io.extras import named_extra
 from stmc.motion.body import BodyPart
 from stmc.motion.motion import Motion
 from stmc.motion.skins import PARTS, Skin
 from stmc.viewing.camera import framing
+
+with named_extra():
+    import viser
 
 FOV = math.radians(38.0)
 ASPECTS = (0.35, 0.5, 0.7, 1.0, 1.4, 1.9, 2.6)
