@@ -20,7 +20,7 @@ import stmc
 from stmc.cli.arguments import quoted, read
 from stmc.cli.commands import Command
 from stmc.cli.dispatch import program, scripts
-from stmc.cli.exit_codes import EXTRAS, MOST, explained, guarded
+from stmc.cli.exit_codes import MOST, explained, guarded
 from stmc.editing.generate_request import GenerateRequest
 from stmc.settings.records import about, defaults
 
@@ -403,13 +403,7 @@ def test_help_of_sampling_imports_nothing_slow_but_torch():
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_help_needs_no_extra_and_speaks_of_no_file_that_a_wheel_lacks(name, monkeypatch, capsys):
-    for extra in EXTRAS:
-        for module in [each for each in sys.modules if each.partition(".")[0] == extra]:
-            monkeypatch.delitem(sys.modules, module)
-        monkeypatch.setitem(sys.modules, extra, None)
-    for module in ("stmc.training.loop", "stmc.training.device"):
-        monkeypatch.delitem(sys.modules, module, raising=False)
+def test_help_speaks_of_no_file_that_a_wheel_lacks(name, capsys):
     assert loaded(name).main(["--help"]) == 0
     told = capsys.readouterr().out
     assert "scripts/" not in told

@@ -24,6 +24,7 @@ from stmc.evaluation.benchmarks import Benchmark, Compositions, resampling
 from stmc.evaluation.metrics.matching_metrics import matching_score, r_precision
 from stmc.evaluation.results import Result, ResultError, comparison_table, sweep_table
 from stmc.evaluation.results.composition_charts import jerk_curves, trade_off
+from stmc.evaluation.results.length_charts import length_chart
 from stmc.motion.motion import Motion
 from stmc.motion.representation import SmplRepresentation
 
@@ -392,7 +393,7 @@ def test_times_are_ratios_on_a_cpu_and_the_straight_lines_go_through_the_longest
     assert [row["relative_time"] for row in rows] == pytest.approx([1, 6, 60] * 2)
     assert not any("seconds" in row for row in rows)
     assert json.loads(json.dumps(rows)) == rows
-    times, memory = script.drawn(rows).axes
+    times, memory = length_chart(rows).axes
     flow, straight = times.lines[:2]
     assert np.allclose(flow.get_ydata(), straight.get_ydata())
     assert memory.lines[2].get_ydata()[-1] == pytest.approx(1200e6 / 2**20, rel=1e-6)

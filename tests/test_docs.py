@@ -167,6 +167,32 @@ def test_every_method_is_described_with_its_plan_drawn():
     assert drawn == {path.stem for path in DOCS.glob("figures/*.png")}
 
 
+EXTENDING = {
+    page: dict(re.findall(r"^\| (read|edit, [^|]+) \| (\d+ \|[^|\n]*) \|$", text(page), flags=re.MULTILINE))
+    for page in sorted((DOCS / "extending").glob("*.md"))
+    if "| | count | places |" in text(page)
+}
+"""Pages that count what a new part takes: for each row its count and its places."""
+
+
+@pytest.mark.parametrize("page", EXTENDING, ids=name)
+def test_a_page_on_extending_counts_the_places_that_it_lists_as_the_index_does(page):
+    for row in EXTENDING[page].values():
+        count, places = row.split(" |")
+        listed = [place for place in places.split(";") if place.strip()]
+        assert int(count) in (len(listed), 0), row
+    counts = [EXTENDING[page][row].split(" |")[0] for row in ("read", "edit, here")]
+    [line] = re.findall(rf"^\| \[[^|]*\]\({page.name}\) \|.*$", text(DOCS / "extending/index.md"), re.MULTILINE)
+    assert [cell.strip() for cell in line.strip("| ").split("|")][-2:] == counts
+
+
+def test_a_page_on_extending_is_short_and_has_an_example_that_is_run():
+    assert len(EXTENDING) >= 9
+    assert [page.name for page in EXTENDING if not blocks(page, "python")] == []
+    long = {page.name for page in EXTENDING if len(text(page).splitlines()) > 60}
+    assert long <= {"data.md", "denoiser.md", "rule.md"}  # tutorials, two of them notebooks
+
+
 def test_the_table_of_commands_has_every_command_once():
     rows = re.findall(r"^\| `stmc (\w+)", text(DOCS / "commands.md"), flags=re.MULTILINE)
     assert sorted(SHORT.get(row, row) for row in rows) == sorted(scripts())

@@ -4,6 +4,7 @@ import errno
 import multiprocessing
 import os
 import signal
+import socket
 import stat
 import subprocess
 import sys
@@ -14,6 +15,9 @@ from safetensors.torch import save_file
 
 from stmc.io import files
 from stmc.io.files import LOCK, FolderInUse, locked, remove_leftovers, write_text, write_whole, write_whole_folder
+
+if os.name != "nt":
+    import fcntl
 
 HOLD = """
 import sys
@@ -162,27 +166,53 @@ def test_the_end_of_a_run_gives_its_folder_back_whatever_ends_it(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows removes no open file")
 def test_a_lock_that_was_removed_while_another_opened_it_locks_nothing(tmp_path, monkeypatch):
     """Between the opening of a lock and its locking its owner can go away, and take the name with it."""
-    ask, opened = files._ask_for_lock, []
+    flock, locks = fcntl.flock, []
 
-    def late(file):
-        if not opened:
+    def late(descriptor, operation):
+        if not locks:
             (tmp_path / LOCK).unlink()
-        opened.append(file)
-        ask(file)
+        locks.append(descriptor)
+        flock(descriptor, operation)
 
-    monkeypatch.setattr(files, "_ask_for_lock", late)
-    with locked(tmp_path):
-        assert len(opened) == 2
+    monkeypatch.setattr(fcntl, "flock", late)
+    with locked(tmp_path, patience=5):
+        assert len(locks) == 2
         with pytest.raises(FolderInUse), locked(tmp_path):
             pass
 
 
-def test_a_file_system_without_locks_is_a_warning(tmp_path, monkeypatch, caplog):
-    def none(file):
-        raise OSError(errno.ENOLCK, "No locks available")
+@pytest.mark.skipif(os.name == "nt", reason="POSIX locks")
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_a_warning(tmp_path, monkeypatch, caplog, code):
+    def flock(descriptor, operation):
+        raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(files, "_ask_for_lock", none)
+    monkeypatch.setattr(fcntl, "flock", flock)
     with locked(tmp_path):
         assert "this file system has no locks" in caplog.text
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_owner_with_a_shorter_name_than_the_last_one_is_named_whole(tmp_path):
+    (tmp_path / LOCK).write_bytes(b" process 1234567890 on host of-a-machine-with-a-name-without-end.example\n")
+    with locked(tmp_path):
+        message = rf"written by process {os.getpid()} on host {socket.gethostname()}; wait"
+        with pytest.raises(FolderInUse, match=message), locked(tmp_path):
+            pass
+
+
+def test_a_lock_file_that_cannot_be_opened_is_an_error_and_no_file_system_without_locks(tmp_path):
+    (tmp_path / LOCK).mkdir()
+    with pytest.raises(OSError, match="lock"), locked(tmp_path):
+        pass
+
+
+def test_a_process_is_alive_until_it_has_ended():
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    assert files._is_alive(process.pid, "0" * 8)
+    process.communicate(b"\n")
+    assert not files._is_alive(process.pid, "0" * 8)
+    assert not files._is_alive(10**30, "0" * 8)

@@ -37,7 +37,7 @@ def test_a_folder_of_one_s_own_is_prepared_trained_sampled_and_evaluated(origin,
     run("prepare", "data=mine", "trusted=[mylab]", f"source={write_recordings(tmp_path / 'recordings')}", "workers=1")
     assert (tmp_path / "cache/mine").is_dir()
     run("train", "data=mine", "denoiser=tiny", "trusted=[mylab]", "run=runs/tiny", "+data.dataset.min_clips=1", *QUICK)
-    model, method = ("model=runs/tiny", "trusted=[mylab]"), "mylab.rules.plain"
+    model, method = ("model=runs/tiny", "trusted=[mylab]"), "mylab.methods.resampled"
     run("sample", "walk # 0 # 2", "outputs/", *model, f"method={method}", "steps=2", "formats=npz", "device=cpu")
     assert stmc.read(tmp_path / "outputs/walk_0.npz").duration == 2
     settings = ("experiment=mine", "benchmark=reach", "models.MDM-SMPL=runs/tiny", "trusted=[mylab]", "seeds=[0]")

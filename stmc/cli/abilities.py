@@ -21,11 +21,11 @@ from stmc.data.cache import Cache, read_caches
 from stmc.diffusion import NoiseScale
 from stmc.evaluation.benchmarks.ability import abilities
 from stmc.evaluation.metrics.action_measures import mean_speed
+from stmc.io.extras import require
 from stmc.io.files import write_text, write_whole
 from stmc.model import Precision
 from stmc.motion import kinematics
 from stmc.settings.records import setting
-from stmc.viewing import film_strip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +45,7 @@ class Settings(OnModel):
 
 @command("abilities", Settings, ("model", "output"))
 def main(config: DictConfig) -> None:
+    require("matplotlib")
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
     folder.mkdir(parents=True, exist_ok=True)
     results = {}
@@ -62,7 +63,7 @@ def main(config: DictConfig) -> None:
                     clean_feet=False,
                 )
                 results.setdefault(ability.name, {})[scale] = measured(ability, motions)
-                figure = partial(film_strip(motions[0], ability.timeline).savefig, format="png", dpi=80)
+                figure = partial(stmc.film_strip(motions[0], ability.timeline).savefig, format="png", dpi=80)
                 write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)
                 progress.advance(task)
     if config.cache:

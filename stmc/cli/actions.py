@@ -18,7 +18,6 @@ from typing import get_args
 
 import torch
 from omegaconf import DictConfig
-from PIL import Image
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -36,6 +35,7 @@ from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror
 from stmc.evaluation.benchmarks.questions import QUESTIONS, rates
 from stmc.evaluation.metrics.retrieval import cosines, ranks
 from stmc.evaluators import Evaluator
+from stmc.io.extras import require
 from stmc.io.files import write_text, write_whole
 from stmc.model import Precision
 from stmc.motion.kinematics import foot_sliding, hand_step
@@ -45,7 +45,6 @@ from stmc.run import calibrate
 from stmc.settings.records import SettingError, setting
 from stmc.text.vocabulary import Trial
 from stmc.timeline import Prompt, Timeline
-from stmc.viewing import film_strip
 
 WINDOW = 4.0
 """Seconds of a cyclic clip that are asked at once, and of a cyclic content that are sampled."""
@@ -87,6 +86,7 @@ def main(config: DictConfig) -> None:
         return calibrate_warnings(config)
     if config.texts:
         return calibrate_checks(config) if config.recorded else ask_texts(config)
+    require("matplotlib", "PIL")
     model, folder = loaded(config), Path(config.output)
     cache, results, trials, console = read_caches(list(config.cache)), {}, {}, Console()
     evaluator = stmc.load_evaluator(config.evaluator, device=config.device)
@@ -209,10 +209,12 @@ def plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:
 
 def draw(path: Path, motions: Mapping[str, Motion]) -> None:
     """Film strips of some motions, one below the other, each under its name."""
+    from PIL import Image  # not above: it comes with an extra
+
     strips = []
     for name, motion in motions.items():
         drawn = BytesIO()
-        film_strip(motion, title=name).savefig(drawn, format="png", dpi=60)
+        stmc.film_strip(motion, title=name).savefig(drawn, format="png", dpi=60)
         strips.append(Image.open(drawn))
     page = Image.new("RGB", (max(strip.width for strip in strips), sum(strip.height for strip in strips)), "white")
     top = 0

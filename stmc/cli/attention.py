@@ -24,7 +24,6 @@ import stmc
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnDevice, Threaded
 from stmc.denoisers import recorded_attention
-from stmc.evaluation.results.composition_charts import attention_curves
 from stmc.io.files import write_whole
 from stmc.settings.records import SettingError, setting
 
@@ -52,6 +51,8 @@ class Settings(OnDevice, Threaded):
 
 @command("attention", Settings, ("model", "output"))
 def main(config: DictConfig) -> None:
+    from stmc.evaluation.results.composition_charts import attention_curves  # not above: it comes with an extra
+
     console, folder = Console(), Path(config.output).expanduser()
     model = stmc.load(config.model, device=config.device)
     scores, frame = recorded(model, config, console)

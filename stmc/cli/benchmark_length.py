@@ -16,10 +16,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
-import psutil
 import torch
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import track
@@ -28,12 +25,9 @@ from rich.table import Table
 import stmc
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnDevice, Threaded
-from stmc.evaluation.results.chart_axes import DASHED, dress, grid, legend
 from stmc.evaluation.results.naming import method_row
 from stmc.io.files import write_text, write_whole
-from stmc.settings.records import setting
-from stmc.viewing.colours import palette
-from stmc.viewing.timeline_figure import INK
+from stmc.settings.records import SettingError, setting
 
 MEBIBYTE = 2**20
 TEXTS = ("walk forwards", "turn left", "wave with the right hand", "run", "raise both arms", "turn right")
@@ -66,6 +60,8 @@ class Settings(OnDevice, Threaded):
 
 @command("benchmark_length", Settings)
 def main(config: DictConfig) -> None:
+    from stmc.evaluation.results.length_charts import length_chart  # not above: it comes with an extra
+
     jobs = [(run.method, run.model, seconds) for run in config.runs for seconds in sorted(config.seconds)]
     settings = OmegaConf.to_container(config, resolve=True)
     console = Console()
@@ -77,7 +73,7 @@ def main(config: DictConfig) -> None:
     console.print(table(rows))
     folder = Path(config.output).expanduser()
     write_text(folder / "length.json", json.dumps(rows, indent=1) + "\n")
-    write_whole(folder / "length.png", lambda path: drawn(rows).savefig(path, dpi=150, format="png"))
+    write_whole(folder / "length.png", lambda path: length_chart(rows).savefig(path, dpi=150, format="png"))
     console.print(f"{folder / 'length.png'}, {folder / 'length.json'}")
 
 
@@ -116,7 +112,7 @@ def peak(device: torch.device) -> int:
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
     if sys.platform == "win32":
-        return psutil.Process().memory_info().peak_wset
+        raise SettingError("device=cpu: memory is measured on Linux and macOS alone; choose device=cuda")
     import resource  # not on Windows
 
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -149,37 +145,3 @@ def table(rows: list[dict]) -> Table:
             method_row(row["method"]).label, f"{row['length']:g} s", f"{row['relative_time']:.2f}", seconds, *memory
         )
     return table
-
-
-def drawn(rows: list[dict]) -> Figure:
-    """Time and memory of sampling against the length, a line per run; dashed, straight lines through the origin and the
-    longest, which on these logarithmic axes all have slope one."""
-    plot, panels = grid(2, wide=4.4, tall=3.2)
-    timed = all("seconds" in row for row in rows)
-    draw(panels[0], rows, "seconds" if timed else "relative_time", 1)
-    draw(panels[1], rows, "sampling_bytes", MEBIBYTE)
-    for axes, label in zip(panels, ("seconds" if timed else "time / shortest", "memory of sampling, MiB"), strict=True):
-        axes.set_ylabel(label, color=INK, fontsize=9)
-    legend(plot, panels)
-    return plot
-
-
-def draw(axes: Axes, rows: list[dict], key: str, unit: int) -> None:
-    """One panel. What is not above 0 (memory that loading had needed already) is left out."""
-    runs = list(dict.fromkeys((row["method"], row["model"]) for row in rows))
-    for colour, run in zip(palette(len(runs)), runs, strict=True):
-        own = [row for row in rows if (row["method"], row["model"]) == run and row[key] > 0]
-        lengths, values = [row["length"] for row in own], [row[key] / unit for row in own]
-        named = [other for other, _ in runs].count(run[0]) > 1
-        label = f"{method_row(run[0]).label}, {Path(run[1] or 'bundled').name}" if named else method_row(run[0]).label
-        axes.plot(lengths, values, color=colour, marker="o", markersize=4, linewidth=1.6, label=label)
-        if own:
-            straight = [values[-1] / lengths[-1] * length for length in lengths]
-            axes.plot(lengths, straight, zorder=1, label="straight line", **DASHED)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    lengths = sorted({row["length"] for row in rows})
-    axes.set_xticks(lengths, [f"{length / 60:g} min" if length >= 60 else f"{length:g} s" for length in lengths])
-    axes.minorticks_off()
-    axes.set_xlabel("length of the timeline", color=INK, fontsize=9)
-    dress(axes, "both")

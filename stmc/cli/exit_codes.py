@@ -22,14 +22,13 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from yaml import YAMLError
 
 from stmc.cli.config_folder import PACKAGE
+from stmc.io.extras import missing_extra
 
 USAGE, STOPPED, ENDED = 2, 130, 143
 """Exit codes: what the user got wrong, Ctrl-C, and a request to end (SIGTERM)."""
 _COMPOSERS = tuple(Path(package.__file__).resolve().parent for package in (hydra, omegaconf))
 MOST = 380
 """Characters of a message."""
-EXTRAS = {"accelerate": "train", "tensorboard": "train", "smplx": "smpl"}
-"""Packages that only some commands need, and the extra that installs each."""
 
 
 def guarded(run: Callable[[], object]) -> int:
@@ -59,9 +58,8 @@ def explained(error: BaseException) -> str | None:
     """What a user should read of an error, in one line; None where it is a bug."""
     if isinstance(error, HydraException) and error.__cause__ is not None:
         return explained(error.__cause__)
-    if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in EXTRAS:
-        package = error.name.partition(".")[0]
-        return f"this needs {package}: pip install 'stmc[{EXTRAS[package]}]'"
+    if (message := missing_extra(error)) is not None:
+        return message
     if isinstance(error, HydraException) and "'hydra/launcher/submitit" in str(error):
         return "this needs hydra-submitit-launcher: pip install 'stmc[slurm]'"
     if isinstance(error, (ConfigAttributeError, ConfigKeyError)) and "not in struct" in str(error):

@@ -24,12 +24,10 @@ from rich.console import Console
 import stmc
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel, Threaded
+from stmc.io.extras import require
 from stmc.io.files import locked, probe
 from stmc.model import Precision
 from stmc.settings.records import SettingError, setting
-from stmc.viewing.studio import Sessions, application
-from stmc.viewing.studio.connections import server_of
-from stmc.viewing.studio.stores import private_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +46,9 @@ class Settings(OnModel, Threaded):
 
 @command("studio", Settings, takes_record=True)
 def main(settings: Settings) -> None:
+    require("starlette", "uvicorn")
+    from stmc.viewing.studio.stores import private_folder  # not above: the studio comes with an extra
+
     folder = Path(settings.folder).expanduser()
     probe(private_folder(folder))
     with locked(folder), listen(settings.port) as listening:
@@ -56,6 +57,9 @@ def main(settings: Settings) -> None:
 
 def serve(settings: Settings, folder: Path, listening: socket.socket) -> None:
     """The studio, until it is ended."""
+    from stmc.viewing.studio import Sessions, application
+    from stmc.viewing.studio.connections import server_of
+
     console = Console(soft_wrap=True, highlight=False)
     sessions, port = Sessions(), listening.getsockname()[1]
     with console.status("loading the model"):

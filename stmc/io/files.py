@@ -8,24 +8,19 @@ from __future__ import annotations
 import errno
 import hashlib
 import logging
+import math
 import os
 import re
 import secrets
 import shutil
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
-
-import psutil
 
 if os.name == "nt":
-    import msvcrt
-else:
-    import fcntl
+    import _winapi
 
 logger = logging.getLogger(__name__)
 
@@ -35,7 +30,10 @@ LOCK = ".lock"
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _TOKEN = secrets.token_hex(4)  # a container that is started again gives the same number to another process
 _TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-([0-9a-f]{8})-\d+\.tmp")
-_LOCKED_BYTE = 2**30  # far behind what is written: on Windows a locked byte cannot be read by others
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
+"""Errors of a file system that has no locks."""
+_SYNCHRONIZE, _RUNS = 0x00100000, 0x102
+"""On Windows: the right to wait for a process, and the answer about one that runs."""
 _FULL = 2**20
 _PAUSE = 0.2
 
@@ -157,72 +155,65 @@ def locked(folder: Path, patience: float | int = 0.0) -> Iterator[None]:
 
 @contextmanager
 def held(path: Path, patience: float | int = 0.0) -> Iterator[None]:
-    """Keeps every other process from whatever the lock file `path` stands for; makes its folder. Raises as `locked`."""
+    """Keep every other process from whatever the lock file `path` stands for; make its folder. Raises as `locked`."""
+    from filelock import FileLock, Timeout  # not above: it is slow to import
+
     path.parent.mkdir(parents=True, exist_ok=True)
-    file = _lock_within(path, patience)
+    wait = -1 if math.isinf(patience) else patience
+    lock = FileLock(path, timeout=wait, poll_interval=_PAUSE, thread_local=False, fallback_to_soft=False)
     try:
-        file.truncate(0)
-        file.write(f"process {os.getpid()} on host {socket.gethostname()}".encode())
-        file.flush()
+        lock.acquire()
+    except Timeout:
+        message = f"{path.parent} is being written by {_owner(path)}; wait for its end, or choose another folder"
+        raise FolderInUse(message) from None
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        logger.warning("%s: two runs at once would not be noticed, this file system has no locks", path.parent)
+        logger.debug("the lock", exc_info=error)
+    try:
+        _sign(path)
         yield
     finally:
-        if os.name == "nt":  # where nobody can remove an open file
-            file.close()
-        with suppress(OSError):
+        with suppress(OSError):  # on Windows nobody can remove an open file, and the lock's release removes it
             path.unlink()
-        file.close()
+        lock.release()
 
 
-def _lock_within(path: Path, patience: float | int) -> BinaryIO:
-    last = time.monotonic() + patience
-    while True:
-        try:
-            return _lock(path)
-        except FolderInUse:
-            if time.monotonic() >= last:
-                raise
-            time.sleep(_PAUSE)
+def _sign(path: Path) -> None:
+    """Write the owner into a lock file. The first byte stays free: on Windows others cannot read a locked byte."""
+    with path.open("r+b", buffering=0) as file:
+        file.seek(1)
+        file.write(f"process {os.getpid()} on host {socket.gethostname()}\n".encode())
 
 
-def _lock(path: Path) -> BinaryIO:
-    """The lock file, opened and locked."""
-    while True:
-        file = path.open("ab+")
-        try:
-            _ask_for_lock(file)
-        except (BlockingIOError, PermissionError) as error:
-            with file:
-                file.seek(0)
-                owner = file.read(200).decode(errors="replace") or "another process"
-            raise FolderInUse(
-                f"{path.parent} is being written by {owner}; wait for its end, or choose another folder"
-            ) from error
-        except OSError as error:
-            logger.warning("%s: two runs at once would not be noticed, this file system has no locks", path.parent)
-            logger.debug("the lock", exc_info=error)
-            return file
-        if os.name == "nt" or _is_at(file, path):
-            return file
-        file.close()  # its owner removed it in the meantime
-
-
-def _ask_for_lock(file: BinaryIO) -> None:
-    if os.name == "nt":
-        file.seek(_LOCKED_BYTE)
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _is_at(file: BinaryIO, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except FileNotFoundError:
-        return False
+def _owner(path: Path) -> str:
+    """Return the owner that a lock file names, or "another process" if it names none."""
+    with suppress(OSError), path.open("rb", buffering=0) as file:
+        file.seek(1)
+        return file.read(200).decode(errors="replace").partition("\n")[0] or "another process"
+    return "another process"  # its owner removed it in the meantime
 
 
 def _is_alive(process: int, token: str) -> bool:
-    return token == _TOKEN if process == os.getpid() else psutil.pid_exists(process)
+    return token == _TOKEN if process == os.getpid() else _exists(process)
+
+
+def _exists(process: int) -> bool:
+    """Whether a process of this machine runs."""
+    try:
+        if os.name != "nt":
+            os.kill(process, 0)
+            return True
+        handle = _winapi.OpenProcess(_SYNCHRONIZE, False, process)  # os.kill would end the process here
+        try:
+            return _winapi.WaitForSingleObject(handle, 0) == _RUNS
+        finally:
+            _winapi.CloseHandle(handle)
+    except PermissionError:  # somebody else's
+        return True
+    except (OSError, OverflowError):
+        return False
 
 
 def _is_full(error: Exception, folder: Path) -> bool:

@@ -22,6 +22,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from stmc.io.arrays import ArraysError, read_npz, read_pickle
+from stmc.io.extras import named_extra
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.motion.geometry import axis_angle_to_matrix, forward_kinematics, local_bones
 
@@ -148,7 +149,8 @@ class Body:
         self, rotations: Float[Tensor, "frames 22 3 3"], translation: Float[Tensor, "frames 3"]
     ) -> list[trimesh.Trimesh]:
         """The mesh of every frame, z up, in metres: trimesh writes each as `.obj`, `.ply`, `.glb` and more."""
-        import trimesh  # not above: it is slow to import
+        with named_extra():
+            import trimesh  # not above: it is slow to import
 
         faces = self.faces.cpu().numpy()
         posed = self.vertices(rotations, translation).double().cpu().numpy()
@@ -174,10 +176,8 @@ class Body:
 
 def _smplx() -> ModuleType:
     """What poses bodies: only they need it."""
-    try:
+    with named_extra():
         return import_module("smplx.lbs")
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("bodies need smplx: pip install 'stmc[smpl]'", name="smplx") from error
 
 
 def load_body(

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
+from stmc.io.extras import missing_extra
 from stmc.run.configs import PARTIAL, TARGET, RunError, brief
 from stmc.settings.records import SettingError, check_value, shown
 
@@ -145,7 +146,7 @@ def _module(name: str, place: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name is not None and f"{name}.".startswith(f"{error.name}."):
             return None
-        raise RunError(f"{place}: {name} cannot be imported: {brief(error)}") from error
+        raise RunError(f"{place}: {name} cannot be imported: {missing_extra(error) or brief(error)}") from error
     except Exception as error:  # a module may raise whatever it likes
         raise RunError(f"{place}: {name} cannot be imported: {brief(error)}") from error
 

@@ -7,6 +7,8 @@ is imported when it is first used: a command's help needs none of it.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from stmc.io.extras import named_extra
+
 if TYPE_CHECKING:  # for editors and the reference
     from stmc.viewing.film import render_film
     from stmc.viewing.plan_figure import plot_plan
@@ -23,4 +25,5 @@ __all__ = ["film_strip", "html_frame", "plot_plan", "plot_timeline", "render_fil
 def __getattr__(name: str) -> Any:
     if name not in _LATER:
         raise AttributeError(f"module 'stmc.viewing' has no attribute {name!r}")
-    return getattr(import_module(f"stmc.viewing.{_LATER[name]}"), name)
+    with named_extra():
+        return getattr(import_module(f"stmc.viewing.{_LATER[name]}"), name)

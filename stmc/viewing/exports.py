@@ -7,24 +7,14 @@ from __future__ import annotations
 
 import tempfile
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import IO, Any
 
 from stmc.formats import FORMATS, Format, format_of, write_as
+from stmc.io.extras import require
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
-
-
-def ffmpeg() -> ModuleType:
-    """The package that writes videos. Raises `ModuleNotFoundError` that says how to install it."""
-    try:
-        return import_module("imageio_ffmpeg")
-    except ModuleNotFoundError as error:
-        message = "videos need imageio-ffmpeg: pip install 'stmc[film]'; .webp does without"
-        raise ModuleNotFoundError(message, name="imageio_ffmpeg") from error
 
 
 def _save_page(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None, **options: Any) -> None:
@@ -42,8 +32,9 @@ def _save_film(suffix: str, motion: Motion, file: IO[bytes], skeleton: Skeleton,
         file.write(path.read_bytes())
 
 
-def _film(suffix: str, title: str, used_by: str, holds: str, **more: Any) -> Format:
-    return Format(suffix, title, used_by, holds, partial(_save_film, suffix), drawn=True, **more)
+def _film(suffix: str, title: str, used_by: str, holds: str, *needs: str, **more: Any) -> Format:
+    check = partial(require, "matplotlib", "PIL", *needs)
+    return Format(suffix, title, used_by, holds, partial(_save_film, suffix), drawn=True, check=check, **more)
 
 
 EXPORTS: tuple[Format, ...] = (
@@ -65,8 +56,8 @@ EXPORTS: tuple[Format, ...] = (
         "a video",
         "slides, players",
         "a film; needs `pip install 'stmc[film]'`",
+        "imageio_ffmpeg",
         media_type="video/mp4",
-        check=ffmpeg,
     ),
 )
 """The formats of `stmc sample` and of the studio."""

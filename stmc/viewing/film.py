@@ -11,12 +11,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from stmc.io.extras import named_extra
 from stmc.io.files import write_whole
 from stmc.motion.body_model import Body
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 from stmc.viewing.colours import ink, palette, part_colours, transition_seconds
-from stmc.viewing.exports import FILMS, ffmpeg
+from stmc.viewing.exports import FILMS
 from stmc.viewing.strip import Stage
 
 _SIZE, _DPI = (4.8, 5.6), 100
@@ -105,10 +106,12 @@ def _animation(motion: Motion, pictures: Iterator[np.ndarray], path: Path) -> Ca
 
 
 def _video(motion: Motion, pictures: Iterator[np.ndarray]) -> Callable[[Path], None]:
-    library, size = ffmpeg(), tuple(round(side * _DPI) for side in _SIZE)
+    with named_extra():
+        import imageio_ffmpeg  # not above: videos alone need it
+    size = tuple(round(side * _DPI) for side in _SIZE)
 
     def fill(temporary: Path) -> None:
-        writer = library.write_frames(
+        writer = imageio_ffmpeg.write_frames(
             str(temporary), size, fps=motion.fps, macro_block_size=2, output_params=["-f", "mp4", "-y"], quality=7
         )
         writer.send(None)

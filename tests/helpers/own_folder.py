@@ -13,56 +13,18 @@ import stmc
 
 PAGES = ROOT / "docs" / "extending"
 
-RULES = '''
-def plain(plan):
-    """The plan as it is."""
-    return plan
-'''
-
-BENCH = '''
-from stmc.evaluation.benchmarks import Scores
-from stmc.timeline import Timeline
-
-
-class Reach:
-    """How far the pelvis goes, as if it were a share of something."""
-
-    joints_from = "skeleton"
-
-    def __init__(self, evaluator, seconds):
-        self.seconds = seconds
-
-    def timelines(self, method):
-        return [Timeline.parse(f"walk # 0 # {self.seconds}")]
-
-    def measured(self, method, motions, seed):
-        return Scores({"recall_1": float(sum(motion.translation[-1, 0] for motion in motions))})
-
-    def real(self, seed):
-        raise NotImplementedError
-'''
-
-FILES = {
-    "rules.py": RULES,
-    "bench.py": BENCH,
-    "configs/benchmark/reach.yaml": "_target_: mylab.bench.Reach\n_partial_: true\nseconds: 1\n",
-    "configs/experiment/mine.yaml": (
-        "defaults: [base, _self_]\nname: mine\nmethods: [stmc, mylab.rules.plain]\n"
-        "table: {_target_: stmc.evaluation.results.sweep_table, _partial_: true, varied: [method]}\n"
-    ),
-}
-"""What no page has in full."""
-
 
 def write_package(folder: Path) -> Path:
     """`mylab`: a data set, a network, a method, a benchmark, and their configurations."""
     package = folder / "mylab"
-    printed = blocks("data.md", "py") | blocks("data.md", "yaml") | blocks("denoiser.md", "yaml")
+    pages = [("data.md", "py"), ("data.md", "yaml"), ("denoiser.md", "yaml"), ("method.md", "python")]
+    pages += [("benchmark.md", "python"), ("benchmark.md", "yaml")]
+    printed = {name: text for each in pages for name, text in blocks(*each).items()}
     [network] = [
         text for text in re.findall(r"^```python\n(.*?)^```$", page("denoiser.md"), re.S | re.M) if "class Tiny" in text
     ]
     printed["nets.py"] = network.partition("\n\ntiny = ")[0] + "\n"
-    for name, text in (printed | FILES | {"__init__.py": ""}).items():
+    for name, text in (printed | {"__init__.py": ""}).items():
         (package / name).parent.mkdir(parents=True, exist_ok=True)
         (package / name).write_text(text, encoding="utf-8")
     return package

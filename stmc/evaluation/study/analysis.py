@@ -5,12 +5,10 @@ Knows answers and the key; knows no motion (STMC, section 4.2, "Perceptual study
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from statistics import NormalDist
 from typing import Any
 
 from stmc.evaluation.study.answers import NO_PREFERENCE, Answers
@@ -143,12 +141,10 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a share of `count` in `total` (1927): it stays within 0 and 1, also for few."""
     if not 0 <= count <= total or not total:
         raise ValueError(f"{count} of {total} is not a share")
-    z = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
-    share = count / total
-    centre = share + z * z / (2 * total)
-    half = z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-    low, high = ((centre + sign * half) / (1 + z * z / total) for sign in (-1, 1))
-    return max(low, 0.0), min(high, 1.0)
+    from scipy.stats import binomtest  # not above: it is slow to import
+
+    interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def _failures(key: Key, answers: Answers) -> list[str]:
