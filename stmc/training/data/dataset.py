@@ -147,7 +147,7 @@ class Dataset:
         if not self.described[clip]:
             return NULL
         places, cumulated = self.choices[self.clips[clip].texts]
-        return int(places[min(np.searchsorted(cumulated, u, side="right"), len(places) - 1)])
+        return int(places[min(int(np.searchsorted(cumulated, u, side="right")), len(places) - 1)])
 
     def sentences_of(self, clips: np.ndarray, u: np.ndarray) -> np.ndarray:
         """The place of a sentence of each clip, chosen as `sentence` does."""
