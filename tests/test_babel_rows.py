@@ -23,8 +23,10 @@ from stmc.data.sources.babel.composition_references import babel_references
 from stmc.motion.body_model import Skeleton
 from stmc.motion.representation import BabelRepresentation
 from stmc.run import load
-from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.batches import ClipBatches
 from stmc.training.data.dataset import NULL, Dataset
+from stmc.training.data.pair_batches import PairBatches
+from stmc.training.data.recorded_rows import RecordedRows
 
 REPRESENTATION = BabelRepresentation()
 WALK, SIT, RISE, LEAD = "walk", "sit", "rise", "transition"
@@ -246,7 +248,7 @@ def several(folder, rows: int = 7) -> Cache:
 
 def batches(cache: Cache, encoder=None, **settings) -> ClipBatches:
     dataset = Dataset(cache, encoder or OneWord(), REPRESENTATION.layout, min_clips=0)
-    return ClipBatches(dataset, "train", Sampling(order="rows", pool=1, pieces=1, **settings))
+    return ClipBatches(dataset, "train", RecordedRows(**settings))
 
 
 def test_a_row_of_a_batch_is_all_its_clips_with_their_texts_as_they_were_recorded(folder):
@@ -272,10 +274,10 @@ def test_every_row_comes_once_an_epoch_and_texts_are_dropped_each_by_itself(fold
 
 
 def test_rows_of_several_texts_are_refused_where_they_cannot_be_read(folder):
-    with pytest.raises(ValueError, match="order rows needs a text encoder that makes one word of a text"):
+    with pytest.raises(ValueError, match="RecordedRows needs a text encoder that makes one word of a text"):
         batches(several(folder), LetterCounts(), rows=3)
-    with pytest.raises(ValueError, match="order rows has batches as they come"):
-        Sampling(order="rows")
+    with pytest.raises(ValueError, match="pairs are of one text each: RecordedRows makes rows of several"):
+        PairBatches(batches(several(folder), rows=3))
 
 
 # Settings -------------------------------------------------------------------------------------------------------------
@@ -287,10 +289,11 @@ def test_rows_of_several_texts_are_refused_where_they_cannot_be_read(folder):
 )
 def test_the_trainings_are_the_papers_setting_by_setting(name, steps, window, absolute, guidance, frames):
     config = configured(f"train_flow_{name}")
-    training, sampling = config.training, instantiate(config.data.sampling)
+    training, recipe = config.training, instantiate(config.data.sampling)
     assert (training.steps, training.lr, training.final_lr_ratio, training.warmup) == (steps, 1e-4, 1.0, 0)
     assert (training.weight_decay, training.grad_clip, training.ema_decay, training.precision) == (0, None, 0, "fp32")
-    assert (sampling.rows, sampling.text_dropout, sampling.uncond_crop_prob, sampling.trim) == (64, 0.1, 0.0, 0.0)
+    assert (recipe.rows, recipe.text_dropout, recipe.drop_last) == (64, 0.1, True)
+    assert (getattr(recipe, "uncond_crop_prob", 0.0), getattr(recipe, "trim", 0.0)) == (0.0, 0.0)
     assert (config.guidance, config.noise_scale, config.schedule.steps) == (guidance, "std", 1000)
     network = config.denoiser
     assert (1000 - network.absolute_from, network.attention_window) == (absolute, window)

@@ -168,7 +168,7 @@ def targets(node: object):
 
 def test_the_table_has_what_our_configurations_build_and_nothing_else():
     """Beside the classes that packages of parts export."""
-    groups = [path for path in (ROOT / "configs").glob("*/*.yaml") if path.parent.name != "network"]
+    groups = [path for path in (ROOT / "configs").glob("*/**/*.yaml") if path.parent.name != "network"]
     used = {name for path in groups for name in targets(OmegaConf.to_container(OmegaConf.load(path)))}
     used |= set(targets(OmegaConf.to_container(configured("train_tmr", "run=x", "data.folder=y"))))
     exported = ("stmc.text.", "stmc.denoisers.", "stmc.diffusion.", "stmc.evaluators.Tmr")
@@ -199,6 +199,8 @@ WRONG = {
     "prediction": ("train", "objective.prediction=noise", "objective.prediction='noise'"),
     "alpha": ("train", "+objective.timestep_alpha=-1", "timestep_alpha -1 must be above 0"),
     "rows": ("train", "data.sampling.rows=many", "data.sampling.rows='many': a whole number needed"),
+    "no rows": ("train", "data.sampling.rows=0", "data.sampling cannot be built: rows=0: must be at least 1"),
+    "another recipe's setting": ("train", "+data.sampling.drop_last=true", "BalancedBatches has no such argument"),
     "temperature": ("train_tmr", "+objective.temperature=warm", "objective.temperature='warm': a number needed"),
 }
 

@@ -284,6 +284,17 @@ def test_help_says_what_every_setting_is(found, name, capsys):
         assert f" {part} {', '.join(names)} [{chosen}]" in told
 
 
+@pytest.mark.parametrize(
+    ("recipe", "own", "others"),
+    [("balanced", "pool", "drop_last"), ("epochs", "drop_last", "pool"), ("packed", "texts_per_row", "drop_last")],
+)
+def test_help_lists_the_settings_of_the_recipe_that_is_chosen(found, recipe, own, others, capsys):
+    assert found["train"](["--help", f"data/sampling={recipe}"]) == 0
+    told = capsys.readouterr().out
+    assert f"\n  {own} " in told and "\n  rows " in told and f"\n  {others} " not in told
+    assert "[128]" in told  # as configured
+
+
 # How a command ends --------------------------------------------------------------------------------------------------
 
 

@@ -16,7 +16,8 @@ from stmc.diffusion.statistics import Statistics
 from stmc.motion.body import BodyPart
 from stmc.motion.body_model import Skeleton
 from stmc.motion.representation import Field, Layout, SmplRepresentation
-from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.balanced_batches import BalancedBatches
+from stmc.training.data.batches import ClipBatches
 from stmc.training.data.dataset import NULL, SEAM, BatchPlan, Dataset
 
 
@@ -27,9 +28,7 @@ def dataset() -> Dataset:
 
 def draw(dataset: Dataset, count: int = 4000, split: str = "train", **settings):
     """A plan of many rows, and the clip that each is from."""
-    batches = ClipBatches(dataset, split, Sampling(**settings))
-    rng = np.random.default_rng(0)
-    plan = batches._draw(rng.choice(batches._described, count, p=batches.shares), rng)
+    [plan] = ClipBatches(dataset, split, BalancedBatches(**settings, rows=count, pool=1, pieces=1)).plans(0)
     starts = np.array([clip.start for clip in dataset.clips])
     return plan, [dataset.clips[index] for index in np.searchsorted(starts, plan.body.start, side="right") - 1]
 
@@ -53,19 +52,19 @@ def one_content(lengths: list[int], cyclic: bool, from_start: bool = False) -> D
 
 
 def test_a_steps_batch_is_the_same_whenever_it_is_asked_for(dataset):
-    sampling = Sampling(rows=6, pool=3, pieces=2, slowest=0.8, fastest=1.25)
-    in_order = ClipBatches(dataset, "train", sampling, seed=7)
+    recipe = BalancedBatches(rows=6, pool=3, pieces=2, slowest=0.8, fastest=1.25)
+    in_order = ClipBatches(dataset, "train", recipe, seed=7)
     batches = [in_order(step) for step in range(8)]
-    again = ClipBatches(dataset, "train", sampling, seed=7)
+    again = ClipBatches(dataset, "train", recipe, seed=7)
     for step in (5, 0, 7):
         assert all(same(a, b) for a, b in zip(again(step), batches[step], strict=True))
 
 
 def test_seeds_processes_steps_and_splits_draw_differently(dataset):
-    sampling = Sampling(rows=6, pool=2, pieces=1)
-    train, other = ClipBatches(dataset, "train", sampling), ClipBatches(dataset, "train", sampling, seed=1)
+    recipe = BalancedBatches(rows=6, pool=2, pieces=1)
+    train, other = ClipBatches(dataset, "train", recipe), ClipBatches(dataset, "train", recipe, seed=1)
     [first] = train(0)
-    for different in (train(1), train(2), train(0, process=1), other(0), ClipBatches(dataset, "val", sampling)(0)):
+    for different in (train(1), train(2), train(0, process=1), other(0), ClipBatches(dataset, "val", recipe)(0)):
         assert not same(first, different[0])
 
 
@@ -198,8 +197,8 @@ def test_transitions_are_cut_anywhere_also_where_crops_begin_with_their_clip():
 
 
 def test_rows_are_normalised_frames_of_their_clips_and_padding_is_zero(dataset):
-    batches = ClipBatches(dataset, "train", Sampling(rows=16, pool=1, pieces=1))
-    plan = batches._draw_pool(0, 0)[0]
+    batches = ClipBatches(dataset, "train", BalancedBatches(rows=16, pool=1, pieces=1))
+    [plan] = batches.plans(0)
     [batch] = batches(0)
     assert batch.frames == plan.body.frames.sum() == batch.mask.sum()
     for row, (start, frames, sentence) in enumerate(zip(plan.body.start, plan.body.frames, plan.sentence, strict=True)):
@@ -216,7 +215,7 @@ def test_rows_are_normalised_frames_of_their_clips_and_padding_is_zero(dataset):
 
 def test_masks_are_left_out_where_nothing_is_padded():
     [batch] = ClipBatches(
-        one_content([40] * 4, cyclic=False), "train", Sampling(trim=0.0, uncond_crop_prob=0.0, pieces=1)
+        one_content([40] * 4, cyclic=False), "train", BalancedBatches(trim=0.0, uncond_crop_prob=0.0, pieces=1)
     )(0)
     assert batch.mask is None
     assert batch.text_mask is None
@@ -224,7 +223,7 @@ def test_masks_are_left_out_where_nothing_is_padded():
 
 def test_no_text_is_the_empty_text_not_zeros(dataset):
     assert dataset.sentences[NULL] == ""
-    [batch] = ClipBatches(dataset, "train", Sampling(rows=3, uncond_crop_prob=1.0, pieces=1))(0)
+    [batch] = ClipBatches(dataset, "train", BalancedBatches(rows=3, uncond_crop_prob=1.0, pieces=1))(0)
     torch.testing.assert_close(batch.text[:, 0], dataset.text.normalise(torch.zeros(len(batch.text), 8)))
 
 
@@ -240,8 +239,8 @@ def test_statistics_are_those_of_the_training_clips_alone():
 
 
 def test_a_pool_is_sorted_so_that_little_is_padding_and_nothing_is_lost(dataset):
-    sampling = Sampling(rows=32, pool=8, pieces=2)
-    batches = ClipBatches(dataset, "train", sampling)
+    recipe = BalancedBatches(rows=32, pool=8, pieces=2)
+    batches = ClipBatches(dataset, "train", recipe)
     pieces = [piece for step in range(8) for piece in batches(step)]
     assert sum(len(piece.motion) for piece in pieces) == 32 * 8
     frames, room = sum(p.frames for p in pieces), sum(p.motion.shape[0] * p.motion.shape[1] for p in pieces)
@@ -294,7 +293,7 @@ def test_nothing_to_train_on_is_an_error(dataset):
     with pytest.raises(ValueError, match="no content has 100 training clips"):
         Dataset(cache(), LetterCounts(), LAYOUT, min_clips=100)
     with pytest.raises(ValueError, match="no clip of split 'tests'"):
-        ClipBatches(dataset, "tests", Sampling())
+        ClipBatches(dataset, "tests", BalancedBatches())
 
 
 @pytest.mark.parametrize(
@@ -309,9 +308,9 @@ def test_nothing_to_train_on_is_an_error(dataset):
         {"fastest": 0.5},
     ],
 )
-def test_sampling_that_cannot_be_meant_is_an_error(wrong):
+def test_a_recipe_that_cannot_be_meant_is_an_error(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        Sampling(**wrong)
+        BalancedBatches(**wrong)
 
 
 def test_what_comes_with_the_data_is_used(dataset):
@@ -341,13 +340,12 @@ def composing(composed: float) -> ClipBatches:
     return ClipBatches(
         Dataset(composed_cache(), LetterCounts(), SmplRepresentation().layout),
         "train",
-        Sampling(rows=96, uncond_crop_prob=0.0, text_dropout=0.0, pool=1, pieces=1, compose_prob=composed),
+        BalancedBatches(rows=96, uncond_crop_prob=0.0, text_dropout=0.0, pool=1, pieces=1, compose_prob=composed),
     )
 
 
 def rows_of(batches: ClipBatches) -> tuple[BatchPlan, torch.Tensor]:
-    batches(0)
-    [plan] = batches._pool[1]
+    [plan] = batches.plans(0)
     return plan, batches.dataset._composed(batches.dataset._cut(plan.body), plan)
 
 
@@ -400,9 +398,9 @@ def test_any_body_with_other_parts_can_be_a_receiver_and_shows_its_own_text_only
     data = Cache(20.0, "smpl", features, tuple(clips), texts)
     dataset = Dataset(data, LetterCounts(), SmplRepresentation().layout)
     settings = {"uncond_crop_prob": 0.0, "text_dropout": 0.0, "trim": 0.0, "pool": 1, "pieces": 1, "compose_prob": 1.0}
-    [walking] = ClipBatches(dataset, "train", Sampling(rows=96, **settings)).plans(0)
+    [walking] = ClipBatches(dataset, "train", BalancedBatches(rows=96, **settings)).plans(0)
     assert not walking.donor.frames.any()  # nobody walks
-    [plan] = ClipBatches(dataset, "train", Sampling(rows=96, receivers="any", **settings)).plans(0)
+    [plan] = ClipBatches(dataset, "train", BalancedBatches(rows=96, receivers="any", **settings)).plans(0)
     pairs = Counter()
     for row in np.flatnonzero(plan.donor.frames):
         receiver, donor = dataset.clips[plan.body.clip[row]], dataset.clips[plan.donor.clip[row]]
@@ -424,7 +422,7 @@ def test_some_compositions_that_show_both_have_a_sentence_about_both_and_the_oth
     settings = {"rows": 512, "pool": 1, "pieces": 1, "text_dropout": 0.3, "compose_prob": 1.0}
     plans, heard = {}, {}
     for share in (0.0, 0.5, 1.0):
-        [plans[share]] = ClipBatches(dataset, "train", Sampling(**settings, joined_prob=share)).plans(0)
+        [plans[share]] = ClipBatches(dataset, "train", BalancedBatches(**settings, joined_prob=share)).plans(0)
         heard[share] = Counter(dataset.sentences[place] for place in plans[share].sentence)
     assert set(heard[0.0]) == {"", "raise", "walk"} and heard[0.0][""] == heard[1.0][""]
     about_both = {share: counts["raise while walking"] + counts["walk, raising"] for share, counts in heard.items()}
@@ -444,7 +442,7 @@ def test_a_body_that_was_cut_off_before_it_showed_its_content_is_not_joined() ->
         joined={frozenset(("walk", "raise")): ("raise while walking",)},
     )
     settings = {"uncond_crop_prob": 0.0, "text_dropout": 0.0, "compose_prob": 1.0, "joined_prob": 1.0}
-    plans = ClipBatches(dataset, "train", Sampling(rows=96, receivers="any", **settings)).plans(0)
+    plans = ClipBatches(dataset, "train", BalancedBatches(rows=96, receivers="any", **settings)).plans(0)
     joined = np.concatenate([plan.sentence == 3 for plan in plans])
     lasting = np.concatenate([plan.body.frames >= 45 for plan in plans])
     assert joined.any() and not (joined & ~lasting).any()  # walks of 60 frames, trimmed; raises last 40 at most
@@ -481,7 +479,7 @@ def test_a_feature_that_hardly_varies_in_most_clips_is_divided_by_its_field_s_fl
 
 def test_what_is_far_from_the_mean_is_put_at_the_limit():
     near, far = (Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3, limit=limit) for limit in (0.5, 1e9))
-    pieces = [ClipBatches(each, "train", Sampling(rows=8))(0) for each in (near, far)]
+    pieces = [ClipBatches(each, "train", BalancedBatches(rows=8))(0) for each in (near, far)]
     for cut, whole in zip(*pieces, strict=True):
         assert torch.equal(cut.motion, whole.motion.clamp(-0.5, 0.5))
         assert whole.motion.abs().max() > 0.5
@@ -515,7 +513,7 @@ def two_data_sets(tmp_path_factory) -> Dataset:
 def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(two_data_sets, shares, donor, receiver):
     dataset = two_data_sets
     batches = ClipBatches(
-        dataset, "train", Sampling(rows=64, receivers="any", uncond_crop_prob=0.0, text_dropout=0.0, **shares)
+        dataset, "train", BalancedBatches(rows=64, receivers="any", uncond_crop_prob=0.0, text_dropout=0.0, **shares)
     )
     drawn = Counter(dataset.clips[clip].content for plan in batches.plans(0) for clip in plan.body.clip)
     assert set(drawn) == {"walk", "drink"}

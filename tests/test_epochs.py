@@ -10,16 +10,16 @@ from helpers.scripts import configured
 from helpers.source_folders import Serial, amass, published
 from helpers.toy_data import FPS, LAYOUT, LetterCounts
 from hydra.utils import instantiate
-from jaxtyping import TypeCheckError
+from numpy.random import default_rng
 from torch.testing import assert_close
 
 from stmc.data import preparation
 from stmc.data.cache import Cache, Clip
 from stmc.data.sources.amass.annotated_amass import AnnotatedAmass
 from stmc.motion.representation import SmplRepresentation
-from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.batches import ClipBatches, SplitClips
 from stmc.training.data.dataset import NULL, BatchPlan, Dataset
-from stmc.training.data.epochs import Epochs
+from stmc.training.data.epoch_batches import EpochBatches, Epochs
 
 RUB, KICK = "BioMotionLab_NTroje/rub001/0000_treadmill_norm_poses", "KIT/3/kick_high_left02_poses"
 ENTRIES = {
@@ -43,20 +43,20 @@ def dataset(tmp_path_factory) -> Dataset:
     return instantiate(settings.dataset, _partial_=True)(cache, LetterCounts(), SmplRepresentation.layout)
 
 
-def published_sampling(**changes) -> Sampling:
+def published_recipe(**changes) -> EpochBatches:
     return instantiate(configured("train_humanml3d", "run=x").data.sampling, **changes)
 
 
 def drawn(dataset: Dataset, epochs: int, **changes) -> BatchPlan:
-    """The rows of so many epochs, a batch each, as one plan."""
-    batches = ClipBatches(dataset, "train", published_sampling(**changes), seed=0)
-    clips = np.concatenate([batches._epochs(epoch) for epoch in range(epochs)])
-    return batches._draw(clips, np.random.default_rng(0))
+    """The rows of so many epochs, as one plan."""
+    clips, recipe = SplitClips(dataset, "train"), published_recipe(**changes)
+    epoch = Epochs(dataset.clips, clips.described, recipe.rows, [0])
+    return recipe.draw_crops(clips, np.concatenate([epoch(number) for number in range(epochs)]), default_rng(0))
 
 
 def test_every_entry_comes_once_an_epoch_and_the_last_batch_holds_what_is_left(dataset):
-    sampling = published_sampling(rows=3)
-    batches = ClipBatches(dataset, "train", sampling, seed=1)
+    recipe = published_recipe(rows=3)
+    batches = ClipBatches(dataset, "train", recipe, seed=1)
     orders = set()
     for epoch in range(20):
         sizes = [len(plan.sentence) for step in (0, 1) for plan in batches.plans(2 * epoch + step)]
@@ -70,9 +70,9 @@ def test_every_entry_comes_once_an_epoch_and_the_last_batch_holds_what_is_left(d
         assert sorted(drawn) == ["000000", "000001", "000002", "M000000"]
         orders.add(tuple(drawn))
     assert len(orders) > 4
-    again = ClipBatches(dataset, "train", sampling, seed=1)
+    again = ClipBatches(dataset, "train", recipe, seed=1)
     assert (again.plans(7)[0].body.clip == batches.plans(7)[0].body.clip).all()
-    assert published_sampling().rows == 128 and published_sampling().pool == 1
+    assert published_recipe().rows == 128 and published_recipe().pooling == (1, 1)
 
 
 def test_annotations_of_an_entry_weigh_alike(dataset):
@@ -109,9 +109,8 @@ def test_a_clip_loses_at_most_a_tenth_in_all_as_an_oracle_says(frames):
     clip = Clip("a", "a", "", "a", (), False, False, "train", 0, frames)
     motion = torch.arange(float(frames))[:, None].expand(-1, LAYOUT.width).contiguous()
     one = Dataset(Cache(FPS, "toy", motion, (clip,), {"a": (("a", 1.0),)}), LetterCounts(), LAYOUT, min_clips=0)
-    sampling = Sampling(trim=0.1, trimmed="in_all", order="epochs", uncond_crop_prob=0.0, pool=1, pieces=1, longest=1e4)
-    batches, count = ClipBatches(one, "train", sampling), 20000
-    body = batches._draw(np.zeros(count, dtype=int), np.random.default_rng(0)).body
+    recipe, count = EpochBatches(trim=0.1, uncond_crop_prob=0.0, longest=1e4), 20000
+    body = recipe.draw_crops(SplitClips(one, "train"), np.zeros(count, dtype=int), default_rng(0)).body
     seen = Counter(zip(body.start.tolist(), (frames - body.start - body.frames).tolist(), strict=True))
     most = int(0.1 * frames)
     expected = {
@@ -147,17 +146,6 @@ def test_processes_go_through_epochs_of_their_own():
     epochs = Epochs(clips, np.arange(50), 50, [0])
     assert sorted(epochs(0, 0)) == sorted(epochs(0, 1)) == list(range(50))
     assert (epochs(0, 0) != epochs(0, 1)).any()
-
-
-def test_epochs_are_not_sorted_by_length():
-    with pytest.raises(ValueError, match="pool 16, pieces 1 must be 1"):
-        Sampling(order="epochs", pool=16, pieces=1)
-
-
-@pytest.mark.parametrize("setting", [{"order": "epoch"}, {"trimmed": "both"}])
-def test_unknown_orders_and_trims_are_refused(setting):
-    with pytest.raises((ValueError, TypeCheckError)):
-        Sampling(**setting)
 
 
 @pytest.mark.parametrize(("rows", "whole", "batches"), [(8, 6, 7), (10, 5, 5), (50, 1, 1), (60, 1, 1)])

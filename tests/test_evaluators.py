@@ -22,7 +22,8 @@ from stmc.evaluators import Evaluator, GuoEvaluator, Posterior, Tmr
 from stmc.motion.representation import SmplRepresentation
 from stmc.run import CONFIG, WEIGHTS, RunError, load_evaluator, save_evaluator
 from stmc.training import Objective, Pairs, TmrObjective
-from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.balanced_batches import BalancedBatches
+from stmc.training.data.batches import ClipBatches
 from stmc.training.data.dataset import Dataset
 from stmc.training.data.pair_batches import PairBatches
 from stmc.training.tmr_objective import divergence, info_nce, kl_terms
@@ -216,8 +217,8 @@ def test_the_guo_evaluator_gives_embeddings_in_the_order_of_its_inputs_and_refus
 
 def pair_batches(composed: float = 0.0, **settings) -> PairBatches:
     dataset = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
-    sampling = Sampling(rows=24, pool=2, pieces=1, uncond_crop_prob=0.0, text_dropout=0.0, compose_prob=composed)
-    return PairBatches(ClipBatches(dataset, "train", sampling), **settings)
+    recipe = BalancedBatches(rows=24, pool=2, pieces=1, uncond_crop_prob=0.0, text_dropout=0.0, compose_prob=composed)
+    return PairBatches(ClipBatches(dataset, "train", recipe), **settings)
 
 
 def test_every_row_has_a_text_and_texts_of_one_clip_are_no_wrong_answers_to_each_other():
@@ -249,10 +250,10 @@ def composing() -> PairBatches:
     dataset = Dataset(
         Cache(table.fps, "toy", table.features, tuple(raising), table.texts), LetterCounts(), LAYOUT, min_clips=3
     )
-    sampling = Sampling(
+    recipe = BalancedBatches(
         rows=32, pool=2, pieces=1, uncond_crop_prob=0.0, text_dropout=0.0, compose_prob=1.0, shortest=4.0
     )
-    return PairBatches(ClipBatches(dataset, "train", sampling))
+    return PairBatches(ClipBatches(dataset, "train", recipe))
 
 
 def test_a_composition_shows_what_both_of_its_clips_show():
@@ -296,10 +297,14 @@ def test_half_of_the_compositions_have_the_text_of_the_other_clip(monkeypatch):
 
 def test_rows_without_texts_make_no_pairs():
     dataset = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
-    with pytest.raises(ValueError, match=r"uncond_crop_prob \(0.12\) and text_dropout \(0.1\) must be 0"):
-        PairBatches(ClipBatches(dataset, "train", Sampling()))
+    with pytest.raises(ValueError, match=r"text_dropout \(0.1\) must be 0"):
+        PairBatches(ClipBatches(dataset, "train", BalancedBatches()))
+    with pytest.raises(ValueError, match=r"uncond_crop_prob \(0.12\) must be 0"):
+        PairBatches(ClipBatches(dataset, "train", BalancedBatches(text_dropout=0.0)))
     with pytest.raises(ValueError, match=r"joined_prob \(0.2\) must be 0"):
-        PairBatches(ClipBatches(dataset, "train", Sampling(uncond_crop_prob=0.0, text_dropout=0.0, joined_prob=0.2)))
+        PairBatches(
+            ClipBatches(dataset, "train", BalancedBatches(uncond_crop_prob=0.0, text_dropout=0.0, joined_prob=0.2))
+        )
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ TIMELINE = "walk # 0 # 2 # legs\nraise the right arm # 0.5 # 1.5 # right arm\n"
 TINY = (
     *("denoiser=mdm_smpl_small", "denoiser.width=32", "denoiser.feedforward=64", "denoiser.layers=1"),
     *("training.steps=4", "training.warmup=1", "training.log_every=2", "training.validate_every=4"),
-    *("training.checkpoint_every=4", "training.precision=fp32", "data.sampling.rows=4", "data.sampling.pool=2"),
+    *("training.checkpoint_every=4", "training.precision=fp32", "data.sampling.rows=4"),
     *("validation=1", "draw_every=4", "draw=[]", "device=cpu", "threads=1"),
 )
 
@@ -53,7 +53,7 @@ def test_amass_with_annotations_goes_from_its_files_to_an_exported_motion(tmp_pa
     assert sorted(os.listdir(tmp_path / "cache")) == sorted([FEATURES, TABLE, TEXT, NUMBERS])
     cache, model = Cache.read(tmp_path / "cache"), tmp_path / "run"
     settings = (f"run={model}", f"data.folder={tmp_path / 'cache'}", f"text_cache={tmp_path / 'sentences'}")
-    run("train", "train_humanml3d", *settings, *TINY, "data.sampling.pool=1", "text_encoder=minilm")
+    run("train", "train_humanml3d", *settings, *TINY, "text_encoder=minilm")
     loaded = stmc.load(model)
     assert (loaded.fps, loaded.longest, loaded.config["denoiser"]["width"]) == (20, 200, 32)
     np.testing.assert_allclose(loaded.skeleton.offsets, cache.skeleton.offsets)

@@ -13,12 +13,12 @@ from stmc.denoisers import FlowMdm
 from stmc.diffusion.schedule import Schedule
 from stmc.motion.representation import SmplRepresentation
 from stmc.training import Denoising, Settings, Trainer
-from stmc.training.data import sequence_rows as sequences
-from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data import packed_rows
+from stmc.training.data.batches import ClipBatches
 from stmc.training.data.dataset import NULL, Dataset
 from stmc.training.data.joining import Arrangement
+from stmc.training.data.packed_rows import PackedRows, following
 from stmc.training.data.pair_batches import PairBatches
-from stmc.training.data.sequence_rows import following
 
 FADE, FRAMES = 10, 40
 ROTATIONS = SmplRepresentation().layout["rotations"]
@@ -56,7 +56,7 @@ def dataset(values: list[float], recording: str = "", words=None, **changes) -> 
 
 def batches(data: Dataset, **settings) -> ClipBatches:
     plain = {"rows": 48, "pool": 1, "pieces": 1, "uncond_crop_prob": 0.0, "text_dropout": 0.0, "trim": 0.0}
-    return ClipBatches(data, "train", Sampling(**plain | {"texts_per_row": (1, 4)} | settings))
+    return ClipBatches(data, "train", PackedRows(**plain | {"texts_per_row": (1, 4)} | settings))
 
 
 # Arrangements ------------------------------------------------------------------------------------------------------
@@ -184,15 +184,12 @@ def test_a_row_has_a_text_throughout_or_none():
     assert (np.bincount(plan.row[silent]) > 1).any()
 
 
-def test_the_number_of_texts_is_bounded_and_one_is_what_it_was():
+def test_the_number_of_texts_is_bounded():
     data = dataset([0.0, 0.1, 0.2, 0.3])
     [plan] = batches(data, texts_per_row=[2, 3]).plans(0)
     counts = np.bincount(plan.row)
     assert counts.max() == 3
     assert (counts > 1).mean() > 0.5  # the last rows find nobody left
-    [alone] = batches(data, texts_per_row=[1, 1]).plans(0)
-    assert np.bincount(alone.row).max() == 1
-    assert batches(data, texts_per_row=[1, 1])(0)[0].segment is None
 
 
 def test_pieces_share_out_whole_rows_and_are_the_same_when_asked_again():
@@ -210,23 +207,23 @@ def test_pieces_share_out_whole_rows_and_are_the_same_when_asked_again():
 
 
 def test_crops_too_short_to_fade_are_rows_of_their_own(monkeypatch):
-    monkeypatch.setattr(sequences, "FADE", 1.0)
+    monkeypatch.setattr(packed_rows, "FADE", 1.0)
     assert np.bincount(batches(dataset([0.0, 0.1, 0.2])).plans(0)[0].row).max() == 1  # 40 frames, of which 20 and 20
 
 
 # Who may have them -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("wrong", [(0, 2), (3, 2), (1, 2, 3)])
+@pytest.mark.parametrize("wrong", [(0, 2), (3, 2), (1, 2, 3), (1, 1), (1, 2.5)])
 def test_a_number_of_texts_that_cannot_be_meant_is_an_error(wrong):
     with pytest.raises(ValueError, match="texts_per_row"):
-        Sampling(texts_per_row=wrong)
+        PackedRows(texts_per_row=wrong)
 
 
 def test_texts_of_several_words_and_pairs_are_refused():
-    with pytest.raises(ValueError, match="texts_per_row 1 to 4 needs a text encoder that makes one word of a text"):
+    with pytest.raises(ValueError, match="PackedRows needs a text encoder that makes one word of a text"):
         batches(dataset([0.0, 0.1], words=LetterCounts()))
-    with pytest.raises(ValueError, match=r"pairs are of one text each: texts_per_row \(\(1, 4\)\)"):
+    with pytest.raises(ValueError, match="pairs are of one text each: PackedRows makes rows of several"):
         PairBatches(batches(dataset([0.0, 0.1])))
 
 

@@ -234,7 +234,7 @@ def test_a_model_of_another_frame_rate_is_not_distilled(trained, distilling, mon
 
 
 def test_a_network_that_knows_a_text_for_every_frame_learns_of_one_that_does_not(work, trained):
-    flow = ("denoiser=flow_mdm_small", "denoiser.heads=1", "+data.sampling.texts_per_row=[1,3]")
+    flow = ("denoiser=flow_mdm_small", "denoiser.heads=1", "data/sampling=packed", "data.sampling.texts_per_row=[1,3]")
     own = [setting for setting in training(work) if not setting.startswith(("run=", "denoiser="))]
     taught = (*flow, f"teacher={trained}", "+objective.distilled_guidance=2.5", f"run={work / 'flow'}")
     in_this_process("train", "train", *own, *taught)

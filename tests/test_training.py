@@ -34,7 +34,8 @@ from stmc.training import (
     loop,
     squared_errors,
 )
-from stmc.training.data.batches import ClipBatches, Sampling
+from stmc.training.data.balanced_batches import BalancedBatches
+from stmc.training.data.batches import ClipBatches
 from stmc.training.data.dataset import Dataset
 from stmc.training.logs import Table
 from stmc.training.speed import ByteDropout, quick_attention, quicken_dropout
@@ -64,14 +65,14 @@ def trainer(
 ) -> Trainer:  # fmt: skip
     torch.manual_seed(0)
     dataset = Dataset(cache(), LetterCounts(), LAYOUT, min_clips=3)
-    sampling = Sampling(rows=8, pool=2, pieces=pieces)
+    recipe = BalancedBatches(rows=8, pool=2, pieces=pieces)
     return Trainer(
         denoiser or MdmSmpl(LAYOUT.width, 8, width=16, feedforward=32, layers=1, heads=2, dropout=dropout),
         objective or Denoising(Schedule.cosine(20), fields=LAYOUT.slices),
-        ClipBatches(dataset, "train", sampling),
+        ClipBatches(dataset, "train", recipe),
         folder,
         Settings(**({"steps": 16} | QUICK | settings)),
-        validation=ClipBatches(dataset, "val", sampling)(0),
+        validation=ClipBatches(dataset, "val", recipe)(0),
         callbacks=callbacks,
         described=described,
         allow_changed_settings=allow_changed_settings,
@@ -222,7 +223,7 @@ def test_pieces_of_a_batch_add_up_to_the_batch(tmp_path):
     frames = {}
     for pieces in (1, 4):
         run = trainer(tmp_path / str(pieces), Constant(LAYOUT.width), pieces=pieces, steps=2)
-        whole = ClipBatches(run.batches.dataset, "train", Sampling(rows=8, pool=1, pieces=pieces))
+        whole = ClipBatches(run.batches.dataset, "train", BalancedBatches(rows=8, pool=1, pieces=pieces))
         run.batches = lambda step, process, draw=whole: draw(0, process)
         run.run()
         frames[pieces] = run.network.frame.detach()

@@ -24,7 +24,7 @@ from omegaconf import OmegaConf, open_dict
 
 from stmc.cli.arguments import Asked, read
 from stmc.cli.config_folder import find_configs
-from stmc.cli.config_parts import check_plugins, check_trust
+from stmc.cli.config_parts import check_plugins, check_trust, described, record_of_part
 from stmc.cli.exit_codes import guarded
 from stmc.cli.help import explanation
 from stmc.settings.records import SettingError, about, defaults, record_of
@@ -58,7 +58,7 @@ class Command:
         """As calling, but what goes wrong is an exception."""
         asked = read(arguments, self.settings, self.parts, self.positional)
         if asked.help:
-            sys.stdout.write(self.help)
+            sys.stdout.write(self.explain(asked))
         elif asked.multirun:
             with self._found(asked) as (name, overrides):
                 hydra = GlobalHydra.instance().hydra
@@ -116,20 +116,26 @@ class Command:
         values = OmegaConf.to_container(config, resolve=True)
         return record_of(self.settings, {name: value for name, value in values.items() if name not in self.parts})
 
-    @property
-    def help(self) -> str:
-        """What `--help` prints."""
-        described = self.function.__globals__.get("__doc__") or ""
+    def explain(self, asked: Asked) -> str:
+        """The help that `--help` prints, for the parts that are asked for."""
+        told = self.function.__globals__.get("__doc__") or ""
         name = next((short for short, script in SHORT.items() if script == self.name), self.name)
-        return explanation(name, described, self.settings, self.positional, self.parts)
+        return explanation(name, told, self.settings, self.positional, self.parts, self._tables(asked))
+
+    def _tables(self, asked: Asked) -> dict[str, tuple[type, dict[str, Any]]]:
+        """The records that parts within parts describe, and the values that the configuration gives."""
+        within = {part: part.replace("/", ".") for part in self.parts if "/" in part}
+        if not within:
+            return {}
+        with self._found(asked) as (name, overrides):
+            config = compose(name, overrides)
+        records = {part: record_of_part(config, place) for part, place in within.items()}
+        return {part: (record, described(config, within[part])) for part, record in records.items() if record}
 
     @cached_property
     def parts(self) -> dict[str, tuple[str, list[str]]]:
         """The groups that the configuration is composed of, each with the one chosen by default, and all of them."""
-        listed = OmegaConf.load(find_configs() / f"{self.name}.yaml").get("defaults", [])
-        chosen = dict(next(iter(each.items())) for each in listed if OmegaConf.is_dict(each))
-        names = {name: sorted(path.stem for path in find_configs().glob(f"{name}/*.yaml")) for name in chosen}
-        return {name: (one, names[name]) for name, one in chosen.items()}
+        return dict(_groups(find_configs(), self.name, ""))
 
 
 class _OwnFolder(SearchPathPlugin):
@@ -154,6 +160,16 @@ def _in_front(folder: Path) -> Iterator[None]:
         yield
     finally:
         _OwnFolder.folder = None
+
+
+def _groups(folder: Path, name: str, within: str) -> Iterator[tuple[str, tuple[str, list[str]]]]:
+    """The groups that the configuration `name` chooses from, and those that the chosen ones choose from."""
+    listed = OmegaConf.load(folder / f"{name}.yaml").get("defaults", [])
+    chosen = [next(iter(each.items())) for each in listed if OmegaConf.is_dict(each)]
+    for group, one in chosen:
+        if not group.startswith("override "):
+            yield f"{within}{group}", (one, sorted(path.stem for path in folder.glob(f"{within}{group}/*.yaml")))
+            yield from _groups(folder, f"{within}{group}/{one}", f"{within}{group}/")
 
 
 def _missing(value: Any, name: str = "") -> Iterator[str]:

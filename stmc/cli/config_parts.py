@@ -6,7 +6,9 @@ below and of packages that the command line trusts, and nothing else.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from inspect import Signature
 from typing import Any
 
@@ -14,7 +16,7 @@ from omegaconf import OmegaConf
 
 from stmc.run import Part, construct, signature_of
 from stmc.run.configs import TARGET
-from stmc.settings.records import SettingError, shown
+from stmc.settings.records import SettingError, about, shown
 
 _PLUGINS, _LOGS = ("hydra._internal.", "hydra_plugins."), ("logging.", "colorlog.")
 _SOURCES = "stmc.data.sources"
@@ -23,7 +25,10 @@ NAMES = (
     "stmc.training.Denoising",
     "stmc.training.TmrObjective",
     "stmc.training.data.dataset.Dataset",
-    "stmc.training.data.batches.Sampling",
+    "stmc.training.data.balanced_batches.BalancedBatches",
+    "stmc.training.data.epoch_batches.EpochBatches",
+    "stmc.training.data.packed_rows.PackedRows",
+    "stmc.training.data.recorded_rows.RecordedRows",
     "stmc.training.data.prolonging.Prolonging",
     "stmc.training.data.foot_velocity.FootVelocity",
     "stmc.data.cache.read_caches",
@@ -77,6 +82,16 @@ def build_part(config: Any, place: str, kind: type = object, **given: Any) -> An
 def signature_of_part(config: Any, place: str) -> Signature:
     """The arguments of what stands at `place`. Raises as `build_part`."""
     return signature_of(described(config, place), place, _part(object), _trusted(config))
+
+
+def record_of_part(config: Any, place: str) -> type | None:
+    """The class that the description at `place` names, if it is one of the table and a record of settings."""
+    target = OmegaConf.select(config, f"{place}.{TARGET}")
+    if target not in NAMES:
+        return None
+    module, _, name = target.rpartition(".")
+    record = getattr(import_module(module), name)
+    return record if dataclasses.is_dataclass(record) and about(record) else None
 
 
 def described(config: Any, place: str) -> dict[str, Any]:

@@ -17,8 +17,15 @@ Parts = Mapping[str, tuple[str, Sequence[str]]]
 """The groups that a configuration is composed of, each with the one chosen by default and all of them."""
 
 
-def explanation(name: str, described: str, settings: type, positional: Sequence[str], parts: Parts) -> str:
-    """The help of a command: how it is called, what it does, its settings, and the parts of its configuration."""
+Tables = Mapping[str, tuple[type, Mapping[str, Any]]]
+"""The records that parts of a configuration describe, such as `data/sampling`, each with the values that it gives."""
+
+
+def explanation(
+    name: str, described: str, settings: type, positional: Sequence[str], parts: Parts, tables: Tables
+) -> str:
+    """The help of a command: how it is called, what it does, its settings, the parts of its configuration, and the
+    settings of those that are records."""
     told, first = about(settings), defaults(settings)
     plain = [each.upper() if first[each] is dataclasses.MISSING else f"[{each.upper()}]" for each in positional]
     paragraphs = [
@@ -30,12 +37,23 @@ def explanation(name: str, described: str, settings: type, positional: Sequence[
     if parts:
         paragraphs.append("Parts, each a configuration file; PART.SETTING=VALUE changes a setting of one:")
         paragraphs.append("\n".join(_entry(part, ", ".join(names), chosen) for part, (chosen, names) in parts.items()))
+    paragraphs += [text for part, table in tables.items() for text in _of_part(part, *table)]
     paragraphs.append(
         "--config-dir FOLDER: your own configuration files, beside ours; --config-name NAME: start from NAME.yaml;\n"
         "--cfg: print the configuration and stop."
     )
     paragraphs.append("--multirun SETTING=VALUE,VALUE: one job per value; hydra/launcher=NAME chooses where they run.")
     return "\n\n".join(paragraphs) + "\n"
+
+
+def _of_part(part: str, record: type, values: Mapping[str, Any]) -> tuple[str, str]:
+    """What a part that is a record says of itself."""
+    place, shown = part.replace("/", "."), defaults(record) | dict(values)
+    return (
+        f"Settings of {part}, here {record.__name__}, as {place}.SETTING=VALUE, with a plus in front\n"
+        f"where --cfg does not show it; --help {part}=NAME shows those of another:",
+        "\n".join(_entry(name, _what(told), shown[name]) for name, told in about(record).items()),
+    )
 
 
 def _own_first(settings: type) -> list[str]:

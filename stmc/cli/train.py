@@ -28,8 +28,7 @@ from stmc.settings.records import SettingError, check_value, record_of, setting,
 from stmc.text import Cached
 from stmc.text.vocabulary import sentence_encoder
 from stmc.training import Denoising, GuidedTeacher
-from stmc.training.data.batches import ClipBatches
-from stmc.training.data.batches import Sampling as ClipSampling
+from stmc.training.data.batches import ClipBatches, Recipe
 from stmc.training.data.dataset import Dataset
 from stmc.training.data.vocabularies import vocabulary_of
 
@@ -74,10 +73,7 @@ def main(config: DictConfig) -> None:
 
 def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     """All of it, from the data to the run directory."""
-    settings, sampling = (
-        build_part(config, "training", training.Settings),
-        build_part(config, "data.sampling", ClipSampling),
-    )
+    settings, recipe = build_part(config, "training", training.Settings), build_part(config, "data.sampling", Recipe)
     check_parts(config)
     started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
     distilled = to_distil(config, stmc.load(config.teacher, trusted=config.trusted) if config.teacher else started)
@@ -87,20 +83,20 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
         accelerator.device,
         distilled.motion_statistics if distilled else None,
     )
-    held_out = ClipBatches(dataset, "val", sampling, settings.seed)
+    held_out = ClipBatches(dataset, "val", recipe, settings.seed)
     torch.manual_seed(settings.seed)
     with open_dict(config):
         config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
-    model = record(config, dataset, cache, own_sampling(config, distilled))
+    model = record(config, dataset, cache, own_sampling(config, distilled), int(recipe.longest * dataset.fps))
     denoiser = model.denoiser
     if started:
         denoiser.load_state_dict(started.denoiser.state_dict())
         denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
-    if sampling.several_texts and not denoiser.per_frame_text:
+    if recipe.several_texts and not denoiser.per_frame_text:
         raise ValueError(
-            f"data.sampling.texts_per_row={list(sampling.texts_per_row)} and order={sampling.order}: rows of several "
-            f"texts need a denoiser with per_frame_text, such as "
-            f"denoiser=flow_mdm_small, not {type(denoiser).__name__}; others see one text a row: [1, 1]"
+            f"data.sampling: {type(recipe).__name__} makes rows of several texts, which need a denoiser with "
+            f"per_frame_text, such as denoiser=flow_mdm_small, not {type(denoiser).__name__}; others see one text a "
+            "row: data/sampling=balanced"
         )
     check(model, config.trusted)  # before the first step: what could not be loaded is not trained
     described = OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint}
@@ -109,7 +105,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     trainer = training.Trainer(
         denoiser,
         objective(config, dataset, model, distilled),
-        ClipBatches(dataset, "train", sampling, settings.seed),
+        ClipBatches(dataset, "train", recipe, settings.seed),
         Path(config.run).expanduser(),
         settings,
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
@@ -215,8 +211,9 @@ def own_sampling(config: DictConfig, distilled: Model | None = None) -> Sampling
     return own.over(distilled.sampling) if distilled else own
 
 
-def record(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sampling) -> Model:
-    """The model as it would be loaded from the run's folder, with fresh weights."""
+def record(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sampling, longest: int) -> Model:
+    """The model as it would be loaded from the run's folder, with fresh weights; its motions have at most `longest`
+    frames."""
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, trusted=config.trusted)
     representation, encoder = parts["representation"], Cached(parts["text_encoder"], config.text_cache)
@@ -229,7 +226,7 @@ def record(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Samplin
         text_statistics=dataset.text.to("cpu"),
         skeleton=dataset.skeleton or representation.skeleton,
         fps=dataset.fps,
-        longest=int(build_part(config, "data.sampling", ClipSampling).longest * dataset.fps),
+        longest=longest,
         prediction=config.objective.prediction,
         sampling=sampling,
         vocabulary=vocabulary_of(cache, dataset.min_clips, sentence_encoder(encoder)),

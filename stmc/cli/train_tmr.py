@@ -24,8 +24,7 @@ from stmc.run import EVALUATOR_PARTS, build, check, load_evaluator, save_evaluat
 from stmc.settings.records import setting
 from stmc.text import Cached, TextEncoder
 from stmc.training import Objective
-from stmc.training.data.batches import ClipBatches
-from stmc.training.data.batches import Sampling as ClipSampling
+from stmc.training.data.batches import ClipBatches, Recipe
 from stmc.training.data.dataset import Dataset
 from stmc.training.data.pair_batches import PairBatches
 from stmc.training.logs import Table
@@ -57,10 +56,7 @@ def main(config: DictConfig) -> None:
 
 def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     """All of it, from the data to the run directory."""
-    settings, sampling = (
-        build_part(config, "training", training.Settings),
-        build_part(config, "data.sampling", ClipSampling),
-    )
+    settings, recipe = build_part(config, "training", training.Settings), build_part(config, "data.sampling", Recipe)
     objective = build_part(config, "objective", Objective)
     sentences = (
         Cached(build_part(config, "false_negative_encoder", TextEncoder), config.text_cache)
@@ -70,7 +66,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     started = load_evaluator(config.init_from, trusted=config.trusted) if config.init_from else None
     cache, dataset = read_training_data(config, started.text_statistics if started else None, accelerator.device)
     batches, held_out = (
-        PairBatches(ClipBatches(dataset, split, sampling, settings.seed), sentences, config.false_negative_threshold)
+        PairBatches(ClipBatches(dataset, split, recipe, settings.seed), sentences, config.false_negative_threshold)
         for split in ("train", "val")
     )
     torch.manual_seed(settings.seed)
@@ -144,7 +140,7 @@ def measured(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:
     dataset = pairs.batches.dataset
     clips, sentences = pairs.drawn(split)
     chosen = [dataset.clips[clip] for clip in clips]
-    longest = int(pairs.batches.sampling.longest * dataset.fps)
+    longest = int(pairs.batches.recipe.longest * dataset.fps)
     motions = evaluator.motions([dataset.features[clip.start : clip.end][:longest].cpu() for clip in chosen])
     texts = evaluator.texts([dataset.sentences[sentence] for sentence in sentences])
     table, right = cosines(texts, motions), pairs.true_of(sentences, clips)

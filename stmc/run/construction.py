@@ -55,7 +55,8 @@ def construct(description: Any, place: str, part: Part, trusted: Sequence[str] =
     try:
         made = constructor.call(**arguments)
     except Exception as error:  # a constructor may raise whatever it likes
-        if part.names and (isinstance(error, (OSError, ImportError)) or type(error).__module__.startswith("stmc.")):
+        ours = type(error).__module__.startswith("stmc.") and not isinstance(error, SettingError)
+        if part.names and (isinstance(error, (OSError, ImportError)) or ours):
             raise
         raise RunError(f"{place} cannot be built: {brief(error)}") from error
     if not isinstance(made, part.kind):

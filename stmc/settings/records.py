@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from stmc.io.untrusted import shown
 
@@ -100,7 +100,7 @@ def check(record: Any) -> None:
 def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
     """The record with these settings, lists as tuples, all others at their defaults. Raises `SettingError`, for unknown
     names too, with the nearest known one."""
-    known = [field.name for field in dataclasses.fields(kind)]
+    known = [field.name for field in dataclasses.fields(cast(Any, kind))]
     for name in values:
         check_name(name, known)
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
@@ -119,7 +119,7 @@ def takes(kind: type) -> Callable[[Function], Function]:
             inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
             for each in dataclasses.fields(kind)
         ]
-        function.__signature__ = signature.replace(parameters=[*own, *settings])
+        vars(function)["__signature__"] = signature.replace(parameters=[*own, *settings])
         return function
 
     return shows

@@ -40,7 +40,6 @@ RENAMED_CLASSES: Mapping[str, str] = {
     "stmc.evaluators.TmrObjective": "stmc.training.TmrObjective",
     "stmc.data.dataset.Dataset": "stmc.training.data.dataset.Dataset",
     "stmc.data.dataset.Corpus": "stmc.training.data.dataset.Dataset",
-    "stmc.data.batches.Sampling": "stmc.training.data.batches.Sampling",
     "stmc.data.prolonging.Prolonging": "stmc.training.data.prolonging.Prolonging",
     "stmc.data.feet.FootVelocity": "stmc.training.data.foot_velocity.FootVelocity",
     "stmc.data.feet.FootSteps": "stmc.training.data.foot_velocity.FootVelocity",
@@ -70,6 +69,36 @@ RENAMED_COLUMNS: Mapping[str, str] = {"rate": "lr", "loss_feet": "loss_foot_velo
 """Those of the tables that trainings write."""
 
 
+ONE_RECORD = ("stmc.data.batches.Sampling", "stmc.training.data.batches.Sampling")
+"""The record that had the settings of all recipes of batches, at `data.sampling` of trainings."""
+
+_RECIPES = "stmc.training.data"
+BALANCED, PACKED = f"{_RECIPES}.balanced_batches.BalancedBatches", f"{_RECIPES}.packed_rows.PackedRows"
+EPOCHS, RECORDED = f"{_RECIPES}.epoch_batches.EpochBatches", f"{_RECIPES}.recorded_rows.RecordedRows"
+
+_CROPPING = (
+    *("shortest", "trim", "trimmed", "uncond_crop_prob", "crop_shortest", "crop_longest"),
+    *("from_start_prob", "slowest", "fastest"),
+)
+_BALANCING = ("balance", "emphasis", "pool", "pieces", "receivers", "joined_prob")
+
+WITHOUT_EFFECT: Mapping[str, Mapping[str, tuple[Any, ...] | None]] = {
+    BALANCED: {"order": None, "drop_last": None, "trimmed": ("either_end",), "texts_per_row": ([1, 1],)},
+    PACKED: {"order": None, "drop_last": None, "trimmed": ("either_end",)},
+    EPOCHS: {
+        **dict.fromkeys(("order", *_BALANCING)),
+        "trimmed": ("in_all",),
+        "compose_prob": (0,),
+        "compose_legs_prob": (0,),
+        "texts_per_row": ([1, 1],),
+    },
+    RECORDED: dict.fromkeys(
+        ("order", *_CROPPING, *_BALANCING, "compose_prob", "compose_legs_prob", "texts_per_row"),
+    ),
+}
+"""The settings of `ONE_RECORD` that today's recipe lacks, with the values that changed no batch; None: no value did."""
+
+
 def with_new_names(config: Any) -> Any:
     """A config of plain mappings and lists with today's keys; one that has both keeps today's."""
     if isinstance(config, Mapping):
@@ -83,14 +112,36 @@ def with_new_names(config: Any) -> Any:
 
 
 def with_new_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by their whole paths, `training.lr`, with today's."""
+    """Settings by their whole paths, `training.lr`, with today's, and with today's recipe of batches."""
     renamed = {}
     for path, value in settings.items():
         above, _, name = path.rpartition(".")
         own = _arguments(settings.get(f"{above}._target_")).get(name, name)
         today = _new_path(f"{above}.{own}" if above else own)
         renamed[today] = _new_class(value)
-    return renamed
+    return _with_a_recipe(renamed)
+
+
+def _with_a_recipe(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings by their whole paths with today's recipe of batches. A setting that changed batches and that the recipe
+    lacks stays, so that the training is refused as one of other settings."""
+    place = "data.sampling."
+    own = {path.removeprefix(place): value for path, value in settings.items() if path.startswith(place)}
+    if own.get("_target_") not in ONE_RECORD:
+        return settings
+    one_text = own.get("texts_per_row", [1, 1]) == [1, 1]
+    recipe = {"rows": RECORDED, "epochs": EPOCHS}.get(str(own.get("order")), BALANCED if one_text else PACKED)
+    own = {"trimmed": "either_end"} | own | {"_target_": recipe}
+    if own.get("trim") == 0:
+        del own["trimmed"]
+    idle = WITHOUT_EFFECT[recipe]
+    lost = [each for each in own if (name := each.partition(".")[0]) in idle and _is_idle(own[each], idle[name])]
+    others = {path: value for path, value in settings.items() if not path.startswith(place)}
+    return others | {f"{place}{name}": value for name, value in own.items() if name not in lost}
+
+
+def _is_idle(value: Any, values: tuple[Any, ...] | None) -> bool:
+    return values is None or value in values
 
 
 def _new_class(value: Any) -> Any:

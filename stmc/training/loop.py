@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -146,6 +147,7 @@ class Trainer:
         own["processes"] = self.accelerator.num_processes  # each draws batches of its own
         self.described, self.allow_changed = deciding({**(described or {}), **own}), allow_changed_settings
         self.changes: list[str] = []
+        self._said = -math.inf  # when progress was last logged
         self.checkpoints = Checkpoints(self.folder / "checkpoints", settings.keep)
         self.step = self._begun()
 
@@ -166,7 +168,7 @@ class Trainer:
                 window.append(self._update())
                 self.step += 1
                 if self.step % settings.log_every == 0 or self.step == settings.steps:
-                    self._log(sum(window), len(window), time.perf_counter() - began)
+                    self._log(reduce(torch.add, window), len(window), time.perf_counter() - began)
                     window, began = [], time.perf_counter()
                 if main:
                     self._now_and_then()
@@ -184,7 +186,7 @@ class Trainer:
         for optimizer in self.optimizers:
             for group in optimizer.param_groups:
                 group["lr"] = settings.lr_at(self.step)
-        total: Tensor | float = 0.0
+        totals: list[Tensor] = []
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
             torch.manual_seed(seed)  # dropout draws from the global generator
             for piece in pieces:
@@ -192,13 +194,14 @@ class Trainer:
                 with nullcontext() if last else self.accelerator.no_sync(self._prepared):
                     terms = self._terms(self._prepared, piece, generator)
                     self.accelerator.backward(self.objective.weigh(terms) / share)
-                total = total + terms.detach()
+                totals.append(terms.detach())
         most = math.inf if settings.grad_clip is None else settings.grad_clip
         norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), most)
         for optimizer in self.optimizers:
             optimizer.step()
             optimizer.zero_grad(set_to_none=True)
         self.ema.update(self.network, self.step)
+        total = reduce(torch.add, totals)
         total = self.accelerator.reduce(torch.cat([total, total.new_tensor([frames])]), "sum")
         return torch.cat([total, norm.detach().reshape(1)])
 
@@ -245,8 +248,8 @@ class Trainer:
     def validate(self) -> dict[str, float]:
         """Losses of the moving average on the validation pieces, with fixed steps and noise."""
         generator = torch.Generator(self.device).manual_seed(_seed(self.settings.seed, 0, 2**31))
-        terms = sum(self._terms(self.ema.model, piece, generator) for piece in self.validation)
-        return self._means(terms, sum(piece.frames for piece in self.validation))
+        terms = [self._terms(self.ema.model, piece, generator) for piece in self.validation]
+        return self._means(reduce(torch.add, terms), sum(piece.frames for piece in self.validation))
 
     def _state(self) -> dict[str, object]:
         return {
@@ -306,7 +309,6 @@ class Trainer:
         self.progress.update(self.task, completed=self.step)
         if self.step > self.settings.steps:
             logger.warning("the run has %d steps already; %d were asked for", self.step, self.settings.steps)
-        self._said = -math.inf
 
 
 def _seed(*parts: int) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 
 import torch
 import torch.nn.functional as F
@@ -48,8 +49,9 @@ class TmrObjective:
     def __call__(self, network: Tmr, pairs: Pairs, generator: torch.Generator) -> Float[Tensor, " terms"]:
         """Each term's mean, times the number of frames."""
         output = network(pairs.text, pairs.text_mask, pairs.motion, pairs.mask, generator, self.rebuild_every)
+        rebuilt = [F.smooth_l1_loss(motion, pairs.motion[:: self.rebuild_every]) for motion in output.rebuilt]
         terms = [
-            sum(F.smooth_l1_loss(motion, pairs.motion[:: self.rebuild_every]) for motion in output.rebuilt),
+            reduce(torch.add, rebuilt),
             kl_terms(output.text, output.motion).sum(),
             F.smooth_l1_loss(*output.points),
             info_nce(output.text.mean, output.motion.mean, pairs.alike, self.temperature),
@@ -77,7 +79,9 @@ def kl_terms(text: Posterior, motion: Posterior) -> Float[Tensor, " 4"]:
 
 def divergence(posterior: Posterior, prior: Posterior) -> Float[Tensor, ""]:
     """Kullback-Leibler divergence between normal distributions of independent numbers, in nats, averaged over numbers
-    and rows."""
+    and rows. Raises `ValueError` for a posterior without a variance."""
+    if posterior.log_variance is None or prior.log_variance is None:
+        raise ValueError("divergence needs posteriors with variances")
     excess = posterior.log_variance - prior.log_variance
     distance = (prior.mean - posterior.mean).square() / prior.log_variance.exp()
     return (0.5 * (excess.exp() + distance - 1 - excess)).mean()

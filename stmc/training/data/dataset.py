@@ -51,7 +51,7 @@ class Dataset:
     each content's first clip and its first text, however many contents have the same one (as STMC's are, whose every
     entry is a content), not over all clips and distinct texts. Contents with fewer than `min_clips` training clips
     have no texts: one clip of several actions teaches no word. `joined` are sentences about two contents at once, by
-    the contents' names, for compositions (see `Sampling.joined_prob`); a pair of which the cache lacks one is ignored.
+    the contents' names, for compositions (see `BalancedBatches`); a pair of which the cache lacks one is ignored.
     Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
     """
 
@@ -147,7 +147,11 @@ class Dataset:
         if not self.described[clip]:
             return NULL
         places, cumulated = self.choices[self.clips[clip].texts]
-        return int(places[min(np.searchsorted(cumulated, u, side="right"), len(places) - 1)])
+        return int(places[min(int(np.searchsorted(cumulated, u, side="right")), len(places) - 1)])
+
+    def sentences_of(self, clips: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """The place of a sentence of each clip, chosen as `sentence` does."""
+        return np.array([self.sentence(*pair) for pair in zip(clips.tolist(), u.tolist(), strict=True)], dtype=int)
 
     def joined_sentence(self, clip: int, other: int, u: float) -> int | None:
         """The place of the sentence about both clips' contents that `u` in [0, 1) chooses; None where there is none."""
@@ -262,7 +266,7 @@ class Crops:
 class BatchPlan:
     """Crops to be: the `body` of each, and the place of its sentence; for a composition the `donor` whose claimed
     parts it takes over from its frame `offset` on (else a crop of no frames), and the sentence of the `other` of the
-    two where the crop shows it, too (else the crop's own, as where that is about both): see `Sampling.compose_prob`.
+    two where the crop shows it, too (else the crop's own, as where that is about both): see `BalancedBatches`.
     Crops stand in rows one after the other: see `Arrangement` for `row` and `fade`."""
 
     body: Crops
@@ -272,6 +276,12 @@ class BatchPlan:
     other: np.ndarray
     row: np.ndarray
     fade: np.ndarray
+
+    @classmethod
+    def plain(cls, body: Crops, sentence: np.ndarray, row: np.ndarray) -> BatchPlan:
+        """Crops as they are: no compositions, no fades."""
+        none = np.zeros(len(sentence), dtype=int)
+        return cls(body, sentence, replace(body, frames=none), none, sentence, row, none)
 
     def __getitem__(self, crops: np.ndarray) -> BatchPlan:
         """Some of the crops; the rows keep their numbers."""

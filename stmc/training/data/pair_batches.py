@@ -27,22 +27,14 @@ class PairBatches:
     `sentences`, texts that it finds `similar` by more than `threshold` are taken to be true of each other's motions,
     too: the filter of TMR, for data where one clip's sentences are not another's.
 
-    Raises `ValueError` for sampling that leaves rows without a text, or with several.
+    Raises `ValueError` for a recipe that leaves rows without a text, or with several.
     """
 
     def __init__(
         self, batches: ClipBatches, sentences: TextEncoder | None = None, threshold: float | int = 0.8
     ) -> None:
-        sampling, dataset = batches.sampling, batches.dataset
-        if sampling.uncond_crop_prob or sampling.text_dropout:
-            raise ValueError(
-                f"pairs need texts: uncond_crop_prob ({sampling.uncond_crop_prob}) and text_dropout "
-                f"({sampling.text_dropout}) must be 0"
-            )
-        if sampling.joined_prob:
-            raise ValueError(f"pairs are of one content a text: joined_prob ({sampling.joined_prob}) must be 0")
-        if sampling.several_texts:
-            raise ValueError(f"pairs are of one text each: texts_per_row ({sampling.texts_per_row}) must be [1, 1]")
+        batches.recipe.check_pairs()
+        dataset = batches.dataset
         self.batches, self.threshold = batches, threshold
         keys = {key: column for column, key in enumerate(dataset.choices)}
         self._true = np.zeros((len(dataset.sentences), len(keys) + 1), dtype=bool)  # the last column: of no sentence

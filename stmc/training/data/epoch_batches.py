@@ -1,15 +1,19 @@
-"""Epochs: every content once, in a new order each time, as PyTorch's `DataLoader` shuffles a data set.
+"""Batches in epochs: every content once, in a new order each time, as PyTorch's `DataLoader` shuffles a data set.
 
-Knows clips, and that a content is one entry of a data set; knows no features and no texts.
+Knows clips, and that a content is one entry of a data set; knows no features and no network.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from stmc.data.cache import Clip
+from stmc.settings.records import setting
+from stmc.training.data.batches import Draw, SplitClips
+from stmc.training.data.cropped_rows import CropRecipe, Sources
 
 
 class Epochs:
@@ -48,3 +52,33 @@ class Epochs:
             rng = np.random.default_rng([*self._seed, 0, process, epoch])
             self._shuffled = (epoch, process), rng.permutation(len(self._annotations))
         return self._shuffled[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpochBatches(CropRecipe):
+    """Draw every content once an epoch, shuffled: for data sets whose every entry is a content of its own.
+
+    MDM-SMPL is trained so on HumanML3D (STMC, appendix D), and FlowMDM. A clip loses at most `trim` at both ends
+    together. A crop without a text comes from the whole recording of the clip that was drawn. Batches are not sorted by
+    length.
+    """
+
+    drop_last: bool = setting(False, "leave out the last batch of an epoch if it is smaller than the others")
+
+    def begin(self, clips: SplitClips, seed: int) -> Draw:
+        """Prepare the epochs."""
+        epochs = Epochs(clips.dataset.clips, clips.described, self.rows, [seed, clips.salt], self.drop_last)
+        return lambda number, process, rng: self.draw_crops(clips, epochs(number, process), rng)
+
+    def _sources(self, clips: SplitClips, clip: np.ndarray, textless: np.ndarray, rng: np.random.Generator) -> Sources:
+        begin, length = clips.recording
+        return (
+            clip,
+            np.where(textless, begin[clip], clips.start[clip]),
+            np.where(textless, length[clip], clips.length[clip]),
+        )
+
+    def _lost(self, most: np.ndarray, u: np.ndarray) -> np.ndarray:
+        lost = np.floor(u[0] * (most + 1))
+        first = np.floor(u[1] * (lost + 1))
+        return np.stack([first, lost - first]).astype(int)

@@ -1,18 +1,22 @@
-"""Rows of several texts, for denoisers that know a text for every frame: which crops follow each other in a row.
+"""Rows of several texts, packed from balanced crops, for denoisers that know a text for every frame.
 
 Knows a dataset and drawn crops; knows no features (see `joining` for how they become one motion) and no network.
-FlowMDM is trained on such rows of BABEL's (Barquero et al. 2024); here they are recordings that pass from one clip to
-the next, and crops of any clips, put together where the poses fit.
+FlowMDM is trained on rows of BABEL (Barquero et al. 2024; see `recorded_rows`); here a row is a recording that passes
+from one clip to the next, or crops of any clips, put together where the poses fit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from stmc.data.cache import TOUCHING, Clip
+from stmc.settings.records import SettingError, setting
+from stmc.training.data.balanced_batches import BalancedBatches
+from stmc.training.data.batches import Draw, SplitClips
 from stmc.training.data.dataset import NULL, BatchPlan, Crops, Dataset
 
 FADE = 0.5
@@ -23,6 +27,35 @@ CANDIDATES = 32
 
 FARTHEST = 1.0
 """Distance of two poses, in standard deviations (root mean square over features), that are too unlike to be faded."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackedRows(BalancedBatches):
+    """Draw balanced crops, and put them into rows of several texts, for denoisers that know a text for every frame.
+
+    A row has as many texts as `texts_per_row` says, or ends where no crop fits: see `Sequences`. `rows` counts crops.
+    """
+
+    texts_per_row: Sequence = setting((1, 4), "least and most texts of a row, two whole numbers from 1 on")
+    several_texts: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        numbers = list(self.texts_per_row)
+        whole = len(numbers) == 2 and all(isinstance(number, int) for number in numbers)
+        if not whole or not 1 <= numbers[0] <= numbers[1] or numbers[1] < 2:
+            raise SettingError(
+                f"texts_per_row={numbers}: a least and a most number of texts needed, such as [1, 4]; "
+                "rows of one text each are BalancedBatches"
+            )
+
+    def begin(self, clips: SplitClips, seed: int) -> Draw:
+        """Prepare to draw, as `BalancedBatches`, and to pack."""
+        (least, most), dataset = self.texts_per_row, clips.dataset
+        longest = max(1, int(self.longest * dataset.fps))
+        pack = Sequences(dataset, clips.chosen & dataset.described, least, most, longest)
+        draw = super().begin(clips, seed)
+        return lambda number, process, rng: pack(draw(number, process, rng), rng)
 
 
 class Sequences:
@@ -69,8 +102,7 @@ class Sequences:
             own, end = np.ones(len(asked)), self._end[next_clip]
             here = Crops(plan.body.clip[asked], begin, change, change - begin, own)
             there = Crops(next_clip, change, end, np.minimum(end - change, self.longest), own)
-            shown = zip(next_clip.tolist(), rng.random(len(asked)).tolist(), strict=True)
-            sentence = np.array([self.dataset.sentence(clip, u) for clip, u in shown], dtype=int)
+            sentence = self.dataset.sentences_of(next_clip, rng.random(len(asked)))
             plan, passed = _with_more(plan, asked, here, there, sentence), np.arange(len(asked)) + len(after)
             after[asked] = passed
             asked, after = passed, np.append(after, np.full(len(passed), -1))
@@ -119,21 +151,6 @@ class _Links:
         candidates = rng.choice(free, min(CANDIDATES, len(free)), replace=False)
         distance = np.sqrt(np.square(self.starts[candidates] - self.ends[last]).mean(axis=1))
         return int(candidates[distance.argmin()]) if distance.min() <= FARTHEST else -1
-
-
-def recorded(dataset: Dataset, drawn: np.ndarray, dropout: float | int, random: np.random.Generator) -> BatchPlan:
-    """A row of each `drawn` clip's content: all its clips whole, as they follow each other in the recording. Of each
-    one a sentence is drawn, which is dropped by itself with probability `dropout`."""
-    places: dict[str, list[int]] = {}
-    for place in np.flatnonzero(dataset.described).tolist():
-        places.setdefault(dataset.clips[place].content, []).append(place)
-    rows = [sorted(places[dataset.clips[place].content], key=lambda each: dataset.clips[each].start) for place in drawn]
-    clip, row = np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(each) for each in rows])
-    start, end = (np.array([getattr(dataset.clips[place], side) for place in clip]) for side in ("start", "end"))
-    said = [dataset.sentence(*pair) for pair in zip(clip.tolist(), random.random(len(clip)).tolist(), strict=True)]
-    sentence = np.where(random.random(len(clip)) < dropout, NULL, np.array(said, dtype=int))
-    body, none = Crops(clip, start, end, end - start, np.ones(len(clip))), np.zeros(len(clip), dtype=int)
-    return BatchPlan(body, sentence, replace(body, frames=none), none, sentence, row, none)
 
 
 def following(clips: Sequence[Clip], chosen: np.ndarray, fps: float | int) -> np.ndarray:
