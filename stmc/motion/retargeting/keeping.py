@@ -6,7 +6,7 @@ Limbs follow in closed form, in the planes in which they are bent.
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -21,6 +21,8 @@ from stmc.motion.retargeting.rig import LIMBS, SIDES, Rig
 _LEG, _ARM = LIMBS
 _LOW, _HIGH = 0.1, 0.3
 """Metres above the floor, on our body, up to which a foot is exactly as high as ours, and from which on it is free."""
+_AROUND = 1e-3
+"""What a step just before or after a contact counts against one of the contact."""
 _SINK = 0.25
 """Seconds over which the pelvis sinks where a leg would be too short."""
 _NEAR, _FAR = 0.45, 0.65
@@ -37,8 +39,8 @@ def keep_feet(
     led = source.soles()
     target = _tilted(led, target, rig)
     own = target.soles()
-    held = _held(led, source.at("pelvis")[:, 2], fps)
-    ways = torch.stack([_way(led[:, side], own[:, side], held[:, side], fps) for side in range(2)], dim=1)
+    following = _following(led, source.at("pelvis")[:, 2], fps)
+    ways = torch.stack([_way(led[:, side], own[:, side], following[:, side], fps) for side in range(2)], dim=1)
     hips, knees, ankles = (torch.stack([target.at(f"{side}_{each}") for side in SIDES], dim=1) for each in _LEG)
     wanted = ankles + ways
     pelvis = target.at("pelvis").clone()
@@ -111,24 +113,28 @@ def _bend(
     turns[:, upper], turns[:, lower] = bent
 
 
-def _held(led: Float[Tensor, "frames 2 2 3"], pelvis: Float[Tensor, " frames"], fps: float | int) -> Tensor:
-    """Whether heels and toes [steps, feet, 2] stand from each frame to the next, or do so just before or after."""
+def _following(led: Float[Tensor, "frames 2 2 3"], pelvis: Float[Tensor, " frames"], fps: float | int) -> Tensor:
+    """How much each step [steps, feet, 2] of heels and toes follows the leading one's: those that stand, and next to
+    nothing, unless the other end stands, of those just before and after."""
     if len(led) < 2:
-        return torch.zeros(0, 2, 2, dtype=torch.bool)
-    held = standing_steps(led, pelvis, fps, 0.0)
+        return led.new_zeros(0, 2, 2)
+    held = standing_steps(led, pelvis, fps, 0.0).to(led)
     none = torch.zeros_like(held[:1])
-    return held | torch.cat([held[1:], none]) | torch.cat([none, held[:-1]])
+    around = torch.maximum(torch.cat([held[1:], none]), torch.cat([none, held[:-1]]))
+    return torch.maximum(held, _AROUND * around)
 
 
 def _way(
-    led: Float[Tensor, "frames 2 3"], own: Float[Tensor, "frames 2 3"], held: Bool[Tensor, "_ 2"], fps: float | int
+    led: Float[Tensor, "frames 2 3"],
+    own: Float[Tensor, "frames 2 3"],
+    following: Float[Tensor, "_ 2"],
+    fps: float | int,
 ) -> Float[Tensor, "frames 3"]:
     """How far to move a foot: over the floor so that it makes the steps that the leading one makes while it stands,
     being where it was on average; and up or down to the leading one's height, where that is low."""
-    stands = held.any(dim=1)
-    errors = (led - own).diff(dim=0) * held[..., None]
-    steps = errors.sum(dim=1) / held.sum(dim=1).clamp(min=1)[:, None]
-    ways, spans = torch.zeros_like(led[:, 0]), [(start, end) for start, end in runs(stands)]
+    total = following.sum(dim=1)
+    steps = ((led - own).diff(dim=0) * following[..., None]).sum(dim=1) / total.clamp(min=_AROUND)[:, None]
+    ways, spans = torch.zeros_like(led[:, 0]), runs(total > 0)
     for start, end in spans:
         summed = torch.cat([steps.new_zeros(1, 3), steps[start:end].cumsum(dim=0)])
         ways[start : end + 1] = summed - summed.mean(dim=0)
