@@ -1,4 +1,4 @@
-"""Characters made by code: rigs of other names, proportions, rest poses, rolls and spines, as small `.glb` and `.bvh`."""
+"""Characters made by code: other names, proportions, rest poses, rolls and spines, as small `.glb` and `.bvh`."""
 
 import json
 import struct
@@ -46,7 +46,7 @@ def lanky(spines: int = 7, droop: float = 50.0) -> Bones:
         bones.add(f"DEF-upper_arm.{side}", f"DEF-shoulder.{side}", shoulder)
         bones.add(f"DEF-upper_arm.{side}.001", f"DEF-upper_arm.{side}", shoulder + 0.15 * along)
         bones.add(f"DEF-forearm.{side}", f"DEF-upper_arm.{side}.001", shoulder + 0.3 * along)
-        fore = along + [0, 0, 0.15]
+        fore = along + np.array([0, 0, 0.15])
         bones.add(f"DEF-hand.{side}", f"DEF-forearm.{side}", shoulder + 0.3 * along + 0.28 * fore)
         bones.add(f"DEF-f_index.{side}", f"DEF-hand.{side}", shoulder + 0.3 * along + 0.38 * fore)
         bones.add(f"DEF-thigh.{side}", "DEF-hips", (sign * 0.11, 1.05, 0))
@@ -171,7 +171,7 @@ def bvh(bones: Bones, unit: float = 100.0) -> str:
 
 
 def moved(content: bytes, frame: int) -> dict[str, np.ndarray]:
-    """An oracle from glTF's specification: the world matrices of all named nodes in one frame of the first animation."""
+    """An oracle from glTF's specification: world matrices of all named nodes in a frame of the first animation."""
     made, binary = unpacked(content)
     local = []
     for node in made["nodes"]:

@@ -28,6 +28,7 @@ from stmc.motion.retargeting.rig import NEEDED, OPTIONAL
 
 _MOST_BVH, _MOST_MAP = 2**26, 2**16
 """Bytes of a BVH file, and of a joint map."""
+_Corrections = Mapping[str, str | None]
 _JOINTS = (*OPTIONAL[:1], *NEEDED, *OPTIONAL[1:])
 
 
@@ -150,8 +151,9 @@ def read_character(path: str | Path, joint_map: str | Path | Mapping[str, str | 
     path = Path(path)
     read = _READERS.get(path.suffix.lower())
     if read is None:
-        raise CharacterError(f"{path}: no character of {path.suffix!r} files is read; choose from {', '.join(_READERS)}")
-    corrections = joint_map if isinstance(joint_map, Mapping) else {} if joint_map is None else _read_map(Path(joint_map))
+        choices = ", ".join(_READERS)
+        raise CharacterError(f"{path}: no characters of {path.suffix!r} files are read; choose from {choices}")
+    corrections = _read_map(Path(joint_map)) if isinstance(joint_map, (str, Path)) else joint_map or {}
     try:
         return read(path, corrections)
     except ValueError as error:
@@ -177,17 +179,17 @@ def retarget(motion: Motion, character: Character | str | Path) -> CharacterMoti
     return CharacterMotion(character, transfer(motion, character.rig))
 
 
-def _from_gltf(path: Path, corrections: Mapping[str, str | None]) -> Character:
+def _from_gltf(path: Path, corrections: _Corrections) -> Character:
     body = GltfRig.of(read_gltf(path))
     return _character(body, sorted(body.joints), body.humanoid(), corrections, y_up=True)
 
 
-def _from_bvh(path: Path, corrections: Mapping[str, str | None]) -> Character:
+def _from_bvh(path: Path, corrections: _Corrections) -> Character:
     body = BvhRig.of(parse_bvh(read_text(path, _MOST_BVH)))
     return _character(body, list(range(len(body.names))), {}, corrections, y_up=False)
 
 
-_READERS: dict[str, Callable[[Path, Mapping[str, str | None]], Character]] = {
+_READERS: dict[str, Callable[[Path, _Corrections], Character]] = {
     ".glb": _from_gltf,
     ".gltf": _from_gltf,
     ".vrm": _from_gltf,
@@ -196,7 +198,7 @@ _READERS: dict[str, Callable[[Path, Mapping[str, str | None]], Character]] = {
 
 
 def _character(
-    body: GltfRig | BvhRig, nodes: list[int], humanoid: dict[str, int], corrections: Mapping[str, str | None], y_up: bool
+    body: GltfRig | BvhRig, nodes: list[int], humanoid: dict[str, int], corrections: _Corrections, y_up: bool
 ) -> Character:
     found_by, joints = "VRM's humanoid map", humanoid
     if not joints:
@@ -212,7 +214,7 @@ def _character(
     return Character(rig, found_by, body, standing)
 
 
-def _corrected(joints: Mapping[str, int], names: tuple[str, ...], corrections: Mapping[str, str | None]) -> dict[str, int]:
+def _corrected(joints: Mapping[str, int], names: tuple[str, ...], corrections: _Corrections) -> dict[str, int]:
     corrected = dict(joints)
     for joint, name in corrections.items():
         if joint not in _JOINTS:

@@ -6,7 +6,6 @@ Knows containers, nodes and skins; knows no person. Meshes, materials and textur
 from __future__ import annotations
 
 import json
-import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -273,5 +272,3 @@ def with_animation(
     animations = [{**animation, "samplers": samplers}, *objects(document, "animations")]
     document |= {"accessors": known, "bufferViews": views, "buffers": buffers, "animations": animations}
     return Gltf(document, binary)
-
-

@@ -77,7 +77,8 @@ class GltfRig:
     def names(self) -> tuple[str, ...]:
         """The nodes' names; of those without one, "node" and the number."""
         named = (self.gltf.nodes[node].get("name") for node in self.nodes)
-        return tuple(name if isinstance(name, str) and name else f"node {n}" for name, n in zip(named, self.nodes, strict=True))
+        pairs = zip(named, self.nodes, strict=True)
+        return tuple(name if isinstance(name, str) and name else f"node {number}" for name, number in pairs)
 
     def humanoid(self) -> dict[str, int]:
         """Joints of ours by VRM's humanoid map; empty without one."""
@@ -159,7 +160,8 @@ def vrm_joints(gltf: Gltf) -> dict[str, int]:
     if isinstance(new, dict):
         bones = {bone: each.get("node") for bone, each in new.items() if isinstance(each, dict)}
     elif isinstance(old, list):
-        bones = {each.get("bone"): each.get("node") for each in old if isinstance(each, dict) and isinstance(each.get("bone"), str)}
+        rows = [each for each in old if isinstance(each, dict) and isinstance(each.get("bone"), str)]
+        bones = {each["bone"]: each.get("node") for each in rows}
     return {
         joint: index(bones[bone], count, f"VRM's bone {bone}") for bone, joint in VRM_BONES.items() if bone in bones
     }
@@ -209,7 +211,7 @@ def _rest(gltf: Gltf, nodes: Sequence[int], parents: Sequence[int]) -> tuple[np.
         name = f"nodes[{node}]"
         translation, turn, scale = transform(gltf.nodes[node], name)
         if place in carriers and not max(scale) <= (1 + _EVEN) * min(scale):
-            raise CharacterError(f"{name} is scaled by {shown(list(scale))}, unevenly: apply its scale before exporting")
+            raise CharacterError(f"{name} is scaled unevenly, by {shown(scale.tolist())}: apply its scale first")
         if parent >= 0:
             translation = places[parent] + turns[parent] @ translation * scales[parent]
             turn, scale = turns[parent] @ turn, scale * scales[parent]

@@ -38,9 +38,7 @@ _BY_JOINTS = {
     "ankle": "ankle",
     "foot": "foot toebase toe toes ball",
 }
-_TABLES = tuple(
-    {joint: words.split() for joint, words in table.items()} for table in (_BY_JOINTS, _BY_BONES)
-)
+_TABLES = tuple({joint: words.split() for joint, words in table.items()} for table in (_BY_JOINTS, _BY_BONES))
 _WORDS = {word for table in _TABLES for words in table.values() for word in words}
 
 VRM_BONES: Mapping[str, str] = {

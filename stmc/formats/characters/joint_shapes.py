@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from stmc.motion.retargeting.rig import SIDES, ancestors, path
 
+_LONGEST = 40
+"""Joints of a limb, from the trunk on."""
 _STEEP = 0.6
 """The sine of a bone's slope above which it belongs to a leg and not to a foot."""
 
@@ -43,19 +45,23 @@ def joints_by_shape(
     if not heads:
         return {}
     top = max(heads, key=lambda leaf: places[leaf, 1])
-    joints: dict[str, int] = {"head": _head(parents, places, path(parents, chest, top)[1:])}
+    joints = {"head": _head(path(parents, chest, top)[1:])}
     forward = 1.0
     for side, leg, arm in zip(SIDES, legs, arms, strict=True):
-        found = _leg(places, path(parents, pelvis, leg)[1:]) | _arm(parents, places, path(parents, chest, arm)[1:], inside)
-        if not found:
+        lower = _leg(places, path(parents, pelvis, leg)[1:])
+        upper_limb = _arm(parents, places, path(parents, chest, arm)[1:], inside)
+        if not lower or not upper_limb:
             return {}
+        found = lower | upper_limb
         if "foot" in found:
             forward = float(places[found["foot"], 2] - places[found["ankle"], 2])
         joints |= {f"{side}_{joint}": node for joint, node in found.items()}
     return joints if forward > 0 else _swapped(joints)
 
 
-def _pair(leaves, places, middle, rank) -> tuple[int, int] | None:  # noqa: ANN001
+def _pair(
+    leaves: Sequence[int], places: np.ndarray, middle: float, rank: Callable[[int], float]
+) -> tuple[int, int] | None:
     """The leaf on the +x side and the one on the other that rank highest."""
     sides = [[leaf for leaf in leaves if sign * (places[leaf, 0] - middle) > 1e-6] for sign in (1, -1)]
     if not all(sides):
@@ -73,7 +79,7 @@ def _shared(parents: Sequence[int], leaf: int, pair: tuple[int, int], top: int) 
     return any(branch == path(parents, top, other)[1:2] for other in pair)
 
 
-def _head(parents: Sequence[int], places: np.ndarray, chain: Sequence[int]) -> int:
+def _head(chain: Sequence[int]) -> int:
     """The joint that carries what is highest: the last but one of three or more, for the last ends it."""
     return chain[-1] if len(chain) < 3 else chain[-2]
 
@@ -86,7 +92,7 @@ def _leg(places: np.ndarray, chain: Sequence[int]) -> dict[str, int]:
     last = steep[-1] + 1
     if len(chain) > 3 and last == len(chain) - 1 and _span(places, chain[-2:]) < 0.4 * _span(places, chain[-3:-1]):
         last -= 1  # a toe that lies below the ankle rather than before it
-    limb = _bent(places, chain[: last + 1])
+    limb = _bent(places, chain, [last])
     if not limb:
         return {}
     toes = {"foot": chain[last + 1]} if last + 1 < len(chain) else {}
@@ -95,8 +101,8 @@ def _leg(places: np.ndarray, chain: Sequence[int]) -> dict[str, int]:
 
 def _arm(parents: Sequence[int], places: np.ndarray, chain: Sequence[int], inside: set[int]) -> dict[str, int]:
     forks = [node for node in chain if sum(parents[other] == node for other in inside) > 1]
-    wrist = chain.index(forks[0]) if forks else len(chain) - 1
-    limb = _bent(places, chain[: wrist + 1])
+    ends = [chain.index(forks[0])] if forks else range(max(2, len(chain) - 2), len(chain))
+    limb = _bent(places, chain, ends)
     if not limb:
         return {}
     before = chain.index(limb[0])
@@ -104,15 +110,17 @@ def _arm(parents: Sequence[int], places: np.ndarray, chain: Sequence[int], insid
     return dict(zip(("shoulder", "elbow", "wrist"), limb, strict=True)) | collar
 
 
-def _bent(places: np.ndarray, chain: Sequence[int]) -> tuple[int, int, int] | None:
-    """Where a limb that ends with the chain begins and bends: where its two bones are the most alike in length."""
-    end, best = chain[-1], None
-    for first, second in itertools.combinations(chain[:-1], 2):
-        upper, lower = _span(places, (first, second)), _span(places, (second, end))
-        if min(upper, lower) > 1e-6:
-            score = abs(math.log(upper / lower)) - 0.5 * math.log(upper + lower)
-            best = min(best or (math.inf,), (score, first, second))
-    return None if best is None else (best[1], best[2], end)
+def _bent(places: np.ndarray, chain: Sequence[int], ends: Iterable[int]) -> tuple[int, ...] | None:
+    """Where a limb that ends at one of these places of the chain begins, bends and ends: where its two bones are the
+    most alike in length, and long."""
+    best: tuple[float, tuple[int, ...]] | None = None
+    for end in ends if len(chain) <= _LONGEST else ():
+        for first, second in itertools.combinations(chain[:end], 2):
+            upper, lower = _span(places, (first, second)), _span(places, (second, chain[end]))
+            if min(upper, lower) > 1e-6:
+                score = abs(math.log(upper / lower)) - 0.5 * math.log(upper + lower)
+                best = min(best or (math.inf, ()), (score, (first, second, chain[end])))
+    return best and best[1]
 
 
 def _span(places: np.ndarray, pair: Sequence[int]) -> float:

@@ -6,6 +6,7 @@ Knows trees and rest positions. Rest positions stand upright: z up, the floor at
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -130,7 +131,7 @@ def limb_length(at: Callable[[str], Float[Tensor, " 3"]], limb: Sequence[str]) -
     bones = [
         (at(f"{side}_{below}") - at(f"{side}_{above}")).norm()
         for side in SIDES
-        for above, below in zip(limb, limb[1:], strict=False)
+        for above, below in itertools.pairwise(limb)
     ]
     return float(torch.stack(bones).sum()) / 2
 
@@ -175,14 +176,14 @@ def _check(rig: Rig) -> None:
         (f"{side}_{above}", f"{side}_{below}")
         for side in SIDES
         for limb in LIMBS
-        for above, below in zip(limb, limb[1:], strict=False)
+        for above, below in itertools.pairwise(limb)
     ]
     toes = [(f"{side}_ankle", f"{side}_foot") for side in SIDES if f"{side}_foot" in rig.joints]
     collars = [(f"{side}_collar", f"{side}_shoulder") for side in SIDES if f"{side}_collar" in rig.joints]
     for above, below in bones + toes + collars:
         if rig.joints[above] not in ancestors(rig.parents, rig.joints[below]):
-            names = (shown(rig.names[rig.joints[joint]]) for joint in (below, above))
-            raise RigError("{} ({}) does not hang from {} ({})".format(next(names), below, next(names), above))
+            lower, upper = (shown(rig.names[rig.joints[joint]]) for joint in (below, above))
+            raise RigError(f"{lower} ({below}) does not hang from {upper} ({above})")
     for above, below in bones:
         if not (rig.at(below) - rig.at(above)).norm() > _SHORTEST * rig.length(LIMBS[0]):
             raise RigError(f"{below} is where {above} is: the bone between them has no length")

@@ -5,6 +5,8 @@ Trunk, head and collars keep their own posture; feet are flat in both, so that t
 
 from __future__ import annotations
 
+import itertools
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -37,7 +39,7 @@ def spread_limbs(rig: Rig, target: Performer, source: Performer) -> Float[Tensor
 def _aligned(turns: Tensor, target: Performer, source: Performer, limb: list[str]) -> Float[Tensor, "3 3"]:
     """Set the turns of a limb's two bones, each the smallest one after the other's; return that of the lower."""
     aligned = torch.eye(3, dtype=torch.float64)
-    for above, below in zip(limb, limb[1:], strict=False):
+    for above, below in itertools.pairwise(limb):
         own, ours = (normalize(each.resting(below) - each.resting(above), dim=0) for each in (target, source))
         aligned = shortest_arc(aligned @ own, ours) @ aligned
         turns[target.joints[above]] = aligned

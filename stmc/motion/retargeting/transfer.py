@@ -99,7 +99,7 @@ def _turned(rig: Rig, source: Performer) -> tuple[Performer, Float[Tensor, "driv
 
 
 def _lift(hips: Float[Tensor, " frames"], higher: float) -> Float[Tensor, " frames"]:
-    """How far hips of this height are lifted on feet whose ankles are `higher`; less where the body sits on the floor."""
+    """How far to lift hips of this height for feet whose ankles are `higher`: less where the body sits on the floor."""
     return higher * ((hips - _SITTING[0]) / (_SITTING[1] - _SITTING[0])).clamp(0, 1)
 
 
