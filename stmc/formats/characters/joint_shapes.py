@@ -118,7 +118,7 @@ def _bent(places: np.ndarray, chain: Sequence[int], ends: Iterable[int]) -> tupl
         for first, second in itertools.combinations(chain[:end], 2):
             upper, lower = _span(places, (first, second)), _span(places, (second, chain[end]))
             if min(upper, lower) > 1e-6:
-                score = abs(math.log(upper / lower)) - 0.5 * math.log(upper + lower)
+                score = abs(math.log(upper / lower)) - 0.2 * math.log(upper + lower)
                 best = min(best or (math.inf, ()), (score, (first, second, chain[end])))
     return best and best[1]
 
