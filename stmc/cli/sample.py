@@ -28,6 +28,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import stmc
+from stmc.cli.character_settings import asked_character, tell_character
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel, Sharded
 from stmc.composing import METHODS, find_method
@@ -46,12 +47,13 @@ from stmc.viewing.film_formats import FILMS, ffmpeg
 
 FORMATS = ("npz", "bvh", "html")
 """Those that are written if nobody says which."""
-CHOICES = (*FORMATS, "glb", "csv", "xml", "webp", "gif", "mp4")
+CHOICES = (*FORMATS, "glb", "csv", "xml", "webp", "gif", "mp4", "vrm", "vrma")
 EXAMPLE = "'walk # 0 # 4'"
 """A timeline as it is typed."""
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
+FILES = ("keep", "constraints", "character", "joint_map")
 DECIDING = ("method", "precision", "fps", "clean_feet", "change", *about(Sampling))
-"""The settings that decide what a motion becomes, beside its seed, model and timeline."""
+"""The settings that decide what a motion becomes, beside its seed, model and timeline, and those whose files do."""
 TOGETHER = {"cpu": 8, "cuda": 64}
 """Timelines at a time: a GPU is faster with many; a CPU is not, and what is done should be on the disk soon."""
 SILENCE = 30
@@ -78,6 +80,8 @@ class Settings(Sampling, OnModel, Sharded):
     samples: int = setting(1, "motions of each timeline; their seeds count up from `seed`", at_least=1, at_most=100_000)
     seed: int = setting(0, "seed of the first motion of each timeline", at_least=0)
     formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=CHOICES)
+    character: str | None = setting(None, "your .glb, .gltf, .vrm or .bvh: it moves in files of formats=glb, vrm, bvh")
+    joint_map: str | None = setting(None, ".yaml that corrects which joint of the character is which")
     clean_feet: bool = setting(True, "keep standing feet in place and above the floor; false: leave them as sampled")
     fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
     precision: str = setting("fp32", "of the denoiser; bf16 is faster on some processors", choices=get_args(Precision))
@@ -104,6 +108,7 @@ class Job(NamedTuple):
 def main(config: DictConfig) -> None:
     console, folder = Console(stderr=config.json, soft_wrap=True, highlight=False), Path(config.output).expanduser()
     check(config)
+    tell_character(config.character, config.joint_map, config.formats, console)
     made_by, shard, everything = fingerprint(config.model), Shard.asked(config.shard), jobs(config, console)
     wanted = everything if shard.number is None else shard.of(everything)
     missing = {job.name for job in wanted if not finished(job, config, made_by)}
@@ -135,10 +140,7 @@ def main(config: DictConfig) -> None:
 def hint(formats: Sequence[str]) -> str:
     """The programs for those of the formats that a newcomer may not know."""
     blender = " or ".join(f".{kind}" for kind in ("bvh", "glb") if kind in formats)
-    told = [
-        *(["an .html in a browser"] if "html" in formats else []),
-        *([f"a {blender} in Blender"] if blender else []),
-    ]
+    told = ["an .html in a browser"] * ("html" in formats) + [f"a {blender} in Blender"] * bool(blender)
     return f": open {', '.join(told)}" if told else ""
 
 
@@ -222,7 +224,7 @@ def record(job: Job, config: DictConfig, made_by: str) -> dict:
     """What a motion depends on, but for settings that are left open."""
     said = {key: plain(config[key]) for key in DECIDING}
     said = {key: value for key, value in said.items() if value is not None and value is not False and value != []}
-    files = {key: digest(config[key]) for key in ("keep", "constraints") if config[key] is not None}
+    files = {key: digest(config[key]) for key in FILES if config[key] is not None}
     return (
         said
         | files
@@ -355,8 +357,9 @@ def save(
     motion = motion if config.fps is None else motion.resampled(config.fps)
     with scratch(folder / job.name) as aside:
         made = [aside / f"{job.name}.{kind}" for kind in config.formats]
+        character = asked_character(config.character, config.joint_map)
         for path in made:
-            write_format(motion, path, job, unknown)
+            write_format(motion, path, job, unknown, character)
         digests = {path.suffix[1:]: sha256(path) for path in made}
         with held(folder / f".{job.name}.lock", math.inf):
             request, former = recorded(folder, job.name)
@@ -370,9 +373,13 @@ def save(
     return paths
 
 
-def write_format(motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
-    """Write a motion in the format of the path's suffix."""
-    if path.suffix == ".html":
+def write_format(
+    motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition], character: stmc.Character | None
+) -> None:
+    """Write a motion in the format of the path's suffix, of the character where that has one."""
+    if character is not None and path.suffix in character.formats:
+        stmc.retarget(motion, character).write(path)
+    elif path.suffix == ".html":
         write_text(path, stmc.render_html(motion, job.timeline, title=job.name, unknown=unknown))
     elif path.suffix in FILMS:
         stmc.render_film(motion, path, job.timeline)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from stmc.formats.bvh_parser import Bvh
 from stmc.formats.bvh_writer import euler_curves
 from stmc.formats.characters.gltf_file import CharacterError
-from stmc.formats.characters.standing import Standing
+from stmc.formats.characters.upright import Standing
 from stmc.motion.retargeting import RigMotion
 
 _TURN = "Zrotation Xrotation Yrotation"

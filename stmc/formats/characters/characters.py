@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -18,7 +17,7 @@ from stmc.formats.characters.gltf_file import CharacterError, read_gltf
 from stmc.formats.characters.gltf_rig import GltfRig
 from stmc.formats.characters.joint_names import joints_by_name
 from stmc.formats.characters.joint_shapes import joints_by_shape
-from stmc.formats.characters.standing import Standing, stand
+from stmc.formats.characters.upright import Standing, stand
 from stmc.formats.characters.vrm_animation import vrma_bytes
 from stmc.io.files import write_whole
 from stmc.io.untrusted import cut, read_text, shown
@@ -229,11 +228,12 @@ def _corrected(joints: Mapping[str, int], names: tuple[str, ...], corrections: _
     return corrected
 
 
-def _read_map(path: Path) -> dict[str, Any]:
+def _read_map(path: Path) -> dict[str, str | None]:
     try:
         content = yaml.safe_load(read_text(path, _MOST_MAP))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise CharacterError(f"{path}: {cut(str(error), 200)}") from None
-    if not isinstance(content, dict):
+    strings = (str, type(None))
+    if not isinstance(content, dict) or not all(isinstance(each, strings) for row in content.items() for each in row):
         raise CharacterError(f"{path}: a joint map has lines such as 'left_knee: Shin.L'")
     return content

@@ -27,7 +27,7 @@ from stmc.formats.characters.gltf_file import (
     with_animation,
 )
 from stmc.formats.characters.joint_names import VRM_BONES
-from stmc.formats.characters.standing import Standing
+from stmc.formats.characters.upright import Standing
 from stmc.io.untrusted import shown
 from stmc.motion.geometry import matrix_to_quaternion
 from stmc.motion.retargeting import RigMotion

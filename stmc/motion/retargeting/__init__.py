@@ -4,6 +4,6 @@ Knows positions and rotations; knows no file.
 """
 
 from stmc.motion.retargeting.rig import Rig, RigError
-from stmc.motion.retargeting.transfer import RigMotion, transfer
+from stmc.motion.retargeting.rig_motion import RigMotion, transfer
 
 __all__ = ["Rig", "RigError", "RigMotion", "transfer"]

@@ -16,7 +16,7 @@ from stmc.formats.characters.gltf_file import CharacterError
 from stmc.motion.retargeting.rig import NEEDED, Rig, RigError
 
 _UPRIGHT = 0.8
-"""The least cosine between the way from ankles to head and an axis of the file."""
+"""The least cosine between the ways from ankles to hips and to the head and an axis of the file."""
 _SNAP = np.radians(20)
 """The yaw, beside quarter turns, up to which the rest pose is not quite even rather than turned."""
 _SOLE, _ANKLE = 0.2, 0.3
@@ -63,11 +63,11 @@ def stand(
 
 
 def _turn(places: np.ndarray, joints: Mapping[str, int], y_up: bool) -> Float[np.ndarray, "3 3"]:
-    ankles = (places[joints["left_ankle"]] + places[joints["right_ankle"]]) / 2
-    rise = places[joints["head"]] - ankles
+    ankles, hips = ((places[joints[f"left_{end}"]] + places[joints[f"right_{end}"]]) / 2 for end in ("ankle", "hip"))
+    rise, legs = places[joints["head"]] - ankles, hips - ankles
     axis = int(np.abs(rise).argmax())
     up = np.eye(3)[axis] * np.sign(rise[axis])
-    if not rise @ up > _UPRIGHT * np.linalg.norm(rise):
+    if not all(way @ up > _UPRIGHT * np.linalg.norm(way) for way in (rise, legs)):
         raise CharacterError("its rest pose does not stand upright: pose it as a T or an A and make that the rest pose")
     if y_up and not (axis == 1 and rise[1] > 0):
         raise CharacterError("it does not stand along the y axis, which is up in glTF: turn it and apply the rotation")
