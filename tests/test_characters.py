@@ -125,6 +125,11 @@ def test_feet_neither_slide_nor_sink_more_than_ours(character, motion):
             assert stands.any() and own.diff(dim=0).norm(dim=-1)[stands].max() < 2e-3 * scale
 
 
+def test_a_motion_of_one_frame_moves_too(character, motion):
+    moved = stmc.retarget(motion.trimmed(0, 1), character)
+    assert all(moved.content(suffix) for suffix in character.formats)
+
+
 def test_a_figure_of_our_own_is_the_identity(motion, tmp_path):
     for name in ("ours.glb", "ours.bvh"):
         stmc.write(motion, tmp_path / name)

@@ -127,7 +127,7 @@ def _lines(body: BvhRig, order: Sequence[int], top: int, pelvis: int) -> list[st
 
 
 def _tip(body: BvhRig, node: int, offset: np.ndarray) -> Sequence[float]:
-    """Where a joint ends: the file's own, else half as far on as it is from its parent."""
+    """Return the tip of a joint: the file's own, else half as far on as the joint is from its parent."""
     return body.ends.get(node) or (0.5 * offset).tolist()
 
 

@@ -46,11 +46,11 @@ class Character:
     rig: Rig
     """Its joints at rest."""
     found_by: str
-    """How its joints were told apart."""
+    """The way in which its joints were found."""
     body: GltfRig | BvhRig
     """Its nodes in the file's world."""
     standing: Standing
-    """How the file's world becomes ours."""
+    """The turn and the floor that bring the file's world to ours."""
 
     @property
     def joint_map(self) -> dict[str, str]:

@@ -15,16 +15,16 @@ from typing import Any
 from stmc.io.untrusted import UnreadableError, load_json, read_bytes, shown
 
 MOST_BYTES = 2**28
-"""Of a file: 256 MiB."""
+"""A file's limit: 256 MiB."""
 MOST_JSON = 2**24
 """Bytes of its JSON: 16 MiB; a character of 200 joints has 100 kB."""
 MOST_NODES = 20_000
 MOST_JOINTS = 1_000
-"""Of all skins; a character with fingers, face and clothes has some 200."""
+"""All skins' limit; a character with fingers, face and clothes has some 200."""
 MOST_VERTICES = 2_000_000
-"""Of all meshes; a film's character has some 200,000."""
+"""All meshes' limit; a film's character has some 200,000."""
 MOST_METRES = 1e6
-"""Of a node's place in its parent."""
+"""The limit of every number of a transform."""
 
 COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 

@@ -244,7 +244,7 @@ def transform(node: Mapping[str, Any], name: str) -> tuple[np.ndarray, np.ndarra
 
 
 def _matrix(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
-    """Of a unit quaternion x y z w."""
+    """Return the rotation matrix of a unit quaternion x y z w."""
     x, y, z, w = quaternion
     return np.array(
         [

@@ -1,4 +1,4 @@
-"""What rigs call their joints: Mixamo, Unreal, Unity, VRM, Rigify, MakeHuman, Daz, Biped, CMU, SMPL and their likes.
+"""The names of joints in rigs of Mixamo, Unreal, Unity, VRM, Rigify, MakeHuman, Daz, Biped, CMU, SMPL and their like.
 
 Knows words alone. A name is taken apart into words, side and number; two tables say which joint the words mean, since
 a "shoulder" is a collar bone where upper arms are called arms, and an upper arm where collar bones are called collars.

@@ -111,8 +111,8 @@ def _arm(parents: Sequence[int], places: np.ndarray, chain: Sequence[int], insid
 
 
 def _bent(places: np.ndarray, chain: Sequence[int], ends: Iterable[int]) -> tuple[int, ...] | None:
-    """Where a limb that ends at one of these places of the chain begins, bends and ends: where its two bones are the
-    most alike in length, and long."""
+    """Find the nodes at which a limb begins, bends and ends, at one of these places of the chain: those that make its
+    two bones long and the most alike in length."""
     best: tuple[float, tuple[int, ...]] | None = None
     for end in ends if len(chain) <= _LONGEST else ():
         for first, second in itertools.combinations(chain[:end], 2):

@@ -29,11 +29,11 @@ _HEEL = 0.09
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """How the file's world becomes the rig's: turned, then shifted down to the floor."""
+    """The way from the file's world to the rig's: a turn, then a shift down to the floor."""
 
     turn: Float[np.ndarray, "3 3"]
     floor: float
-    """Of the file's world, in its unit."""
+    """The height of the floor in the file's world, in its unit."""
 
 
 def stand(

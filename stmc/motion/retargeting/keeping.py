@@ -1,4 +1,4 @@
-"""What a motion means beside its directions: feet that stay on the floor, hands that are at the head or at each other.
+"""The contacts of a motion: feet that stay on the floor, hands that are at the head or at each other.
 
 Limbs follow in closed form, in the planes in which they are bent.
 """
@@ -22,7 +22,7 @@ _LEG, _ARM = LIMBS
 _LOW, _HIGH = 0.1, 0.3
 """Metres above the floor, on our body, up to which a foot is exactly as high as ours, and from which on it is free."""
 _AROUND = 1e-3
-"""What a step just before or after a contact counts against one of the contact."""
+"""The weight of a step just before or after a contact, against one of the contact."""
 _SINK = 0.25
 """Seconds over which the pelvis sinks where a leg would be too short."""
 _NEAR, _FAR = 0.45, 0.65
@@ -114,8 +114,8 @@ def _bend(
 
 
 def _following(led: Float[Tensor, "frames 2 2 3"], pelvis: Float[Tensor, " frames"], fps: float | int) -> Tensor:
-    """How much each step [steps, feet, 2] of heels and toes follows the leading one's: those that stand, and next to
-    nothing, unless the other end stands, of those just before and after."""
+    """Return the weights with which each step [steps, feet, 2] of heels and toes follows the leading one's: 1
+    if it stands, and next to nothing just before and after."""
     if len(led) < 2:
         return led.new_zeros(0, 2, 2)
     held = standing_steps(led, pelvis, fps, 0.0).to(led)
@@ -130,8 +130,8 @@ def _way(
     following: Float[Tensor, "_ 2"],
     fps: float | int,
 ) -> Float[Tensor, "frames 3"]:
-    """How far to move a foot: over the floor so that it makes the steps that the leading one makes while it stands,
-    being where it was on average; and up or down to the leading one's height, where that is low."""
+    """Return the displacement of a foot: over the floor so that it makes the leading one's steps while that stands, and
+    is where it was on average; up or down to the leading one's height, where that is low."""
     total = following.sum(dim=1)
     steps = ((led - own).diff(dim=0) * following[..., None]).sum(dim=1) / total.clamp(min=_AROUND)[:, None]
     ways, spans = torch.zeros_like(led[:, 0]), runs(total > 0)

@@ -15,7 +15,7 @@ from torch import Tensor
 from stmc.motion.retargeting.rig import LIMBS, SIDES, limb_length
 
 _TOES = 0.12
-"""How far the toes of a rig without toes are before the ankle, as a share of the leg's length."""
+"""The distance from ankle to toes of a rig without toes, as a share of the leg's length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,21 +23,21 @@ class Performer:
     """Nodes over time. `joints` says which of them are joints of ours."""
 
     turns: Float[Tensor, "frames nodes 3 3"]
-    """How each node is turned from its rest pose, in the world's axes."""
+    """Each node's turn from its rest pose, in the world's axes."""
     places: Float[Tensor, "frames nodes 3"]
     rest: Float[Tensor, "nodes 3"]
     joints: Mapping[str, int]
 
     def turn(self, joint: str) -> Float[Tensor, "frames 3 3"]:
-        """How a joint of ours is turned from its rest pose."""
+        """Return the turns of a joint of ours from its rest pose."""
         return self.turns[:, self.joints[joint]]
 
     def at(self, joint: str) -> Float[Tensor, "frames 3"]:
-        """Where a joint of ours is."""
+        """Return the positions of a joint of ours."""
         return self.places[:, self.joints[joint]]
 
     def resting(self, joint: str) -> Float[Tensor, " 3"]:
-        """Where a joint of ours is at rest."""
+        """Return the rest position of a joint of ours."""
         return self.rest[self.joints[joint]]
 
     def length(self, limb: tuple[str, ...]) -> float:
@@ -46,7 +46,7 @@ class Performer:
 
     @property
     def ankles(self) -> float:
-        """How high the ankles are above the soles."""
+        """The mean height of the ankles above the soles."""
         return sum(float(self.resting(f"{side}_ankle")[2]) for side in SIDES) / 2
 
     def resting_sole(self, side: str) -> Float[Tensor, "2 3"]:

@@ -41,7 +41,7 @@ class Rig:
     parents: tuple[int, ...]
     """Each node's parent, -1 for a root; parents stand before their children."""
     rest: Float[Tensor, "nodes 3"]
-    """Where the nodes are at rest: z up, the floor at 0, facing -y."""
+    """The nodes' rest positions: z up, the floor at 0, facing -y."""
     joints: Mapping[str, int]
     """The nodes that are joints of ours, by our names (`body.JOINTS`); without the spine and the necks."""
     spine: tuple[int, ...]
@@ -96,7 +96,7 @@ class Rig:
         return self.driven.index(self.joints[joint])
 
     def at(self, joint: str) -> Float[Tensor, " 3"]:
-        """Where a joint of ours is at rest."""
+        """Return the rest position of a joint of ours."""
         return self.rest[self.joints[joint]]
 
     def length(self, limb: Sequence[str]) -> float:
@@ -105,7 +105,7 @@ class Rig:
 
     @property
     def ankles(self) -> float:
-        """How high the ankles are above the soles."""
+        """The mean height of the ankles above the soles."""
         return sum(float(self.at(f"{side}_ankle")[2]) for side in SIDES) / 2
 
     def scaled(self, by: float) -> Rig:

@@ -1,4 +1,4 @@
-"""How a motion of our body becomes one of a rig: bones point where ours do, the trunk bends as ours, hips go as high.
+"""Motions of our body on a rig: bones point where ours do, the trunk bends as ours, hips go as high.
 
 Knows our joints and rest pose; knows no contacts, which `keeping` restores afterwards.
 """
@@ -37,9 +37,9 @@ class RigMotion:
 
     rig: Rig
     turns: Float[Tensor, "frames driven 3 3"]
-    """How each driven node is turned from its rest pose, in the world's axes."""
+    """Each driven node's turn from its rest pose, in the world's axes."""
     places: Float[Tensor, "frames driven 3"]
-    """Where each driven node is."""
+    """Each driven node's position."""
     spread: Float[Tensor, "driven 3 3"]
     """The turns that bring the rest pose to our T-pose."""
     fps: float | int
@@ -99,7 +99,7 @@ def _turned(rig: Rig, source: Performer) -> tuple[Performer, Float[Tensor, "driv
 
 
 def _lift(hips: Float[Tensor, " frames"], higher: float) -> Float[Tensor, " frames"]:
-    """How far to lift hips of this height for feet whose ankles are `higher`: less where the body sits on the floor."""
+    """Return the lift of hips of this height for ankles that are `higher`: less where the body sits on the floor."""
     return higher * ((hips - _SITTING[0]) / (_SITTING[1] - _SITTING[0])).clamp(0, 1)
 
 
