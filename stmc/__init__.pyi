@@ -49,6 +49,7 @@ from .editing import (
 from .editing.constraints import Heading, Hold, Keyframe, Path, Target, read_constraints
 from .editing.generate_request import GenerateRequest
 from .formats import read, write
+from .formats.characters import Character, CharacterMotion, read_character, retarget
 from .model import Model
 from .motion.body import BodyPart
 from .motion.body_model import Skeleton
@@ -66,6 +67,8 @@ from .viewing import film_strip, plot_plan, plot_timeline, render_film, render_h
 __all__ = [
     "BodyPart",
     "Change",
+    "Character",
+    "CharacterMotion",
     "Denoiser",
     "FootKey",
     "GenerateRequest",
@@ -118,9 +121,11 @@ __all__ = [
     "plot_timeline",
     "reach",
     "read",
+    "read_character",
     "read_constraints",
     "render_film",
     "render_html",
+    "retarget",
     "reverse",
     "save",
     "shift_pelvis",

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from helpers import characters as made_characters
 from helpers import guo_files, toy_data
 from helpers.acclaim_files import Actor, moving
 from helpers.joblib_files import joblib_bytes
@@ -84,6 +85,9 @@ def corpus(folder: Path) -> Iterator[tuple[str, Path, Callable[[Path], object]]]
     yield "arrays", folder / "arrays.npz", lambda path: read_npz(path, ["a", "b", "c"])
     np.save(folder / "array.npy", np.eye(9))
     yield "array", folder / "array.npy", read_npy
+    rig = made_characters.lanky()
+    yield "character glb", written(folder / "hero.glb", made_characters.glb(rig)), stmc.read_character
+    yield "character bvh", written(folder / "hero.bvh", made_characters.bvh(rig).encode()), stmc.read_character
     yield from pickles(folder)
     yield from texts(folder)
     yield from folders(folder)

@@ -25,6 +25,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import stmc
+from stmc.cli.character_settings import read_settings_character
 from stmc.cli.commands import command
 from stmc.cli.sample_folder import CHOICES, FORMATS, Job, MotionFolder
 from stmc.cli.shared_settings import OnModel, Sharded
@@ -33,7 +34,7 @@ from stmc.composing.sampling import Sampling
 from stmc.diffusion.tensors import found_device
 from stmc.editing.generate_request import GenerateRequest, names
 from stmc.io.filenames import distinct
-from stmc.io.files import probe, remove_leftovers
+from stmc.io.files import probe, remove_leftovers, sha256
 from stmc.model import Precision
 from stmc.run import fingerprint
 from stmc.settings.records import SettingError, as_in, setting, shown
@@ -65,6 +66,8 @@ class Settings(Sampling, OnModel, Sharded):
     samples: int = setting(1, "motions of each timeline; their seeds count up from `seed`", at_least=1, at_most=100_000)
     seed: int = as_in(GenerateRequest, "seeds", 0)
     formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=CHOICES)
+    character: str | None = setting(None, "your .glb, .gltf, .vrm or .bvh: it moves in files of formats=glb, vrm, bvh")
+    joint_map: str | None = setting(None, ".yaml that corrects which joint of the character is which")
     clean_feet: bool = as_in(GenerateRequest, "clean_feet")
     fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
     precision: str = setting("fp32", "of the denoiser; bf16 is faster on some processors", choices=get_args(Precision))
@@ -83,7 +86,8 @@ class Settings(Sampling, OnModel, Sharded):
 def main(settings: Settings) -> None:
     console = Console(stderr=settings.json, soft_wrap=True, highlight=False)
     check(settings)
-    folder, shard = open_folder(settings), Shard.asked(settings.shard)
+    character = read_settings_character(settings.character, settings.joint_map, settings.formats, console)
+    folder, shard = open_folder(settings, character), Shard.asked(settings.shard)
     everything = read_jobs(settings, folder, console)
     wanted = everything if shard.number is None else shard.of(everything)
     missing = {job.name for job in wanted if not folder.finished(job)}
@@ -153,10 +157,12 @@ def check(settings: Settings) -> None:
                 raise SettingError(f"formats={each.name}: {error}") from None
 
 
-def open_folder(settings: Settings) -> MotionFolder:
+def open_folder(settings: Settings, character: stmc.Character | None) -> MotionFolder:
     """Return the folder that is asked for; nothing is made yet."""
     made_by = {"model": fingerprint(settings.model), "precision": settings.precision}
-    return MotionFolder(Path(settings.output).expanduser(), settings.formats, settings.fps, made_by)
+    files = {name: getattr(settings, name) for name in ("character", "joint_map")}
+    made_by |= {name: sha256(Path(path).expanduser())[:16] for name, path in files.items() if path is not None}
+    return MotionFolder(Path(settings.output).expanduser(), settings.formats, settings.fps, made_by, character)
 
 
 def read_jobs(settings: Settings, folder: MotionFolder, console: Console) -> list[Job]:

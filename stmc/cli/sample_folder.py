@@ -22,9 +22,11 @@ from stmc.text.vocabulary import Recognition
 from stmc.timeline import Timeline
 from stmc.viewing.exports import EXPORTS, export
 
+CHARACTER_FORMATS = ("vrm", "vrma")
+"""Formats that need a character."""
 FORMATS = ("npz", "bvh", "html")
 """Those that are written if nobody says which."""
-CHOICES = tuple(dict.fromkeys((*FORMATS, *(each.name for each in EXPORTS))))
+CHOICES = tuple(dict.fromkeys((*FORMATS, *(each.name for each in EXPORTS), *CHARACTER_FORMATS)))
 
 
 class Job(NamedTuple):
@@ -46,12 +48,14 @@ class Job(NamedTuple):
 
 @dataclass(frozen=True)
 class MotionFolder:
-    """Motions in all `formats`, at a frame rate (None: their own), made by what `made_by` says of the model."""
+    """Motions in all `formats`, at a frame rate (None: their own), made by what `made_by` says of the model, of a
+    `character` in the formats that show it."""
 
     path: Path
     formats: Sequence[str]
     fps: float | int | None
     made_by: Mapping[str, Any]
+    character: stmc.Character | None = None
 
     def record(self, job: Job) -> dict[str, Any]:
         """Return all that a motion's files depend on, but for settings that are left open."""
@@ -70,14 +74,7 @@ class MotionFolder:
         with scratch(self.path / job.name) as aside:
             made = [aside / f"{job.name}.{kind}" for kind in self.formats]
             for path in made:
-                export(
-                    motion,
-                    path,
-                    job.timeline,
-                    title=job.name,
-                    unknown=unknown,
-                    constraints=job.request.constraints,
-                )
+                self._write(motion, path, job, unknown)
             digests = {path.suffix[1:]: sha256(path) for path in made}
             with held(self.path / f".{job.name}.lock", math.inf):
                 request, former = self._recorded(job.name)
@@ -89,6 +86,13 @@ class MotionFolder:
                 done = self.record(job) | {"files": {kind: former[kind] for kind in kept} | digests}
                 write_text(self.path / f"{job.name}.json", json.dumps(done, indent=1, ensure_ascii=False) + "\n")
         return paths
+
+    def _write(self, motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
+        if self.character is not None and path.suffix in self.character.formats:
+            stmc.retarget(motion, self.character).write(path)
+        else:
+            marks = job.request.constraints
+            export(motion, path, job.timeline, title=job.name, unknown=unknown, constraints=marks)
 
     def free_name(self, timeline: Timeline) -> str:
         """Return the name of a typed timeline: its texts, and a number behind them where motions of the same texts at

@@ -38,7 +38,7 @@ def save_bvh(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Time
     rotations = np.concatenate([Z_UP_TO_Y_UP @ rotations[:, :1], rotations[:, 1:]], axis=1)
     pelvis = motion.translation.double().cpu().numpy() @ Z_UP_TO_Y_UP.T
     order = [index for index in _depth_first(0) if index < NUM_ROTATIONS]
-    angles = rearrange(np.degrees(_angles(rotations)[:, order]), "frames joints angles -> frames (joints angles)")
+    angles = rearrange(np.degrees(euler_curves(rotations)[:, order]), "frames joints angles -> frames (joints angles)")
     text = io.BytesIO()
     np.savetxt(text, np.concatenate([pelvis, angles], axis=1), fmt="%.6f")
     file.write(text.getvalue())
@@ -75,7 +75,7 @@ def _offset(offset: tuple[float, ...] | list[float]) -> str:
     return "OFFSET " + " ".join(f"{value:.6f}" for value in offset)
 
 
-def _angles(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 3"]:
+def euler_curves(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 3"]:
     """Angles (z, x, y) in radians with `rotations = Rz Rx Ry`, each frame's chosen closest to the frame before.
 
     Every rotation has two triples, (z, x, y) and (z + pi, pi - x, y + pi), each up to full turns.

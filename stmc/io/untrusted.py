@@ -8,10 +8,12 @@ from __future__ import annotations
 import json
 import stat
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 MOST_BYTES = 2**26
 """Of a data set's file of lines; HumanML3D's index has 3 MB."""
+
+_CHUNK = 2**20
 
 SHOWN = 60
 """How many characters of a value stand in a message."""
@@ -39,10 +41,19 @@ def read_bytes(path: Path, most: int) -> bytes:
         raise UnreadableError(f"{kind}, not a file")
     if status.st_size <= most:
         with path.open("rb") as file:
-            content = file.read(most + 1)
+            content = _read_up_to(file, most + 1)
         if len(content) <= most:
             return content
     raise UnreadableError(f"larger than {most / 2**20:g} MiB, the limit for such a file")
+
+
+def _read_up_to(file: BinaryIO, most: int) -> bytes:
+    """At most so many bytes; `file.read(most)` would allocate as many for a small file, too."""
+    chunks = []
+    while most > 0 and (chunk := file.read(min(most, _CHUNK))):
+        chunks.append(chunk)
+        most -= len(chunk)
+    return b"".join(chunks)
 
 
 def read_text(path: Path, most: int) -> str:

@@ -17,6 +17,7 @@ __getattr__, __dir__, __all__ = attach(
         "loops",
         "motion",
         "representation",
+        "retargeting",
         "skins",
     ],
 )

@@ -114,7 +114,7 @@ def _levelling(
         wanted = _between(own, known) if known.any() else own.mean(dim=0).expand_as(own)
         turns[start : end + 1] = matrix_to_axis_angle(shortest_arc(own, normalize(wanted, dim=-1)))
     turns[fixed] = 0.0
-    return _blended(turns, spans, fps)
+    return blended(turns, spans, fps)
 
 
 def _staying(
@@ -148,7 +148,7 @@ def _staying(
             lift = (depths[start : end + 1] - way[:, 2]).amax().clamp(min=0)
             way = way + lift * way.new_tensor([0.0, 0.0, 1.0])
         ways[start : end + 1] = way
-    return _blended(ways, spans, fps)
+    return blended(ways, spans, fps)
 
 
 def _placed(
@@ -192,7 +192,7 @@ def _above(foot: Foot, floors: Float[Tensor, " frames"]) -> Foot:
     return foot.rotated(torch.where((down > along[:, 2])[:, None, None], turn, same), about)
 
 
-def _blended(
+def blended(
     values: Float[Tensor, "frames 3"], spans: list[tuple[int, int]], fps: float | int
 ) -> Float[Tensor, "frames 3"]:
     """`values`, given in the frames [start, end] of `spans`, going smoothly to zero in the frames before and after."""

@@ -1,0 +1,33 @@
+"""The character that the files of `stmc sample` show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+
+import stmc
+from stmc.settings.records import SettingError
+
+
+def read_settings_character(
+    path: str | None, joint_map: str | None, formats: Sequence[str], console: Console
+) -> stmc.Character | None:
+    """Read the character that the settings name, None if there is none, and print which joint of it is which.
+
+    Raises `SettingError` if none of the formats shows the character, or if one needs a character and there is none.
+    """
+    if path is None:
+        if {"vrm", "vrma"} & set(formats) or joint_map is not None:
+            raise SettingError("formats=vrm, formats=vrma and joint_map need a character: character=hero.vrm")
+        return None
+    character = stmc.read_character(path, joint_map)
+    kinds = [suffix[1:] for suffix in character.formats]
+    if not set(kinds) & set(formats):
+        raise SettingError(f"character={path}: none of these formats shows it; add one of {', '.join(kinds)}")
+    if "vrm" in formats and "vrm" not in kinds:
+        raise SettingError(f"formats=vrm: {path} has no humanoid map of VRM; choose from {', '.join(kinds)}")
+    console.print(f"{path}: joints found by {character.found_by}", markup=False)
+    for joint, name in character.joint_map.items():
+        console.print(f"  {joint}: {name}", markup=False)
+    return character

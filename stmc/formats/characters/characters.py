@@ -1,0 +1,239 @@
+"""Characters that others made: read from their files, moved as our motions move, written with the animation.
+
+Knows which formats there are and how joints are told apart: by VRM's map, by names, by shape, or by the user's map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from stmc.formats.bvh_parser import parse_bvh
+from stmc.formats.characters.bvh_rig import BvhRig, bvh_text
+from stmc.formats.characters.gltf_file import CharacterError, read_gltf
+from stmc.formats.characters.gltf_rig import GltfRig
+from stmc.formats.characters.joint_names import joints_by_name
+from stmc.formats.characters.joint_shapes import joints_by_shape
+from stmc.formats.characters.upright import Standing, stand
+from stmc.formats.characters.vrm_animation import vrma_bytes
+from stmc.io.files import write_whole
+from stmc.io.untrusted import cut, read_text, shown
+from stmc.motion.motion import Motion
+from stmc.motion.retargeting import Rig, RigMotion, transfer
+from stmc.motion.retargeting.rig import NEEDED, OPTIONAL
+
+_MOST_BVH, _MOST_MAP = 2**26, 2**16
+"""Bytes of a BVH file, and of a joint map."""
+_Corrections = Mapping[str, str | None]
+_JOINTS = (*OPTIONAL[:1], *NEEDED, *OPTIONAL[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class Character:
+    """A character of a file: its rig, and what writes it with a motion. `read_character` reads one.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.write(motion, "hero.glb")
+        >>> hero = stmc.read_character("hero.glb")
+        >>> hero.found_by, hero.joint_map["left_knee"]
+        ("the joints' names", 'left_knee')
+    """
+
+    rig: Rig
+    """Its joints at rest."""
+    found_by: str
+    """The way in which its joints were found."""
+    body: GltfRig | BvhRig
+    """Its nodes in the file's world."""
+    standing: Standing
+    """The turn and the floor that bring the file's world to ours."""
+
+    @property
+    def joint_map(self) -> dict[str, str]:
+        """The name in the file of each joint of ours that it has, as a YAML for `joint_map` has them.
+
+        Examples:
+            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+            >>> stmc.write(motion, "hero.bvh")
+            >>> stmc.read_character("hero.bvh").joint_map["head"]
+            'head'
+        """
+        return {joint: self.rig.names[self.rig.joints[joint]] for joint in _JOINTS if joint in self.rig.joints}
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """The endings of the files that it can be written as.
+
+        Examples:
+            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+            >>> stmc.write(motion, "hero.bvh")
+            >>> stmc.read_character("hero.bvh").formats
+            ('.vrma', '.bvh')
+        """
+        if isinstance(self.body, BvhRig):
+            return (".vrma", ".bvh")
+        return (".glb", *((".vrm",) if self.body.is_vrm else ()), ".vrma", ".bvh")
+
+
+@dataclass(frozen=True, eq=False)
+class CharacterMotion:
+    """A character moving: what `retarget` makes.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.write(motion, "hero.glb")
+        >>> stmc.retarget(motion, "hero.glb").write("hero_walks.glb")
+    """
+
+    character: Character
+    motion: RigMotion
+    """Its joints over time, in its own unit."""
+
+    def write(self, path: str | Path) -> None:
+        """Write the character with its motion, in the format of `path`'s suffix.
+
+        `.glb`, and `.vrm` of a VRM file: the character's file with one animation more, its first; meshes, materials,
+        textures and nodes stay as they are. `.vrma`: VRM Animation. `.bvh`: the character's own skeleton, in its unit.
+        Raises `ValueError` for another suffix. A file already there is replaced once the new one is whole.
+
+        Examples:
+            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+            >>> stmc.write(motion, "hero.glb")
+            >>> stmc.retarget(motion, "hero.glb").write("hero_walks.vrma")
+        """
+        path = Path(path)
+        if path.suffix.lower() not in self.character.formats:
+            choices = ", ".join(self.character.formats)
+            raise CharacterError(f"{path}: cannot write {path.suffix!r} of this character; choose from {choices}")
+        content = self.content(path.suffix.lower())
+        write_whole(path, lambda temporary: temporary.write_bytes(content))
+
+    def content(self, suffix: str) -> bytes:
+        """The bytes of a file of this suffix, one of `character.formats`.
+
+        Examples:
+            >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+            >>> stmc.write(motion, "hero.glb")
+            >>> stmc.retarget(motion, "hero.glb").content(".glb")[:4]
+            b'glTF'
+        """
+        body, standing = self.character.body, self.character.standing
+        if suffix == ".vrma":
+            return vrma_bytes(self.motion)
+        if suffix == ".bvh":
+            bones = body if isinstance(body, BvhRig) else BvhRig(body.names, body.parents, body.places)
+            return bvh_text(bones, self.motion, standing)
+        return body.glb(self.motion, standing)
+
+
+def read_character(path: str | Path, joint_map: str | Path | Mapping[str, str | None] | None = None) -> Character:
+    """Read the character of a `.glb`, `.gltf` or `.vrm` file, or the skeleton of a `.bvh`.
+
+    Joints are told apart by VRM's humanoid map, by their names (Mixamo's, Unreal's, Unity's, Rigify's, MakeHuman's,
+    Daz's, Biped's, CMU's, SMPL's), or by the rig's shape. `joint_map` corrects that: a YAML file, or a mapping, from
+    our joints' names to the file's ("left_knee: Shin.L"; null: the character has none). The character rests upright, in
+    a T-pose or an A-pose; its trunk may have any number of joints.
+
+    Raises `ValueError`, a sentence that names the file and what is missing: a skin, bones, a joint; more than one
+    skeleton; nodes in a cycle; numbers that are not finite; data in other files; compressed or too large meshes.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.write(motion, "hero.glb")
+        >>> len(stmc.read_character("hero.glb").joint_map)
+        18
+    """
+    path = Path(path)
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        choices = ", ".join(_READERS)
+        raise CharacterError(f"{path}: no characters of {path.suffix!r} files are read; choose from {choices}")
+    corrections = _read_map(Path(joint_map)) if isinstance(joint_map, (str, Path)) else joint_map or {}
+    try:
+        return read(path, corrections)
+    except ValueError as error:
+        raise CharacterError(f"{path}: {error}") from None
+
+
+def retarget(motion: Motion, character: Character | str | Path) -> CharacterMotion:
+    """Move a character as our body moves in `motion`.
+
+    Arms and legs point where ours do, whatever the rest pose and the roll of bones; the trunk's turns spread over the
+    character's own spine; the motion is as large as its legs are long. Feet move over the floor as ours do while they
+    stand, hands near the head or near each other are where ours are, in lengths of the arm. What has no joint of ours
+    keeps its rest pose. Raises `ValueError` as `read_character`.
+
+    Examples:
+        >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
+        >>> stmc.write(motion, "hero.glb")
+        >>> walking = stmc.retarget(motion, "hero.glb")
+        >>> walking.motion.places.shape[0]
+        20
+    """
+    character = character if isinstance(character, Character) else read_character(character)
+    return CharacterMotion(character, transfer(motion, character.rig))
+
+
+def _from_gltf(path: Path, corrections: _Corrections) -> Character:
+    body = GltfRig.of(read_gltf(path))
+    return _character(body, sorted(body.joints), body.humanoid(), corrections, y_up=True)
+
+
+def _from_bvh(path: Path, corrections: _Corrections) -> Character:
+    body = BvhRig.of(parse_bvh(read_text(path, _MOST_BVH)))
+    return _character(body, list(range(len(body.names))), {}, corrections, y_up=False)
+
+
+_READERS: dict[str, Callable[[Path, _Corrections], Character]] = {
+    ".glb": _from_gltf,
+    ".gltf": _from_gltf,
+    ".vrm": _from_gltf,
+    ".bvh": _from_bvh,
+}
+
+
+def _character(
+    body: GltfRig | BvhRig, nodes: list[int], humanoid: dict[str, int], corrections: _Corrections, y_up: bool
+) -> Character:
+    found_by, joints = "VRM's humanoid map", humanoid
+    if not joints:
+        found_by, joints = "the joints' names", joints_by_name(body.names, nodes)
+    shape = {} if joints and "head" in joints else joints_by_shape(body.parents, body.places, nodes)
+    if not joints:
+        found_by, joints = "the rig's shape", shape
+    if "head" in shape:
+        joints.setdefault("head", shape["head"])
+    if corrections:
+        found_by, joints = f"{found_by}, corrected by the joint map", _corrected(joints, body.names, corrections)
+    rig, standing = stand(body.names, body.parents, body.places, joints, y_up)
+    return Character(rig, found_by, body, standing)
+
+
+def _corrected(joints: Mapping[str, int], names: tuple[str, ...], corrections: _Corrections) -> dict[str, int]:
+    corrected = dict(joints)
+    for joint, name in corrections.items():
+        if joint not in _JOINTS:
+            raise CharacterError(f"joint map: {shown(joint)} is no joint of ours; choose from {', '.join(_JOINTS)}")
+        if name is None:
+            corrected.pop(joint, None)
+        elif name in names:
+            corrected[joint] = names.index(name)
+        else:
+            has = cut(", ".join(names), 200)
+            raise CharacterError(f"joint map: {joint} is {shown(name)}, but the file's joints are {has}")
+    return corrected
+
+
+def _read_map(path: Path) -> dict[str, str | None]:
+    try:
+        content = yaml.safe_load(read_text(path, _MOST_MAP))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise CharacterError(f"{path}: {cut(str(error), 200)}") from None
+    strings = (str, type(None))
+    if not isinstance(content, dict) or not all(isinstance(each, strings) for row in content.items() for each in row):
+        raise CharacterError(f"{path}: a joint map has lines such as 'left_knee: Shin.L'")
+    return content

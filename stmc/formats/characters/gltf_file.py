@@ -1,0 +1,274 @@
+"""glTF 2.0 files as they are: the JSON document and the binary chunk, `.glb`, `.vrm` or `.gltf`, checked and bounded.
+
+Knows containers, nodes and skins; knows no person. Meshes, materials and textures are not read: they go through.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stmc.io.untrusted import UnreadableError, load_json, read_bytes, shown
+
+MOST_BYTES = 2**28
+"""A file's limit: 256 MiB."""
+MOST_JSON = 2**24
+"""Bytes of its JSON: 16 MiB; a character of 200 joints has 100 kB."""
+MOST_NODES = 20_000
+MOST_JOINTS = 1_000
+"""All skins' limit; a character with fingers, face and clothes has some 200."""
+MOST_VERTICES = 2_000_000
+"""All meshes' limit; a film's character has some 200,000."""
+MOST_METRES = 1e6
+"""The limit of every number of a transform."""
+
+COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+
+
+class CharacterError(ValueError):
+    """A file that is no character that can be animated; the message says what is missing, in a sentence."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gltf:
+    """A document and its binary chunk, None where the file has none."""
+
+    document: dict[str, Any]
+    binary: bytes | None
+
+    @property
+    def nodes(self) -> list[dict[str, Any]]:
+        """The nodes of the document."""
+        return self.document["nodes"]
+
+
+def read_gltf(path: Path) -> Gltf:
+    """The content of a `.glb`, `.vrm` or `.gltf` file. Raise `CharacterError` unless it is a whole glTF 2.0 file in
+    itself whose meshes are neither compressed nor larger than the bounds above, and whose nodes are trees."""
+    try:
+        gltf = _split(read_bytes(path, MOST_BYTES))
+    except UnreadableError as error:
+        raise CharacterError(str(error)) from None
+    _check_document(gltf)
+    return gltf
+
+
+def glb_bytes(gltf: Gltf) -> bytes:
+    """The content of a `.glb` file."""
+    text = json.dumps(gltf.document, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), _JSON) + text
+    if gltf.binary is not None:
+        binary = gltf.binary + b"\0" * (-len(gltf.binary) % 4)
+        chunks += struct.pack("<II", len(binary), _BIN) + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def _split(content: bytes) -> Gltf:
+    if content[:4] != b"glTF":
+        return Gltf(_document(content), None)
+    if len(content) < 20:
+        raise CharacterError("the file ends within its header")
+    version, length = struct.unpack_from("<II", content, 4)
+    if version != 2:
+        raise CharacterError(f"a glTF of version {version}; only version 2 is read")
+    if length != len(content):
+        raise CharacterError(f"the file has {len(content)} bytes, but its header says {length}: it is cut or damaged")
+    size, kind = struct.unpack_from("<II", content, 12)
+    if kind != _JSON or 20 + size > length:
+        raise CharacterError("its first chunk is not a whole JSON document: the file is damaged")
+    document, place = _document(content[20 : 20 + size]), 20 + size
+    if place == length:
+        return Gltf(document, None)
+    if place + 8 > length:
+        raise CharacterError("the file ends within the header of its second chunk")
+    size, kind = struct.unpack_from("<II", content, place)
+    if kind != _BIN or place + 8 + size != length:
+        raise CharacterError("its second chunk is not a whole binary one, or not the last: the file is damaged")
+    return Gltf(document, content[place + 8 :])
+
+
+def _document(content: bytes) -> dict[str, Any]:
+    if len(content) > MOST_JSON:
+        raise CharacterError(f"its JSON has {len(content):,} bytes, more than {MOST_JSON:,}, the limit")
+    try:
+        document = load_json(content.decode("utf-8"))
+        json.dumps(document, allow_nan=False)
+    except UnicodeDecodeError:
+        raise CharacterError("neither a glTF file nor JSON: its text is not UTF-8") from None
+    except UnreadableError as error:
+        raise CharacterError(str(error)) from None
+    except (ValueError, RecursionError):
+        raise CharacterError("its JSON has a number that is not finite") from None
+    if not isinstance(document, dict):
+        raise CharacterError("its JSON is not an object, so that it is no glTF")
+    return document
+
+
+def objects(document: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    """A list of objects in a document; empty where it has none. Raise `CharacterError` for anything else."""
+    values = document.get(name, [])
+    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+        raise CharacterError(f"{name} is not a list of objects")
+    return values
+
+
+def index(value: Any, count: int, name: str) -> int:
+    """An index below `count`. Raise `CharacterError`, which names it, for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
+        raise CharacterError(f"{name} is {shown(value)}, which is not one of {count}")
+    return value
+
+
+def numbers(value: Any, count: int, name: str) -> list[float]:
+    """So many finite numbers, at most `MOST_METRES` large. Raise `CharacterError`, which names them, for others."""
+    if not isinstance(value, list) or len(value) != count:
+        raise CharacterError(f"{name} is {shown(value)}, not {count} numbers")
+    for each in value:
+        if isinstance(each, bool) or not isinstance(each, (int, float)) or not abs(each) <= MOST_METRES:
+            raise CharacterError(f"{name} has {shown(each)}, which is not a number up to {MOST_METRES:g}")
+    return [float(each) for each in value]
+
+
+def _check_document(gltf: Gltf) -> None:
+    document = gltf.document
+    asset = document.get("asset")
+    if not isinstance(asset, dict) or not str(asset.get("version", "")).startswith("2."):
+        raise CharacterError("it says no glTF version 2 in its asset")
+    for name in ("extensionsUsed", "extensionsRequired"):
+        if not isinstance(document.get(name, []), list):
+            raise CharacterError(f"{name} is not a list")
+    packed = [name for name in COMPRESSIONS if name in document.get("extensionsRequired", [])]
+    packed += [name for name in COMPRESSIONS if name in document.get("extensionsUsed", []) and name not in packed]
+    if packed:
+        raise CharacterError(f"its meshes are compressed ({packed[0]}): export it without compression")
+    _check_buffers(gltf)
+    _check_vertices(document)
+    for name in ("accessors", "bufferViews", "animations", "scenes"):
+        objects(document, name)
+    nodes = objects(document, "nodes")
+    if len(nodes) > MOST_NODES:
+        raise CharacterError(f"it has {len(nodes):,} nodes, more than {MOST_NODES:,}, the limit")
+
+
+def _check_buffers(gltf: Gltf) -> None:
+    """Raise `CharacterError` unless everything is in the file itself."""
+    for name in ("buffers", "images"):
+        for number, each in enumerate(objects(gltf.document, name)):
+            uri = each.get("uri")
+            if uri is not None and not (isinstance(uri, str) and uri.startswith("data:")):
+                where = f"{name}[{number}] is in another file, {shown(uri)}"
+                raise CharacterError(f"{where}: export the character as one file, glTF Binary (.glb)")
+    for number, each in enumerate(objects(gltf.document, "buffers")):
+        size = each.get("byteLength")
+        if isinstance(size, bool) or not isinstance(size, int) or not 0 < size <= MOST_BYTES:
+            raise CharacterError(f"buffers[{number}] has a byteLength of {shown(size)}")
+        if "uri" not in each:
+            held = None if gltf.binary is None or number else len(gltf.binary)
+            if held is None or not size <= held <= size + 3:
+                raise CharacterError(f"buffers[{number}] should have {size} bytes, but the file holds {held or 0}")
+
+
+def _check_vertices(document: Mapping[str, Any]) -> None:
+    accessors, seen, total = objects(document, "accessors"), set(), 0
+    for mesh in objects(document, "meshes"):
+        for piece in objects(mesh, "primitives"):
+            attributes = piece.get("attributes")
+            if not isinstance(attributes, dict) or "POSITION" not in attributes:
+                raise CharacterError("a mesh has no positions")
+            seen.add(index(attributes["POSITION"], len(accessors), "the positions of a mesh"))
+    for accessor in seen:
+        count = accessors[accessor].get("count")
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise CharacterError(f"accessors[{accessor}] counts {shown(count)} vertices")
+        total += count
+    if total > MOST_VERTICES:
+        raise CharacterError(f"it has {shown(total)} vertices, more than {MOST_VERTICES:,}, the limit")
+
+
+def parents_of(nodes: Sequence[Mapping[str, Any]]) -> list[int]:
+    """The parent of each node, -1 for roots. Raise `CharacterError` for a node with two parents, and for a cycle."""
+    parents = [-1] * len(nodes)
+    for number, node in enumerate(nodes):
+        children = node.get("children", [])
+        if not isinstance(children, list):
+            raise CharacterError(f"the children of nodes[{number}] are not a list")
+        for child in children:
+            child = index(child, len(nodes), f"a child of nodes[{number}]")
+            if parents[child] >= 0 or child == number:
+                raise CharacterError(f"nodes[{child}] has two parents or is its own: nodes must be trees")
+            parents[child] = number
+    rooted = [parent < 0 for parent in parents]
+    for number in range(len(nodes)):
+        line = []
+        while not rooted[number] and len(line) <= len(nodes):
+            line.append(number)
+            number = parents[number]
+        if not rooted[number]:
+            raise CharacterError("its nodes hang from one another in a cycle")
+        for each in line:
+            rooted[each] = True
+    return parents
+
+
+def skin_joints(gltf: Gltf) -> list[list[int]]:
+    """The joints of each skin. Raise `CharacterError` where the file has no skin, or one without joints."""
+    skins, count = objects(gltf.document, "skins"), len(objects(gltf.document, "nodes"))
+    if not skins:
+        raise CharacterError("it has no skin: a mesh without bones cannot be animated; rig it first")
+    found = []
+    for number, skin in enumerate(skins):
+        joints = skin.get("joints")
+        if not isinstance(joints, list) or not joints:
+            raise CharacterError(f"skins[{number}] has no joints, so that it has no bones")
+        found.append([index(joint, count, f"a joint of skins[{number}]") for joint in joints])
+        if len(set(found[-1])) != len(joints):
+            raise CharacterError(f"skins[{number}] has a joint twice")
+    total = len(set().union(*found))
+    if total > MOST_JOINTS:
+        raise CharacterError(f"its skins have {total:,} joints, more than {MOST_JOINTS:,}, the limit")
+    return found
+
+
+def with_animation(
+    gltf: Gltf, chunks: Iterable[bytes], accessors: Sequence[Mapping[str, Any]], animation: Mapping[str, Any]
+) -> Gltf:
+    """The file with an animation before those that it has, for players show the first.
+
+    Each of the `accessors` gets one of the `chunks`, whose lengths are multiples of 4; the animation counts its
+    accessors from 0. What the file has keeps its bytes and its place.
+    """
+    document = dict(gltf.document)
+    views, buffers = list(objects(document, "bufferViews")), [dict(each) for each in objects(document, "buffers")]
+    known = list(objects(document, "accessors"))
+    first, content = len(known), b"".join(chunks)
+    inside = gltf.binary is not None and bool(buffers) and "uri" not in buffers[0]
+    binary, start = gltf.binary, 0
+    if inside or not buffers:
+        kept = b"" if not inside else gltf.binary[: buffers[0]["byteLength"]]
+        kept += b"\0" * (-len(kept) % 4)
+        start, binary, number = len(kept), kept + content, 0
+        size = {"byteLength": len(binary)}
+        buffers[:1] = [buffers[0] | size] if buffers else [size]
+    else:
+        import base64
+
+        number = len(buffers)
+        uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode()
+        buffers.append({"byteLength": len(content), "uri": uri})
+    for accessor, length in zip(accessors, map(len, chunks), strict=True):
+        known.append({"bufferView": len(views), **accessor})
+        views.append({"buffer": number, "byteOffset": start, "byteLength": length})
+        start += length
+    samplers = [
+        {**each, "input": each["input"] + first, "output": each["output"] + first} for each in animation["samplers"]
+    ]
+    animations = [{**animation, "samplers": samplers}, *objects(document, "animations")]
+    document |= {"accessors": known, "bufferViews": views, "buffers": buffers, "animations": animations}
+    return Gltf(document, binary)

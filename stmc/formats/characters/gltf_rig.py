@@ -1,0 +1,265 @@
+"""Characters in glTF files: their nodes at rest, and the file with an animation of them added.
+
+Knows transforms of nodes and how animations are stored; knows no motion of ours but through the rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from stmc.formats.axes import continued
+from stmc.formats.characters.gltf_file import (
+    CharacterError,
+    Gltf,
+    glb_bytes,
+    index,
+    numbers,
+    objects,
+    parents_of,
+    skin_joints,
+    with_animation,
+)
+from stmc.formats.characters.joint_names import VRM_BONES
+from stmc.formats.characters.upright import Standing
+from stmc.io.untrusted import shown
+from stmc.motion.geometry import matrix_to_quaternion
+from stmc.motion.retargeting import RigMotion
+
+_EVEN = 1e-2
+"""The ratio, beside 1, between a node's scales up to which it keeps angles."""
+_DEEPEST = 500
+"""Nodes from a root to a joint."""
+
+
+@dataclass(frozen=True, eq=False)
+class GltfRig:
+    """The joints of a glTF file and the nodes above them, parents before children, in the file's world at rest."""
+
+    gltf: Gltf
+    nodes: tuple[int, ...]
+    """Their indices in the file."""
+    parents: tuple[int, ...]
+    """Among themselves."""
+    turns: Float[np.ndarray, "nodes 3 3"]
+    places: Float[np.ndarray, "nodes 3"]
+    scales: Float[np.ndarray, " nodes"]
+    joints: frozenset[int]
+    """Those among them that carry skin, or are in a humanoid map."""
+
+    @classmethod
+    def of(cls, gltf: Gltf) -> GltfRig:
+        """The joints of a file's one skeleton. Raise `CharacterError` for none, for several, for bad transforms."""
+        above, skins = parents_of(objects(gltf.document, "nodes")), skin_joints(gltf)
+        vrm = set(vrm_joints(gltf).values())
+        wanted = set().union(*skins)
+        depths = {node: _depth(above, node) for node in wanted | vrm}
+        _check_one_skeleton(gltf, above, skins)
+        chosen = set(wanted | vrm)
+        for node in depths:
+            while above[node] >= 0 and above[node] not in chosen:
+                node = above[node]
+                chosen.add(node)
+        nodes = sorted(chosen, key=lambda node: (_depth(above, node), node))
+        places = {node: place for place, node in enumerate(nodes)}
+        parents = tuple(places[above[node]] if above[node] >= 0 else -1 for node in nodes)
+        turns, positions, scales = _rest(gltf, nodes, parents)
+        carried = frozenset(places[node] for node in wanted | vrm)
+        return cls(gltf, tuple(nodes), parents, turns, positions, scales, carried)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The nodes' names; of those without one, "node" and the number."""
+        named = (self.gltf.nodes[node].get("name") for node in self.nodes)
+        pairs = zip(named, self.nodes, strict=True)
+        return tuple(name if isinstance(name, str) and name else f"node {number}" for name, number in pairs)
+
+    def humanoid(self) -> dict[str, int]:
+        """Joints of ours by VRM's humanoid map; empty without one."""
+        places = {node: place for place, node in enumerate(self.nodes)}
+        return {joint: places[node] for joint, node in vrm_joints(self.gltf).items()}
+
+    @property
+    def is_vrm(self) -> bool:
+        """Whether the file has a humanoid map."""
+        return bool(vrm_joints(self.gltf))
+
+    def glb(self, motion: RigMotion, standing: Standing) -> bytes:
+        """The file as `.glb` with the motion as its first animation: rotations of the driven nodes, and the pelvis'
+        place. All else is as it was, but that a driven node's matrix becomes the translation, rotation and scale it is
+        made of."""
+        rotations, pelvis = self._local(motion, standing)
+        times = (np.arange(len(pelvis)) / motion.fps).astype("<f4")
+        pelvis_node = motion.rig.joints["pelvis"]
+        tracks = [(pelvis_node, "translation", pelvis), *((n, "rotation", r) for n, r in rotations.items())]
+        nodes = [self.nodes[node] for node, *_ in tracks]
+        targets = [(node, path) for node, (_, path, _) in zip(nodes, tracks, strict=True)]
+        made = animation_of(times, targets, [values for *_, values in tracks], motion.fps)
+        document = dict(self.gltf.document)
+        document["nodes"] = [
+            _without_matrix(node) if number in nodes else node for number, node in enumerate(self.gltf.nodes)
+        ]
+        return glb_bytes(with_animation(replace(self.gltf, document=document), *made))
+
+    def _local(self, motion: RigMotion, standing: Standing) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """Quaternions x y z w of each driven node, and the pelvis' place, in their parents' frames."""
+        rig = motion.rig
+        turn = standing.turn
+        turned = turn.T @ motion.turns.numpy() @ turn  # in the file's world
+        rotations = {}
+        for place, node in enumerate(rig.driven):
+            parent = self.parents[node]
+            own = turned[:, place] @ self.turns[node]
+            carrier = rig.carriers[parent] if parent >= 0 else -1
+            above = np.eye(3) if parent < 0 else self.turns[parent]
+            above = above if carrier < 0 else turned[:, carrier] @ above
+            rotations[node] = np.swapaxes(np.broadcast_to(above, own.shape), 1, 2) @ own
+        quaternions = continued(matrix_to_quaternion(torch.from_numpy(np.stack(list(rotations.values()), axis=1))))
+        rotations = {node: quaternions[:, place, [1, 2, 3, 0]] for place, node in enumerate(rotations)}
+        pelvis = rig.joints["pelvis"]
+        places, parent = motion.places[:, rig.place("pelvis")].numpy() @ turn, self.parents[pelvis]
+        if parent >= 0:
+            places = (places - self.places[parent]) @ self.turns[parent] / self.scales[parent]
+        return rotations, places
+
+
+def animation_of(
+    times: Float[np.ndarray, " frames"],
+    targets: Sequence[tuple[int, str]],
+    values: Sequence[Float[np.ndarray, "frames _"]],
+    fps: float | int,
+) -> tuple[list[bytes], list[dict[str, Any]], dict[str, Any]]:
+    """The binary chunks, the accessors and the animation of these tracks, as `with_animation` takes them."""
+    chunks = [times.astype("<f4").tobytes()]
+    accessors = [{"componentType": 5126, "count": len(times), "type": "SCALAR"}]
+    accessors[0] |= {"min": [float(times[0])], "max": [float(times[-1])]}
+    for each in values:
+        chunks.append(np.ascontiguousarray(each.astype("<f4")).tobytes())
+        accessors.append({"componentType": 5126, "count": len(each), "type": f"VEC{each.shape[1]}"})
+    samplers = [{"input": 0, "output": track + 1, "interpolation": "LINEAR"} for track in range(len(values))]
+    channels = [
+        {"sampler": track, "target": {"node": node, "path": path}} for track, (node, path) in enumerate(targets)
+    ]
+    return chunks, accessors, {"name": "motion", "samplers": samplers, "channels": channels, "extras": {"fps": fps}}
+
+
+def vrm_joints(gltf: Gltf) -> dict[str, int]:
+    """The nodes of VRM's humanoid map, 0 or 1, by our joints' names; empty where the file has none."""
+    extensions = gltf.document.get("extensions", {})
+    if not isinstance(extensions, dict):
+        raise CharacterError("extensions is not an object")
+    new, old = (_humanoid(extensions.get(name)) for name in ("VRMC_vrm", "VRM"))
+    count = len(objects(gltf.document, "nodes"))
+    bones: dict[str, Any] = {}
+    if isinstance(new, dict):
+        bones = {bone: each.get("node") for bone, each in new.items() if isinstance(each, dict)}
+    elif isinstance(old, list):
+        rows = [each for each in old if isinstance(each, dict) and isinstance(each.get("bone"), str)]
+        bones = {each["bone"]: each.get("node") for each in rows}
+    return {
+        joint: index(bones[bone], count, f"VRM's bone {bone}") for bone, joint in VRM_BONES.items() if bone in bones
+    }
+
+
+def _humanoid(extension: Any) -> Any:
+    humanoid = extension.get("humanoid") if isinstance(extension, dict) else None
+    return humanoid.get("humanBones") if isinstance(humanoid, dict) else None
+
+
+def _depth(above: Sequence[int], node: int) -> int:
+    depth = 0
+    while above[node] >= 0:
+        node, depth = above[node], depth + 1
+        if depth > _DEEPEST:
+            raise CharacterError(f"its joints hang more than {_DEEPEST} nodes deep")
+    return depth
+
+
+def _check_one_skeleton(gltf: Gltf, above: Sequence[int], skins: Sequence[Sequence[int]]) -> None:
+    """Raise `CharacterError` where two skins have skeletons that hang neither together nor from one node."""
+    everything = set().union(*skins)
+
+    def tops(joints: Sequence[int]) -> set[int]:
+        found = set()
+        for joint in joints:
+            while above[joint] in everything:
+                joint = above[joint]
+            found.add(joint)
+        return found
+
+    homes = [tops(joints) for joints in skins]
+    homes = [home | {~above[top] for top in home if above[top] >= 0} for home in homes]  # ~: the node above, apart
+    first, rest = homes[0], list(range(1, len(homes)))
+    while joined := [number for number in rest if homes[number] & first]:
+        first = first.union(*(homes[number] for number in joined))
+        rest = [number for number in rest if number not in joined]
+    if rest:
+        names = [objects(gltf.document, "skins")[number].get("name", f"skin {number}") for number in (0, rest[0])]
+        raise CharacterError(f"it has two skeletons, {shown(names[0])} and {shown(names[1])}: keep one character")
+
+
+def _rest(gltf: Gltf, nodes: Sequence[int], parents: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    turns, places, scales = np.empty((len(nodes), 3, 3)), np.empty((len(nodes), 3)), np.empty(len(nodes))
+    carriers = set(parents)
+    for place, (node, parent) in enumerate(zip(nodes, parents, strict=True)):
+        name = f"nodes[{node}]"
+        translation, turn, scale = transform(gltf.nodes[node], name)
+        if place in carriers and not max(scale) <= (1 + _EVEN) * min(scale):
+            raise CharacterError(f"{name} is scaled unevenly, by {shown(scale.tolist())}: apply its scale first")
+        if parent >= 0:
+            translation = places[parent] + turns[parent] @ translation * scales[parent]
+            turn, scale = turns[parent] @ turn, scale * scales[parent]
+        turns[place], places[place], scales[place] = turn, translation, scale.mean()
+    if not np.abs(places).max() <= 1e6 or not scales.min() > 1e-9:
+        raise CharacterError("its joints are too far from the origin, or its scales too small")
+    return turns, places, scales
+
+
+def transform(node: Mapping[str, Any], name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The translation, the rotation matrix and the three scales of a node in its parent."""
+    if "matrix" in node:
+        matrix = np.array(numbers(node["matrix"], 16, f"the matrix of {name}")).reshape(4, 4).T
+        scale = np.linalg.norm(matrix[:3, :3], axis=0)
+        turn = matrix[:3, :3] / np.maximum(scale, 1e-12)
+        skewed = not np.abs(turn.T @ turn - np.eye(3)).max() < 1e-2
+        if skewed or np.linalg.det(turn) < 0 or not np.allclose(matrix[3], [0, 0, 0, 1]):
+            raise CharacterError(f"the matrix of {name} is no rotation, scale and translation")
+        left, _, right = np.linalg.svd(turn)
+        return matrix[:3, 3], left @ right, scale
+    translation = np.array(numbers(node.get("translation", [0, 0, 0]), 3, f"the translation of {name}"))
+    rotation = np.array(numbers(node.get("rotation", [0, 0, 0, 1]), 4, f"the rotation of {name}"))
+    scale = np.array(numbers(node.get("scale", [1, 1, 1]), 3, f"the scale of {name}"))
+    length = np.linalg.norm(rotation)
+    if not length > 1e-6:
+        raise CharacterError(f"the rotation of {name} is {shown(rotation.tolist())}, which is no rotation")
+    if not scale.min() > 1e-9:
+        raise CharacterError(f"the scale of {name} is {shown(scale.tolist())}: it must be positive")
+    return translation, _matrix(rotation / length), scale
+
+
+def _matrix(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation matrix of a unit quaternion x y z w."""
+    x, y, z, w = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _without_matrix(node: Mapping[str, Any]) -> dict[str, Any]:
+    """The node with its matrix taken apart: glTF animates no matrices."""
+    if "matrix" not in node:
+        return dict(node)
+    translation, turn, scale = transform(node, "a node")
+    quaternion = matrix_to_quaternion(torch.from_numpy(turn)).numpy()[[1, 2, 3, 0]]
+    kept = {name: value for name, value in node.items() if name != "matrix"}
+    return kept | {"translation": translation.tolist(), "rotation": quaternion.tolist(), "scale": scale.tolist()}

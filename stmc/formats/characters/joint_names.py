@@ -1,0 +1,108 @@
+"""The names of joints in rigs of Mixamo, Unreal, Unity, VRM, Rigify, MakeHuman, Daz, Biped, CMU, SMPL and their like.
+
+Knows words alone. A name is taken apart into words, side and number; two tables say which joint the words mean, since
+a "shoulder" is a collar bone where upper arms are called arms, and an upper arm where collar bones are called collars.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from stmc.motion.retargeting.rig import LIMBS, SIDES
+
+_NOISE = {
+    "mixamorig", "bip", "biped", "valve", "valvebiped", "def", "org", "jnt", "joint", "bone", "character", "armature",
+    "rig", "skeleton", "cc", "j", "b", "c", "skel",
+}  # fmt: skip
+"""Words before or after a name that say nothing of the joint."""
+_SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
+
+_BY_BONES = {
+    "collar": "clavicle collar shoulder01 shoulder",
+    "shoulder": "upperarm upperarm01 uparm arm humerus shldr shldrbend",
+    "elbow": "forearm forearmbend lowerarm lowerarm01 radius elbow",
+    "wrist": "hand wrist",
+    "hip": "thigh thighbend upleg upperleg upperleg01 femur",
+    "knee": "calf shin lowerleg lowerleg01 leg tibia",
+    "ankle": "foot ankle",
+    "foot": "ball toebase toe0 toe toes toe11",
+}
+_BY_JOINTS = {
+    "collar": "collar clavicle",
+    "shoulder": "shoulder",
+    "elbow": "elbow",
+    "wrist": "wrist",
+    "hip": "hip",
+    "knee": "knee",
+    "ankle": "ankle",
+    "foot": "foot toebase toe toes ball",
+}
+_TABLES = tuple({joint: words.split() for joint, words in table.items()} for table in (_BY_JOINTS, _BY_BONES))
+_WORDS = {word for table in _TABLES for words in table.values() for word in words}
+
+VRM_BONES: Mapping[str, str] = {
+    "hips": "pelvis",
+    "head": "head",
+    **{
+        f"{side}{bone}": f"{side}_{joint}"
+        for side in SIDES
+        for bone, joint in (
+            ("UpperLeg", "hip"), ("LowerLeg", "knee"), ("Foot", "ankle"), ("Toes", "foot"), ("Shoulder", "collar"),
+            ("UpperArm", "shoulder"), ("LowerArm", "elbow"), ("Hand", "wrist"),
+        )
+    },
+}  # fmt: skip
+"""VRM's humanoid bones that are joints of ours; spine and neck follow from the tree."""
+
+
+def joints_by_name(names: Sequence[str], nodes: Iterable[int]) -> dict[str, int]:
+    """Which of the `nodes` is which joint of ours, by its name; empty where arms and legs are not all named."""
+    places: dict[tuple[str | None, str], int] = {}
+    for node in nodes:
+        places.setdefault(taken_apart(names[node]), node)
+    for table in _TABLES:
+        found = {
+            f"{side}_{joint}": next((places[side, word] for word in words if (side, word) in places), None)
+            for side in SIDES
+            for joint, words in table.items()
+        }
+        if all(found[f"{side}_{joint}"] is not None for side in SIDES for limb in LIMBS for joint in limb):
+            joints = {joint: node for joint, node in found.items() if node is not None}
+            middle = {"head": ("head",), "pelvis": ("pelvis", "hips", "hip")}
+            for joint, words in middle.items():
+                node = next((places[None, word] for word in words if (None, word) in places), None)
+                joints |= {} if node is None else {joint: node}
+            return joints
+    return {}
+
+
+def taken_apart(name: str) -> tuple[str | None, str]:
+    """The side of a joint's name ("left", "right" or None) and its words in small letters, put together.
+
+    "mixamorig:LeftUpLeg" is ("left", "upleg"), "DEF-upper_arm.L" is ("left", "upperarm"), "lhumerus" is
+    ("left", "humerus"), "Bip01 R Toe0" is ("right", "toe0").
+    """
+    name = re.split(r"[:|]", name[:200])[-1]
+    words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name)]
+    while words and (words[0] in _NOISE or words[0].isdigit()):
+        words = words[1:]
+        if words[:1] == ["base"]:  # CC_Base_
+            words = words[1:]
+    while len(words) > 1 and words[-1] in _NOISE:
+        words = words[:-1]
+    side = next((_SIDES[word] for word in words if word in _SIDES), None)
+    word = "".join(word for word in words if word not in _SIDES)
+    if side is None:
+        side, word = _glued(word)
+    return side, word
+
+
+def _glued(word: str) -> tuple[str | None, str]:
+    """The side that a word begins or ends with, where the rest is the name of a limb's joint."""
+    for start, side in _SIDES.items():
+        if word.startswith(start) and word[len(start) :] in _WORDS:
+            return side, word[len(start) :]
+        if word.endswith(f"{start}") and word[: -len(start)] in _WORDS:
+            return side, word[: -len(start)]
+    return None, word

@@ -1,0 +1,92 @@
+"""Characters as they stand in their files, turned to stand as rigs do: z up, on the floor at 0, facing -y.
+
+Knows which way up, front and floor are from where joints are at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from stmc.formats.characters.gltf_file import CharacterError
+from stmc.motion.retargeting.rig import NEEDED, Rig, RigError
+
+_UPRIGHT = 0.8
+"""The least cosine between the ways from ankles to hips and to the head and an axis of the file."""
+_SNAP = np.radians(20)
+"""The yaw, beside quarter turns, up to which the rest pose is not quite even rather than turned."""
+_SOLE, _ANKLE = 0.2, 0.3
+"""Heights of toes and ankles above the floor, as shares of the leg, up to which the file's ground is the floor."""
+_BELOW = 0.02
+"""The share of the leg by which a toe may be below the file's ground."""
+_HEEL = 0.09
+"""The height of an ankle above its sole, as a share of the leg, where nothing tells it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """The way from the file's world to the rig's: a turn, then a shift down to the floor."""
+
+    turn: Float[np.ndarray, "3 3"]
+    floor: float
+    """The height of the floor in the file's world, in its unit."""
+
+
+def stand(
+    names: Sequence[str],
+    parents: Sequence[int],
+    places: Float[np.ndarray, "nodes 3"],
+    joints: Mapping[str, int],
+    y_up: bool,
+) -> tuple[Rig, Standing]:
+    """The rig of joints that are at these `places` at rest, and how it was brought to stand.
+
+    Raises `CharacterError` for joints that no person has, and where the rest pose does not stand upright along an axis
+    of the file, or, if `y_up`, along y.
+    """
+    missing = [joint for joint in NEEDED if joint not in joints]
+    if missing:
+        raise CharacterError(f"no joint is known for {', '.join(missing)}; name them in a joint map")
+    turn = _turn(places, joints, y_up)
+    rest = places @ turn.T
+    try:
+        rig = Rig.mapped(names, parents, torch.from_numpy(rest), joints)
+        floor = _floor(rig)
+        lowered = torch.from_numpy(rest - np.array([0.0, 0.0, floor]))
+        return Rig.mapped(names, parents, lowered, joints), Standing(turn, floor)
+    except RigError as error:
+        raise CharacterError(str(error)) from None
+
+
+def _turn(places: np.ndarray, joints: Mapping[str, int], y_up: bool) -> Float[np.ndarray, "3 3"]:
+    ankles, hips = ((places[joints[f"left_{end}"]] + places[joints[f"right_{end}"]]) / 2 for end in ("ankle", "hip"))
+    rise, legs = places[joints["head"]] - ankles, hips - ankles
+    axis = int(np.abs(rise).argmax())
+    up = np.eye(3)[axis] * np.sign(rise[axis])
+    if not all(way @ up > _UPRIGHT * np.linalg.norm(way) for way in (rise, legs)):
+        raise CharacterError("its rest pose does not stand upright: pose it as a T or an A and make that the rest pose")
+    if y_up and not (axis == 1 and rise[1] > 0):
+        raise CharacterError("it does not stand along the y axis, which is up in glTF: turn it and apply the rotation")
+    left = sum(places[joints[f"left_{each}"]] - places[joints[f"right_{each}"]] for each in ("hip", "shoulder"))
+    left = left - up * (left @ up)
+    if not np.linalg.norm(left) > 1e-3 * np.linalg.norm(rise):
+        raise CharacterError("its left and right hips and shoulders are at the same places")
+    left = left / np.linalg.norm(left)
+    nearest = np.eye(3)[int(np.abs(left).argmax())] * np.sign(left[int(np.abs(left).argmax())])
+    if left @ nearest > np.cos(_SNAP):
+        left = nearest
+    return np.stack([left, np.cross(up, left), up])
+
+
+def _floor(rig: Rig) -> float:
+    """The height of the floor: the file's ground where the feet are just above it, else below the lower foot."""
+    leg = rig.length(("hip", "knee", "ankle"))
+    toes = [float(rig.at(joint)[2]) for joint in ("left_foot", "right_foot") if joint in rig.joints]
+    if toes:
+        return 0.0 if -_BELOW * leg <= min(toes) <= _SOLE * leg else min(toes)
+    ankle = min(float(rig.at(f"{side}_ankle")[2]) for side in ("left", "right"))
+    return 0.0 if 0 < ankle <= _ANKLE * leg else ankle - _HEEL * leg
