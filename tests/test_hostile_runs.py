@@ -203,10 +203,10 @@ def test_an_evaluator_s_sizes_are_compared_too(evaluator_run, sizes):
 
 
 def test_a_window_or_schedule_of_any_length_is_refused():
-    with pytest.raises(ValueError, match="fixed_length must be 1 to 4999 frames, not 1000000000"):
+    with pytest.raises(ValueError, match="fixed_length 1000000000 must be 1 to 4999 frames"):
         MdmEncoder(205, 384, 16, 32, 1, 2, fixed_length=10**9)
     for kind in (Schedule.cosine, Schedule.linear):
-        with pytest.raises(ValueError, match="a schedule has 1 to 10000 steps"):
+        with pytest.raises(ValueError, match="must be 1 to 10000"):
             kind(10**9)
 
 
