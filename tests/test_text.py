@@ -500,7 +500,7 @@ def test_a_kill_while_words_are_written_leaves_a_cache_that_can_be_read(tmp_path
     class Killed(BaseException):
         pass
 
-    with pytest.raises(Killed), cached._opened("rw") as database:
+    with pytest.raises(Killed), cached._open("rw") as database:
         database.execute("PRAGMA cache_size = 1")
         database.executemany("INSERT INTO texts VALUES (?, ?, ?)", [(bytes([n]), b"w" * 9000, b"") for n in range(50)])
         half = {path.name: path.read_bytes() for path in tmp_path.iterdir()}

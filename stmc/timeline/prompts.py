@@ -28,7 +28,6 @@ LATEST = MOST_SECONDS
 
 MOST_FRAMES, MOST_PROMPTS = 10_000_000, 10_000
 """Maximum frames (at any frame rate) and prompts of a timeline; 10,000 prompts take a second to read and plan."""
-"""Limits of a timeline, at any frame rate. Ten thousand prompts take a second to read and to plan."""
 
 LONGEST_TEXT = 1_000_000
 """Maximum number of characters of a text; text encoders read some hundred words."""
@@ -324,7 +323,6 @@ class Timeline:
 
 MAX_PAIRS_NAMED, MAX_PAIRS_COUNTED = 3, 50
 """Pairs of prompts with a shared part: the number that a warning names, and the number up to which it counts."""
-"""Of the pairs of prompts that claim a part at once: how many a warning names, and to how many it counts."""
 
 
 def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:

@@ -55,7 +55,6 @@ KEYS = {"text": str, "start": float, "end": float, "body_parts": list}
 
 COMPOSITION, COMPOSITION_FPS = ("text", "lengths", "id", "scenario", "fps"), 20
 """Keys of FlowMDM's format, and the default frame rate of its lengths, that of HumanML3D."""
-"""Keys of FlowMDM's form of a timeline, and the frames a second of its lengths unless it says so: HumanML3D's."""
 
 
 def parse_text(document: str) -> list[Draft]:
