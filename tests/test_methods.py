@@ -282,7 +282,7 @@ def test_the_name_that_cross_fading_had_is_answered_with_todays():
 def test_independent_prompts_are_timelines_of_one_prompt_each(flow):
     [alone] = flow.generate(NOD, steps=2, method="independent")
     assert apart(alone, flow.generate(NOD, steps=2, stitch_from=0.0)[0]) < 1e-6
-    with pytest.raises(ValueError, match="one prompt a timeline, not 3"):
+    with pytest.raises(ValueError, match="3 prompts; this method needs one prompt per timeline"):
         flow.generate(WALK_WAVE, steps=2, method="independent")
 
 

@@ -106,7 +106,7 @@ class Malicious:
         ("our_vab_idx.pkl", None, "has no our_vab_idx.pkl"),
         ("our_vab_data.npy", None, "has no our_vab_data.npy"),
         ("our_vab_idx.pkl", pickle.dumps(Malicious()), "refused to run"),
-        ("our_vab_idx.pkl", pickle.dumps({"walk": 1.5, "sos": 0}), "words and whole numbers only"),
+        ("our_vab_idx.pkl", pickle.dumps({"walk": 1.5, "sos": 0}), "words and integers only"),
         ("our_vab_idx.pkl", pickle.dumps(["walk"]), "holds a list"),
         ("our_vab_idx.pkl", pickle.dumps({"walk": 0}), "lack sos, eos, unk"),
         ("our_vab_idx.pkl", pickle.dumps({"sos": 0, "eos": 1, "unk": 99}), "beyond the 13 vectors"),

@@ -40,7 +40,7 @@ def standing_steps(
 
     These are `held_steps`, and the steps in which a foot glides but should stand: it is low and not fast, the other
     foot does not stand, and the pelvis does not fall freely. Gliding steps form contacts together with the standing
-    steps around them, with the same hysteresis. Of a gliding foot, the ends that move like the stiller one are held; an
+    steps around them, with the same hysteresis. The ends of a gliding foot that move like its stiller end are held; an
     end that rolls is not. Contacts of one end that nearly touch are merged.
 
     Args:
