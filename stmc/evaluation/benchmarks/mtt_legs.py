@@ -14,7 +14,6 @@ from stmc.evaluation.metrics.action_measures import (
     lean,
     mean_speed,
     pelvis_height,
-    way,
 )
 from stmc.evaluation.metrics.gestures import hand_gap, longest
 from stmc.evaluation.metrics.steps import (
@@ -111,7 +110,7 @@ def goes_down(motion: Motion) -> int | None:
 def squats(motion: Motion) -> bool:
     """Whether a standing body goes down and up again where it is, without a jump, no hand at the floor."""
     lowest, height = goes_down(motion), pelvis_height(motion)
-    if lowest is None or way(motion) > 0.5:
+    if lowest is None or displacement(motion) > 0.5:
         return False
     jumped = any(float(height[first:last].max()) > UPRIGHT for first, last in flights(motion))
     hands = min(float(joint(motion, f"{side}_wrist")[lowest, 2]) for side in ("left", "right"))

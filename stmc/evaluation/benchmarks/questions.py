@@ -20,6 +20,7 @@ from stmc.evaluation.metrics.action_measures import (
     SEATED,
     UPRIGHT,
     cycles,
+    displacement,
     flights,
     forward_reach,
     goes_low,
@@ -34,7 +35,6 @@ from stmc.evaluation.metrics.action_measures import (
     toe_heights,
     torsion,
     waves,
-    way,
 )
 from stmc.motion.kinematics import forward_speed, joint, turn
 from stmc.motion.motion import Motion
@@ -87,7 +87,7 @@ def _at_the_mouth(motion: Motion, side: str) -> float:
 
 def _drinks(motion: Motion) -> bool:
     seconds = sorted(_at_the_mouth(motion, side) for side in ("left", "right"))
-    return seconds[1] > 0.3 and seconds[0] < seconds[1] / 2 and way(motion) < 0.3
+    return seconds[1] > 0.3 and seconds[0] < seconds[1] / 2 and displacement(motion) < 0.3
 
 
 def _above_head(motion: Motion, side: str) -> Bool[Tensor, " frames"]:
@@ -108,7 +108,7 @@ def _wipes(motion: Motion, side: str) -> bool:
     raised = joint(motion, f"{side}_wrist")[:-1, 2] > joint(motion, f"{side}_shoulder")[:-1, 2] - 0.2
     moving = joint_speed(motion, f"{side}_wrist", beside="neck") > 0.3
     ahead = forward_reach(motion, side)[:-1] > 0.2
-    return float((raised & moving & ahead).float().mean()) > 0.3 and way(motion) < 1.0 and motion.duration > 2
+    return float((raised & moving & ahead).float().mean()) > 0.3 and displacement(motion) < 1.0 and motion.duration > 2
 
 
 def _reaches(motion: Motion, side: str) -> bool:
@@ -142,7 +142,7 @@ def _mops(motion: Motion) -> bool:
     low = torch.stack([hand[:, 2] for hand in hands]).amin(dim=0) < 1.05
     strokes = max(cycles(forward_reach(motion, side), 0.12) for side in ("left", "right"))
     bent = float(lean(motion)[:, 0].median()) > math.radians(8)
-    return float((together & low).float().mean()) > 0.7 and bent and strokes >= 1 and way(motion) < 2.5
+    return float((together & low).float().mean()) > 0.7 and bent and strokes >= 1 and displacement(motion) < 2.5
 
 
 def _picks_up(motion: Motion, side: str) -> bool:
@@ -159,7 +159,7 @@ def _turns_over(motion: Motion) -> bool:
 
 def _treads(motion: Motion) -> bool:
     lifted = [cycles(joint(motion, f"{side}_ankle")[:, 2], 0.05) for side in ("left", "right")]
-    return sum(lifted) >= 1.6 * motion.duration and min(lifted) > 0 and way(motion) < 0.6
+    return sum(lifted) >= 1.6 * motion.duration and min(lifted) > 0 and displacement(motion) < 0.6
 
 
 def _stops(motion: Motion) -> bool:
@@ -179,8 +179,8 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     "sit-down": lambda motion: goes_low(motion, first=True, last=False),
     "stand-up": lambda motion: goes_low(motion, first=False, last=True),
     "squat": lambda motion: goes_low(motion, first=True, last=True),
-    "jump-up": lambda motion: jumps(motion) and way(motion) < 0.6,
-    "jump-forward": lambda motion: jumps(motion) and 0.3 < way(motion) < 2.5,
+    "jump-up": lambda motion: jumps(motion) and displacement(motion) < 0.6,
+    "jump-forward": lambda motion: jumps(motion) and 0.3 < displacement(motion) < 2.5,
     "jump-over": lambda motion: bool(flights(motion)) and mean_speed(motion) > 1.2,
     "jump-and-grab": lambda motion: jumps(motion) and _either(_reaches)(motion),
     "leap": lambda motion: bool(flights(motion)) and mean_speed(motion) > 1.2,
@@ -190,7 +190,8 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     "jog-in-place": _treads,
     "arm-circle": _both(_circles),
     "twist": lambda motion: float(torsion(motion).max() - torsion(motion).min()) > math.radians(50),
-    "side-bend": lambda motion: bool((lean(motion)[:, 1].abs() > math.radians(15)).any()) and way(motion) < 0.5,
+    "side-bend": lambda motion: bool((lean(motion)[:, 1].abs() > math.radians(15)).any())
+    and displacement(motion) < 0.5,
     "toe-touch": _either(_touches_toes),
     "scoop-up": _either(_picks_up),
     "reach-up": _either(_reaches),
@@ -201,7 +202,7 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     "drink": _drinks,
     "wash-window": _either(_wipes),
     "mop": _mops,
-    "balance": lambda motion: _one_legged(motion) > 0.5 and way(motion) < 0.4 and not flights(motion),
+    "balance": lambda motion: _one_legged(motion) > 0.5 and displacement(motion) < 0.4 and not flights(motion),
     "cartwheel": _turns_over,
     "duck": lambda motion: bool((joint(motion, "head")[:, 2] < 1.15).any()) and mean_speed(motion) > 1.0,
     "turn-around": lambda motion: abs(turn(motion)) > math.radians(120),
