@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 from stmc.cli.config_parts import NAMES, build_part, check_plugins
 from stmc.run import RunError
-from stmc.run.construction import _named
+from stmc.run.construction import _resolve_name
 from stmc.settings.records import SettingError
 
 
@@ -183,7 +183,7 @@ def test_the_table_has_what_our_configurations_build_and_nothing_else():
         "stmc.training.TmrObjective"
     }
     for name in NAMES:
-        assert _named(name) is get_object(name) or name.endswith(".read")
+        assert _resolve_name(name) is get_object(name) or name.endswith(".read")
 
 
 WRONG = {

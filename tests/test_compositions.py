@@ -244,7 +244,9 @@ def test_a_test_split_that_holds_too_little_says_what_it_has():
     def make(cache: Cache, **settings) -> Compositions:
         return Compositions(cache, REPRESENTATION, ORACLE, **(SHORTER | settings))
 
-    with pytest.raises(CacheError, match=r"two contents of at least 5 clips .* it has left \(3\), right \(8\)"):
+    with pytest.raises(
+        CacheError, match=r"two actions with at least 5 unmirrored clips .* it has left \(3\), right \(8\)"
+    ):
         make(data({"left": 3, "right": 8}), min_clips=5)
     with pytest.raises(CacheError, match=r"it has none"):
         make(data({"left": 3, "right": 8}, split="train"))

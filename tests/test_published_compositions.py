@@ -283,7 +283,7 @@ def test_a_list_in_frames_of_babel_keeps_its_frames_at_its_rate(tmp_path, files)
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"diversity_pairs": 40}, "40 pairs are compared"),
+        ({"diversity_pairs": 40}, "and 40 pairs"),
         ({"compositions": None, "diversity_pairs": 37}, "36 real clips"),
     ],
 )

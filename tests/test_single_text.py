@@ -258,7 +258,7 @@ def test_of_an_evaluator_that_knows_the_answer_real_motion_is_perfect(clips):
 
 @pytest.mark.parametrize("changes", [{"first": 31}, {"diversity_pairs": 33}, {"texts": 38}, {"samples": 1}])
 def test_less_than_is_compared_is_an_error(clips, evaluator, changes):
-    with pytest.raises(ValueError, match="clips: 32 make a pool"):
+    with pytest.raises(ValueError, match="clips are too few for a pool of 32"):
         small(clips, evaluator, **changes)
 
 

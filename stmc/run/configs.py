@@ -96,13 +96,12 @@ def config_text(config: Mapping[str, Any]) -> str:
 
 
 def check_plain(value: Any, place: str = "", depth: int = 0) -> None:
-    """Raise `RunError` unless a value consists of numbers, texts, booleans, null, and a few levels of lists and
-    mappings.
+    """Raise `RunError` unless a value consists of numbers, texts, booleans, null and nested lists and mappings.
 
     Args:
         value: The value.
         place: Path of the value, for messages.
-        depth: Depth of the value.
+        depth: Depth of the value, at most `DEEPEST`.
     """
     if depth > DEEPEST:
         raise RunError(f"{shown(place)}: more than {DEEPEST} levels of nested collections")

@@ -1,8 +1,9 @@
-"""Whether a motion shows the content of a data set, by geometry: no learned evaluator, no text encoder.
+"""Geometric questions whether a motion shows an action of a data set, without a learned evaluator or a text encoder.
 
-A question for every content of the open data that joints can tell, whatever else the body does: seated is low, a jump
-leaves the floor and comes back. How often real motion passes (the ceiling) and how often motions of other contents do
-(chance) say what an answer is worth: see `rates`. Knows the labels of `data.sources`; knows no model.
+There is a question for every action of the open data that joints can show, whatever else the body does: a seated person
+is low, a jump leaves the floor and comes back. The value of an answer depends on the pass rates of real motion (the
+ceiling) and of motions of other actions (chance); see `rates`. Depends on the labels of `data.sources`; independent of
+models.
 """
 
 from __future__ import annotations
@@ -44,22 +45,35 @@ Question = Callable[[Motion], bool]
 
 @dataclass(frozen=True)
 class Rates:
-    """Shares of motions that pass a question: `ceiling` of those that show the action, `chance` of those that show any
-    other, each content counting the same."""
+    """Fractions of motions that pass a question.
+
+    Args:
+        ceiling: Fraction of the motions that show the action.
+        chance: Fraction of the motions of other actions, each with the same weight.
+    """
 
     ceiling: float
     chance: float
 
 
 def rates(question: Question, shown: Sequence[Motion], others: Mapping[str, Sequence[Motion]]) -> Rates:
-    """Of a content's own motions and of all other contents'. Raises `ValueError` where one of the two is empty."""
+    """Compute the pass rates of an action's own motions and of all other actions' motions.
+
+    Args:
+        question: The question.
+        shown: Motions of the action.
+        others: Motions of the other actions.
+
+    Raises:
+        ValueError: If `shown` or `others` is empty.
+    """
     if not shown or not others:
-        raise ValueError("rates need motions of the content and of others")
-    passed = [_share(question, motions) for motions in others.values()]
-    return Rates(_share(question, shown), sum(passed) / len(passed))
+        raise ValueError("rates need motions of the action and of other actions")
+    other_rates = [_pass_rate(question, motions) for motions in others.values()]
+    return Rates(_pass_rate(question, shown), sum(other_rates) / len(other_rates))
 
 
-def _share(question: Question, motions: Sequence[Motion]) -> float:
+def _pass_rate(question: Question, motions: Sequence[Motion]) -> float:
     return sum(map(question, motions)) / len(motions)
 
 
@@ -80,7 +94,7 @@ def _swings_leg(motion: Motion, side: str, least: float = 5.5) -> bool:
 
 
 def _at_the_mouth(motion: Motion, side: str) -> float:
-    """Seconds for which a wrist is near the face."""
+    """Return the seconds that a wrist is near the face."""
     near = (joint(motion, f"{side}_wrist") - joint(motion, "head")).norm(dim=-1) < 0.28
     return int(near.sum()) / motion.fps
 
@@ -116,7 +130,7 @@ def _reaches(motion: Motion, side: str) -> bool:
 
 
 def _one_legged(motion: Motion) -> float:
-    """The share of the frames with one foot 12 cm above the other."""
+    """Return the fraction of the frames with one foot 12 cm above the other."""
     heights = toe_heights(motion)
     return float(((heights[:, 0] - heights[:, 1]).abs() > 0.12).float().mean())
 
@@ -163,8 +177,8 @@ def _treads(motion: Motion) -> bool:
 
 
 def _stops(motion: Motion) -> bool:
-    forward, few = forward_speed(motion), max(1, round(motion.fps / 5))
-    return float(forward[: len(forward) // 2].max()) > 1.8 and float(forward[-few:].mean()) < 0.8
+    forward, frames = forward_speed(motion), max(1, round(motion.fps / 5))
+    return float(forward[: len(forward) // 2].max()) > 1.8 and float(forward[-frames:].mean()) < 0.8
 
 
 def _veers(motion: Motion, angle: float) -> bool:
@@ -222,5 +236,5 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     **{f"raise-up-{hands}": lambda motion, of=sides: lifts(motion, of) for hands, sides in _SIDES.items()},
     **{f"wave-{hands}": lambda motion, of=sides: waves(motion, of) for hands, sides in _SIDES.items()},
 })  # fmt: skip
-"""By a content's name, for those that geometry can tell; others (a salsa, a laugh) need eyes or an evaluator. A wrist
-that comes near the shoulder's height is raised, since some of Bandai's actors raise it no higher."""
+"""Questions by the name of an action, for actions that geometry can show; others (a salsa, a laugh) need eyes or an
+evaluator. A wrist near shoulder height counts as raised, because some of Bandai's actors raise it no higher."""
