@@ -92,8 +92,8 @@ def test_one_object_alone_is_a_list_of_one_and_an_entry_without_a_scenario_is_of
     [
         ("[{]", "not JSON"),
         ("[3]", "entry 0 is not an object"),
-        ('[{"text": ["a"], "lengths": [1, 2]}]', "entry 0: text and lengths must be lists of one length"),
-        ('[{"text": [], "lengths": []}]', "lists of one length"),
+        ('[{"text": ["a"], "lengths": [1, 2]}]', "entry 0: text and lengths must be nonempty lists of equal length"),
+        ('[{"text": [], "lengths": []}]', "lists of equal length"),
         ('[{"text": ["a"], "lengths": [true]}]', "lengths holds true"),
         ('[{"text": ["a"], "lengths": [99999999]}]', "lengths holds 99999999"),
         ('[{"text": [" "], "lengths": [4]}]', "text holds ' '"),
@@ -176,7 +176,7 @@ def test_captions_are_tagged_by_their_files_and_others_by_spacy(tags, monkeypatc
 
 def test_a_caption_without_tags_is_an_error_that_says_where_they_come_from(tags, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "spacy", None)
-    with pytest.raises(TagError, match="the caption 'hop' has no parts of speech: give a file"):
+    with pytest.raises(TagError, match="the caption 'hop' has no parts of speech; pass a file"):
         tags(["hop"])
     with pytest.raises(TagError, match="does not exist"):
         Tags.read(tmp_path / "none")
