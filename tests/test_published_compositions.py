@@ -169,9 +169,9 @@ def test_captions_are_tagged_by_their_files_and_others_by_spacy(tags, monkeypatc
 
     assert tags(["raises  an arm"]) == ["raise/VERB an/DET arm/NOUN"]
     monkeypatch.setitem(sys.modules, "spacy", types.SimpleNamespace(load=lambda name: pipeline))
-    caption_tags._loaded.cache_clear()
+    caption_tags._load_pipeline.cache_clear()
     assert tags(["walks left t-pose 3"]) == ["walk/VERB left/VERB tpose/NOUN"]
-    caption_tags._loaded.cache_clear()
+    caption_tags._load_pipeline.cache_clear()
 
 
 def test_a_caption_without_tags_is_an_error_that_says_where_they_come_from(tags, monkeypatch, tmp_path):
