@@ -110,7 +110,7 @@ def test_draws_of_compositions_average_what_each_has_by_itself(two, monkeypatch)
     first, *others = two.timelines("stmc")
     motions = [shown(first, {"left": "right", "right": "left"}), *map(shown, others)]
     scores = two.measured("stmc", motions, seed=0)
-    found = two._of_motions(motions)
+    found = two._measure_motions(motions)
     each = len(first.prompts)
     rows = [slice(each * number, each * (number + 1)) for number in range(len(motions))]
     alone = [matching_score(found.texts[row], found.subsequences[row]) for row in rows]
@@ -250,7 +250,7 @@ def test_a_test_split_that_holds_too_little_says_what_it_has():
         make(data({"left": 3, "right": 8}), min_clips=5)
     with pytest.raises(CacheError, match=r"it has none"):
         make(data({"left": 3, "right": 8}, split="train"))
-    with pytest.raises(CacheError, match=r"two cyclic contents .* it has left \(3\)"):
+    with pytest.raises(CacheError, match=r"two cyclic actions .* it has left \(3\)"):
         make(data({"left": 3, "right": 8}, cyclic=("left",)), repeats=2)
     with pytest.raises(CacheError, match="no test clip is as long as a window of 60 frames; the longest has 40"):
         make(data({"left": 1, "right": 1}, frames=40))
@@ -260,7 +260,7 @@ def test_motions_that_are_not_those_of_the_timelines_are_refused(two):
     motions = [shown(timeline) for timeline in two.timelines("stmc")]
     with pytest.raises(ValueError, match="1 motions for 2 timelines"):
         two.measured("stmc", motions[:1], 0)
-    with pytest.raises(ValueError, match=r"the motion of timeline 0001 has 100 frames, not \d+"):
+    with pytest.raises(ValueError, match=r"the motion of timeline 0001 has 100 frames instead of \d+"):
         two.measured("stmc", [motions[0], motions[1].trimmed(0, 100)], 0)
 
 

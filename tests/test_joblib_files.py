@@ -139,7 +139,7 @@ HOSTILE = {
     "a type in a text": (wrapped(state(dtype="f8"), bytes(16)), "without a shape or a type"),
     "no state": (wrapped(None, bytes(16)), "an array of a foreign class"),
     "a padding beyond its unit": (
-        wrapped(state(numpy_array_alignment_bytes=16), b"\xc8" + bytes(400)), "an array 200 bytes behind"
+        wrapped(state(numpy_array_alignment_bytes=16), b"\xc8" + bytes(400)), "an array with 200 bytes of padding"
     ),
     "arrays in files of their own": (
         Opcodes(b"cjoblib.numpy_pickle\nNDArrayWrapper\n)\x81}b"), "refused to run joblib.numpy_pickle.NDArrayWrapper"

@@ -175,7 +175,7 @@ def test_statistics_of_mdm_may_lie_elsewhere(tmp_path):
 def test_of_several_weights_in_a_folder_one_has_to_be_named(tmp_path):
     checkpoints.mdm(tmp_path)
     checkpoints.mdm(tmp_path, name="model000475000.pt")
-    with pytest.raises(CheckpointError, match=r"holds model000200000\.pt, model000475000\.pt: name the file"):
+    with pytest.raises(CheckpointError, match=r"holds model000200000\.pt, model000475000\.pt; name the file"):
         read(tmp_path)
     assert "model000475000.pt" in read(tmp_path / "model000475000.pt").facts[1]
 
@@ -193,7 +193,7 @@ def test_weights_that_do_not_fit_are_listed_all():
         fill(network, weights, "some.pt")
     message = str(caught.value)
     assert "some.pt does not fit MdmSmpl" in message
-    assert "missing: to_skel_layer.bias" in message and "not known: surplus.weight" in message
+    assert "missing: to_skel_layer.bias" in message and "unknown: surplus.weight" in message
     assert "registers [3, 8] instead of [2, 8]" in message and "not finite: skel_embedding.bias" in message
 
 
@@ -383,7 +383,7 @@ def test_a_run_directory_that_is_there_is_not_touched(tmp_path):
     (tmp_path / "ours").mkdir()
     convert(tmp_path / "theirs", tmp_path / "ours")
     before = {path: path.read_bytes() for path in (tmp_path / "ours").iterdir()}
-    with pytest.raises(CheckpointError, match="ours exists already"):
+    with pytest.raises(CheckpointError, match="ours already exists"):
         convert(tmp_path / "theirs", tmp_path / "ours")
     assert before == {path: path.read_bytes() for path in (tmp_path / "ours").iterdir()}
 

@@ -46,7 +46,7 @@ TYPES = {
     "Prompt('a', 0, [1])": "end [1] must be a finite number of seconds",
     "Prompt('a', 0, 1, [[]])": "unknown body part []",
     "Prompt('a', 0, 1, [None])": "unknown body part null",
-    "Prompt('a', 0, 1, 7)": 'not ["a", 7]',
+    "Prompt('a', 0, 1, 7)": 'got ["a", 7]',
     "BodyPart.parse({})": "a body part must be a text, not {}",
     "Change(0, 1, [{}])": "change: a body part must be a text, not {}",
     "Change('x', 1)": "change 'x'..1 s",

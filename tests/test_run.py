@@ -199,7 +199,7 @@ def test_weights_that_a_type_cannot_hold_are_not_saved(tmp_path, dtype, weight):
 
 
 def test_weights_of_a_type_that_no_run_is_read_from_are_not_saved(model, tmp_path):
-    with pytest.raises(RunError, match=r"weights as torch\.float8_e5m2 .* of another type"):
+    with pytest.raises(RunError, match=r"weights stored as torch\.float8_e5m2 .* of another type"):
         stmc.save(model, tmp_path / "run", "", dtype=torch.float8_e5m2)
     assert not (tmp_path / "run").exists()
 
@@ -275,7 +275,7 @@ def test_a_config_that_is_none_is_named(run, text):
         ({"denoiser": PARTS["denoiser"] | {"features": 263}}, r"of another shape: .*skel_embedding.weight"),
         ({"denoiser": PARTS["denoiser"] | {"width": 32}}, f"{WEIGHTS} does not fit the denoiser of the config.*shape"),
         ({"denoiser": PARTS["denoiser"] | {"layers": 2}}, f"{WEIGHTS} does not fit .*missing: seqT.*layers.1.* more"),
-        ({"text_encoder": {"_target_": "stmc.text.Clip"}}, "the network has text_width 384, the text_encoder 512"),
+        ({"text_encoder": {"_target_": "stmc.text.Clip"}}, "text_width 384, but the text_encoder has width 512"),
     ],
 )  # fmt: skip
 def test_a_config_that_does_not_describe_the_files_says_where(run, changes, message):

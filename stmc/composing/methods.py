@@ -144,19 +144,19 @@ def stitch(run: Run, plans: Sequence[Plan], predict: Predict | None = None) -> F
     return run.denoise(predict, x, draw, remaining)
 
 
-def independent_prompts(run: Run) -> Features:
+def sample_independent_prompts(run: Run) -> Features:
     """Sample the single prompt of every timeline as a separate motion. Raises `ValueError` for several prompts."""
     if several := [timeline for timeline in run.timelines if len(timeline.prompts) != 1]:
         raise ValueError(f"a timeline has {len(several[0].prompts)} prompts; this method needs one prompt per timeline")
     return stitch(run, run.plans())
 
 
-def sinc_lerp(run: Run) -> Features:
+def sample_sinc_lerp(run: Run) -> Features:
     """Sample with SINC, and interpolate linearly over the overlap wherever a part changes from one crop to another."""
     return smooth_seams(run.independent(), run.plans(0), run.columns, run.overlap)
 
 
-def sinc_slerp(run: Run) -> Features:
+def sample_sinc_slerp(run: Run) -> Features:
     """Sample with SINC, and interpolate rotations on the sphere.
 
     On one track this is TEACH's own baseline of independent actions.
@@ -164,12 +164,12 @@ def sinc_slerp(run: Run) -> Features:
     return _interpolate_on_sphere(run, run.independent(), run.plans(0))
 
 
-def teach_b(run: Run) -> Features:
+def sample_teach_b(run: Run) -> Features:
     """Sample crops one after the other, each with the previous frames as context (TEACH without slerp)."""
     return run.autoregressive(_plans_with_context(run))
 
 
-def teach(run: Run) -> Features:
+def sample_teach(run: Run) -> Features:
     """Sample with TEACH: as `teach_b`, then interpolate rotations on the sphere over the overlap between actions."""
     plans = _plans_with_context(run)
     return _interpolate_on_sphere(run, run.autoregressive(plans), plans)
@@ -185,7 +185,7 @@ def _interpolate_on_sphere(run: Run, features: Features, plans: Sequence[Plan]) 
     return run.statistics.normalise(slerp(run.statistics.restore(features), plans, run.layout, run.overlap))
 
 
-def flow_mdm(run: Run) -> Features:
+def sample_flow_mdm(run: Run) -> Features:
     """Sample the prompts of each body part as one sequence, without crops (FlowMDM, here with several tracks)."""
     run = replace(run, fixed_length=None)  # sequences have no fixed length
     plans = run.plans(0)
@@ -194,7 +194,7 @@ def flow_mdm(run: Run) -> Features:
     return run.denoise(run.constrained(sequences), draw(), draw)
 
 
-def double_take(run: Run) -> Features:
+def sample_double_take(run: Run) -> Features:
     """Sample crops that fade into each other, then regenerate half an overlap on either side of each transition."""
     plans, ramp = run.plans(), run.overlap // 2
     content = stitch(run, [handshake(plan) for plan in plans])
@@ -232,17 +232,17 @@ METHODS: Mapping[str, Method] = {
         fixed=_COMPOSED_FROM_THE_START,
         tracks="Single",
     ),
-    INDEPENDENT: Method(independent_prompts, "Independent prompts", fixed=_WITHOUT_OVERLAP),
+    INDEPENDENT: Method(sample_independent_prompts, "Independent prompts", fixed=_WITHOUT_OVERLAP),
     "sinc": Method(Run.independent, "SINC w/o Lerp", fixed=_WITHOUT_OVERLAP),
-    "sinc_lerp": Method(sinc_lerp, "SINC w/ Lerp", fixed=_NOT_COMPOSED),
-    "sinc_slerp": Method(sinc_slerp, "SINC w/ Slerp", fixed=_NOT_COMPOSED),
-    "teach_b": Method(teach_b, "TEACH_B", _one_track, fixed=_WITHOUT_OVERLAP, tracks="Single"),
-    "teach": Method(teach, "TEACH", _one_track, fixed=_NOT_COMPOSED, tracks="Single"),
+    "sinc_lerp": Method(sample_sinc_lerp, "SINC w/ Lerp", fixed=_NOT_COMPOSED),
+    "sinc_slerp": Method(sample_sinc_slerp, "SINC w/ Slerp", fixed=_NOT_COMPOSED),
+    "teach_b": Method(sample_teach_b, "TEACH_B", _one_track, fixed=_WITHOUT_OVERLAP, tracks="Single"),
+    "teach": Method(sample_teach, "TEACH", _one_track, fixed=_NOT_COMPOSED, tracks="Single"),
     "multi_diffusion": stitched(multi_diffusion, label="MultiDiffusion", fixed=_COMPOSED_FROM_THE_START),
-    "double_take": Method(double_take, "DoubleTake", fixed=_COMPOSED_FROM_THE_START),
+    "double_take": Method(sample_double_take, "DoubleTake", fixed=_COMPOSED_FROM_THE_START),
     "stmc_paper": stitched(label="STMC (paper)", fixed=_COMPOSED_FROM_THE_START),
     "stmc": Method(cross_faded, "STMC (cross-faded)"),
-    "flow_mdm": Method(flow_mdm, "FlowMDM", fixed=_WITHOUT_OVERLAP, per_frame_text=True, crops="None"),
+    "flow_mdm": Method(sample_flow_mdm, "FlowMDM", fixed=_WITHOUT_OVERLAP, per_frame_text=True, crops="None"),
 }
 """The methods of Table 1 in its order, and related methods next to them. "stmc_paper" is the exact algorithm of the
 paper: hard edges, composed from the first step on. Its noise scale is that of the model, because publishers differ."""

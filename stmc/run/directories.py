@@ -132,11 +132,7 @@ def load_evaluator(
     Args:
         folder: Run directory or name; None loads the bundled evaluator.
         device: Device of the evaluator; "auto" is the GPU if there is one.
-        trusted: Trusted packages; see `load`.
-
-    Raises:
-        RunError: As `load`.
-        ValueError: If the device is unknown.
+        trusted: Trusted packages; see `load`, which raises the same errors.
 
     Examples:
         >>> stmc.load_evaluator().texts(["walk", "jump"]).shape
@@ -157,7 +153,7 @@ def save(
     dtype: torch.dtype = torch.float32,
     trusted: Sequence[str] = (),
 ) -> Path:
-    """Write a model as a run directory.
+    """Write a model as a run directory, and return the folder.
 
     Every file is complete or absent: each is written under a temporary name first, the config last.
 
@@ -168,9 +164,6 @@ def save(
         dtype: Data type of the weights. torch.float16 halves the file and torch.float8_e4m3fn quarters it; with eight
             bits, only matrices are rounded to it, and vectors to half precision.
         trusted: Packages of your own whose classes `model.config` names; `load` needs them too.
-
-    Returns:
-        The folder.
 
     Raises:
         RunError: Before anything is written, if `load` would reject the result (see `check`), or if `dtype` cannot
@@ -191,7 +184,7 @@ def save_evaluator(
     dtype: torch.dtype = torch.float32,
     trusted: Sequence[str] = (),
 ) -> Path:
-    """Write an evaluator as a run directory.
+    """Write an evaluator as a run directory, and return the folder.
 
     Args:
         evaluator: The evaluator.
@@ -199,12 +192,6 @@ def save_evaluator(
         card: Text of `README.md`.
         dtype: Data type of the weights; see `save`.
         trusted: Trusted packages; see `save`.
-
-    Returns:
-        The folder.
-
-    Raises:
-        RunError: As `save`.
     """
     return _write(Path(folder).expanduser(), evaluator, check(evaluator, trusted), card, dtype)
 
@@ -212,10 +199,8 @@ def save_evaluator(
 def check(record: Model | Evaluator, trusted: Sequence[str] = ()) -> dict[str, Any]:
     """Return the config that `save` writes for a model or an evaluator.
 
-    Raises:
-        RunError: If `load` would reject it or build something else: `config` lacks a part, names a class that is
-            neither of this library nor `trusted`, or describes another network, or settings or statistics are out of
-            range.
+    Raises `RunError` if `load` would reject it or build something else: `config` lacks a part, names a class that is
+    neither of this library nor `trusted`, or describes another network, or settings or statistics are out of range.
     """
     parts, kind = (PARTS, ModelSettings) if isinstance(record, Model) else (EVALUATOR_PARTS, EvaluatorSettings)
     name, network = next(iter(parts)), _network(record)

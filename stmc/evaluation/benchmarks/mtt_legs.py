@@ -10,6 +10,7 @@ from stmc.evaluation.metrics.action_measures import (
     SEATED,
     UPRIGHT,
     cycles,
+    displacement,
     flights,
     lean,
     mean_speed,

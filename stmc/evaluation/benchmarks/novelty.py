@@ -46,8 +46,8 @@ def nearest_cosines(
         training: Training sentences.
         encoder: Text encoder.
     """
-    asked, known = (embed_sentences(list(dict.fromkeys(texts)), encoder) for texts in (sentences, training))
-    nearest = dict(zip(dict.fromkeys(sentences), (asked @ known.T).amax(dim=1).tolist(), strict=True))
+    tested, trained = (embed_sentences(list(dict.fromkeys(texts)), encoder) for texts in (sentences, training))
+    nearest = dict(zip(dict.fromkeys(sentences), (tested @ trained.T).amax(dim=1).tolist(), strict=True))
     return torch.tensor([nearest[text] for text in sentences])
 
 
@@ -59,9 +59,9 @@ def success_by_distance(shares: Mapping[str, float], training: Sequence[str], en
         training: Training sentences.
         encoder: Text encoder.
     """
-    cosines, found = nearest_cosines(list(shares), training, encoder).tolist(), []
+    cosines, bins = nearest_cosines(list(shares), training, encoder).tolist(), []
     for low, high in pairwise((-float("inf"), *EDGES, float("inf"))):
-        own = [share for share, cosine in zip(shares.values(), cosines, strict=True) if low <= cosine < high]
+        successes = [success for success, cosine in zip(shares.values(), cosines, strict=True) if low <= cosine < high]
         name = f"below {high:g}" if low < -1 else f"{low:g} and more" if high > 1 else f"{low:g} to {high:g}"
-        found.append(Bin(name, len(own), fmean(own) if own else None))
-    return found
+        bins.append(Bin(name, len(successes), fmean(successes) if successes else None))
+    return bins
