@@ -189,7 +189,7 @@ def test_a_wrong_folder_is_named_before_anything_is_converted(source, tmp_path):
     (tmp_path / "KIT/4").mkdir(parents=True)
     np.savez(tmp_path / "KIT/4/other_poses.npz", poses=np.zeros((3, 156)))
     with pytest.raises(
-        LayoutError, match=r"none of the 4 annotated recordings; expected for instance .*KIT/4/other_poses"
+        LayoutError, match=r"none of the 4 annotated recordings; expected, for instance, .*KIT/4/other_poses"
     ):
         described(tmp_path / "KIT", folder).check()
     with pytest.raises(LayoutError, match=r"annotations=.*expected annotations\.json"):

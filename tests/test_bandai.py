@@ -182,8 +182,8 @@ def test_a_content_without_a_side_is_its_own_mirror_image():
         ("walk_normal_001", "'walk_normal_001' is not dataset-N_content_style_NNN"),
         ("dataset-3_walk_normal_001", "is not dataset-N"),
         ("dataset-1_walk_normal", "is not dataset-N"),
-        ("dataset-1_fly_normal_001", "unknown content 'fly'; known are walk"),
-        ("dataset-1_walk_grumpy_001", "unknown style 'grumpy'; known are normal"),
+        ("dataset-1_fly_normal_001", "unknown action 'fly'; choose from walk"),
+        ("dataset-1_walk_grumpy_001", "unknown style 'grumpy'; choose from normal"),
     ],
 )
 def test_a_name_that_is_not_the_dataset_s_says_why(name, message):
@@ -280,7 +280,7 @@ def test_files_that_cannot_be_used_are_skipped_with_their_names_and_the_reasons(
     assert set(skipped) == {"dataset-1_walk_normal_001", "dataset-1_walk_normal_002", "dataset-1_fly_normal_001"}
     assert "numbers for 8 frames" in skipped["dataset-1_walk_normal_001"]
     assert "no MOTION section" in skipped["dataset-1_walk_normal_002"]
-    assert "unknown content 'fly'" in skipped["dataset-1_fly_normal_001"]
+    assert "unknown action 'fly'" in skipped["dataset-1_fly_normal_001"]
 
 
 def packed(source, path, mode: str = "w:xz"):

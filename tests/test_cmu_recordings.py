@@ -174,7 +174,7 @@ def test_tmr_s_and_babel_s_annotations_are_read_by_the_same_reader(bodies, sourc
         assert "truncated or damaged" in skipped["000001"]
         assert skipped["000000"].startswith("not CMU's")
     else:
-        with pytest.raises(LayoutError, match="not one of the 2 annotated recordings is CMU's; the first: KIT/3/kick"):
+        with pytest.raises(LayoutError, match="none of the 2 annotated recordings is CMU's; the first: KIT/3/kick"):
             prepared(source, babel(tmp_path / "texts"), tmp_path / "scratch")
 
 

@@ -214,7 +214,7 @@ def test_statistics_of_something_else_are_refused_before_anything_is_read(mean, 
 def test_a_std_of_zero_and_lists_of_other_clips_are_refused(source):
     std = np.load(source / "Std.npy")
     np.save(source / "Std.npy", np.zeros(263))
-    with pytest.raises(LayoutError, match="std above 0"):
+    with pytest.raises(LayoutError, match="std must be above 0"):
         ProcessedHumanML3D(source).check()
     np.save(source / "Std.npy", std)
     for split in ("train", "val", "test"):
