@@ -90,7 +90,7 @@ def test_any_finite_features_decode(frames, size, seed):
 
 
 def test_features_of_another_width_are_an_error():
-    with pytest.raises(ValueError, match="representation needs 135, not 205"):
+    with pytest.raises(ValueError, match="205 columns; this representation needs 135"):
         REPRESENTATION.decode(torch.zeros(3, 205), 20)
 
 

@@ -107,7 +107,7 @@ def test_features_must_be_finite_and_the_clip_that_is_not_is_named():
     made = toy()
     spoilt = made.features.clone()
     spoilt[made.clips[3].start + 1, 4] = torch.nan
-    with pytest.raises(CacheError, match=rf"clip {made.clips[3].name}: .* frame {made.clips[3].start + 1} "):
+    with pytest.raises(CacheError, match=rf"clip {made.clips[3].name}: .* frame {made.clips[3].start + 1}$"):
         dataclasses.replace(made, features=spoilt)
 
 
