@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import stmc
-from stmc.composing.methods import SEEN
+from stmc.composing.methods import TEACH_CONTEXT_SECONDS
 from stmc.timeline.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, reweighted
 
 FOLDER = Path(__file__).parent / "figures"
@@ -56,7 +56,7 @@ def plans() -> dict[str, Plan]:
         "half_cosine": layout(half_cosine),
         "sinc": layout(overlap=0),
         "single_track": layout(timeline=single),
-        "teach": look_back(layout(overlap=0, timeline=single), round(SEEN * FPS)),
+        "teach": look_back(layout(overlap=0, timeline=single), round(TEACH_CONTEXT_SECONDS * FPS)),
         "one_text": layout(overlap=0, timeline=one),
         "gap": layout(timeline=gap),
         "long_prompt": stmc.plan(

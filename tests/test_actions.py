@@ -110,5 +110,5 @@ def test_rates_count_every_other_content_alike():
     still, sitting = MOTIONS["stand"](), MOTIONS["sit"]()
     others = {"many": [sitting] * 9, "one": [still]}
     assert rates(QUESTIONS["sit"], [sitting, still], others) == Rates(ceiling=0.5, chance=0.5)
-    with pytest.raises(ValueError, match="of the content and of others"):
+    with pytest.raises(ValueError, match="of the action and of other actions"):
         rates(QUESTIONS["sit"], [], others)

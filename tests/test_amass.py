@@ -134,7 +134,7 @@ def test_of_both_releases_smpl_h_s_recording_is_taken(tmp_path):
     ("files", "message"),
     [
         ([], "holds no .npz file, but nothing at all"),
-        (["KIT.tar.bz2"], "archives: unpack them there"),
+        (["KIT.tar.bz2"], "archives; unpack them there"),
         (["pose_data/KIT/3/kick.npy"], "HumanML3D's .npy files.*data=humanml3d_processed"),
         (["notes.txt"], r"only notes\.txt"),
     ],

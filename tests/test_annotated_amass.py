@@ -179,7 +179,7 @@ def test_nothing_that_can_be_used_is_an_error_and_leaves_no_cache(tmp_path):
         file.write_bytes(b"")
     entries = {name: row for name, row in PUBLISHED.items() if name != "000002"}
     entries |= {"000009": ("KIT/3/kick_high_left02_poses", "val", (("walks", 0.0, 3.0),))}
-    with pytest.raises(ValueError, match="not one clip could be used, 5 were skipped; the first: 000000: damaged: "):
+    with pytest.raises(ValueError, match="no clip could be used; 5 were skipped; the first: 000000: damaged: "):
         prepared(source, published(tmp_path / "texts", entries), tmp_path)
     assert not list(tmp_path.glob(TABLE))
 
@@ -189,7 +189,7 @@ def test_a_wrong_folder_is_named_before_anything_is_converted(source, tmp_path):
     (tmp_path / "KIT/4").mkdir(parents=True)
     np.savez(tmp_path / "KIT/4/other_poses.npz", poses=np.zeros((3, 156)))
     with pytest.raises(
-        LayoutError, match=r"none of the 4 annotated recordings; expected for instance .*KIT/4/other_poses"
+        LayoutError, match=r"none of the 4 annotated recordings; expected, for instance, .*KIT/4/other_poses"
     ):
         described(tmp_path / "KIT", folder).check()
     with pytest.raises(LayoutError, match=r"annotations=.*expected annotations\.json"):
@@ -197,7 +197,7 @@ def test_a_wrong_folder_is_named_before_anything_is_converted(source, tmp_path):
     with pytest.raises(FileNotFoundError, match="no smplh body for gender 'neutral'"):
         described(source, folder, body=tmp_path).check()
     (folder / "annotations.json").write_text(json.dumps({"000000": {"path": "humanact12/humanact12/x"}}))
-    with pytest.raises(LayoutError, match="not one can be used; the first: 000000: "):
+    with pytest.raises(LayoutError, match="none can be used; the first: 000000: "):
         described(source, folder).check()
 
 
@@ -266,7 +266,7 @@ def test_the_report_counts_all_that_is_there_and_all_that_is_not(source, tmp_pat
 
 def test_caches_of_two_kinds_or_with_two_texts_under_one_name_are_not_merged(cache):
     assert len(merged([cache, replace(cache, texts=cache.texts)]).clips) == 12
-    with pytest.raises(CacheError, match="caches of two kinds"):
+    with pytest.raises(CacheError, match="caches must have one kind"):
         merged([cache, replace(cache, fps=30)])
     other = cache.texts | {"000000": (("something else", 1.0),)}
     with pytest.raises(CacheError, match="the texts of 000000 differ"):

@@ -62,7 +62,7 @@ def test_a_zip_that_names_places_outside_of_itself_is_refused(name, tmp_path):
             file = io.BytesIO()
             np.save(file, np.zeros(3))
             archive.writestr(inside, file.getvalue())
-    with pytest.raises(ArraysError, match="a place outside of itself"):
+    with pytest.raises(ArraysError, match="a path outside of the archive"):
         read_npz(tmp_path / "a.npz", ["one"])
     assert os.listdir(tmp_path) == ["a.npz"]
 
@@ -72,7 +72,7 @@ def test_a_small_zip_that_would_become_more_than_any_memory_is_refused_before_it
     np.savez_compressed(tmp_path / "a.npz", small=np.zeros(10), one=np.zeros(200_000))
     assert (tmp_path / "a.npz").stat().st_size < 10_000
     assert list(read_npz(tmp_path / "a.npz", ["small"])) == ["small"]
-    with pytest.raises(ArraysError, match="one would take 1600128 bytes, more than"):
+    with pytest.raises(ArraysError, match="one has 1600128 bytes; the limit is"):
         read_npz(tmp_path / "a.npz", ["one"])
 
 
@@ -149,7 +149,7 @@ def test_a_formula_of_chumpy_s_is_named_only_where_it_is_asked_for(tmp_path):
 def test_a_pickle_that_would_run_code_runs_nothing(call, protocol, tmp_path):
     mark = tmp_path / "it ran"
     content = run_code(call, f"touch '{mark}'", protocol)
-    with pytest.raises(ArraysError, match=r"refused to run .*this is not a file of arrays alone"):
+    with pytest.raises(ArraysError, match=r"refused to run .*the file must hold arrays alone"):
         read_pickle(written(tmp_path, content), ["plain"])
     assert not mark.exists()
 
@@ -335,7 +335,7 @@ def test_keys_and_members_are_texts_and_numbers(tmp_path):
         path = written(tmp_path, pickle.dumps(content, protocol))
         assert read_pickle(path, ["plain"])["plain"].tolist() == [0, 1, 2]
     path = written(tmp_path, pickle.dumps({"plain": np.arange(3), (1, 2): 3}))
-    with pytest.raises(ArraysError, match=r"a key that is a tuple: texts and numbers are read"):
+    with pytest.raises(ArraysError, match=r"a key that is a tuple; only texts and numbers are supported"):
         read_pickle(path, ["plain"])
 
 

@@ -84,7 +84,7 @@ def test_a_prompt_without_parts_yields_to_one_that_lists_some():
 
 
 def test_a_prompt_of_no_frames_is_left_out_with_a_warning():
-    with pytest.warns(TimelineWarning, match=r"'blink' \(0.51 to 0.52 s\) lasts no frame at 20 fps: left out"):
+    with pytest.warns(TimelineWarning, match=r"'blink' \(0.51 to 0.52 s\) lasts no frame at 20 fps and is left out"):
         owners = assign(Timeline([Prompt("walk", 0, 1, {"legs"}), Prompt("blink", 0.51, 0.52, {"head"})]), 20)
     assert owners == dict.fromkeys(BodyPart, ((0, 0, 20),))
 

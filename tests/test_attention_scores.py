@@ -130,12 +130,12 @@ def test_what_the_command_cannot_draw_is_one_sentence(settings, message, folder,
 
 def test_the_command_refuses_a_model_without_such_attention(tmp_path):
     save(tiny(), tmp_path / "model", "card")
-    with pytest.raises(ValueError, match="MdmSmpl has no attention of FlowMDM's"):
+    with pytest.raises(ValueError, match="MdmSmpl has no FlowMDM attention"):
         run("attention", "attention", f"model={tmp_path / 'model'}", f"output={tmp_path / 'out'}")
 
 
 def test_what_has_no_such_attention_and_what_is_no_frame_are_errors():
-    with pytest.raises(ValueError, match=r"MdmSmpl has no attention of FlowMDM's"), recorded_attention(tiny().denoiser):
+    with pytest.raises(ValueError, match=r"MdmSmpl has no FlowMDM attention"), recorded_attention(tiny().denoiser):
         pass
     with pytest.raises(ResultError, match="0 steps, and frame 3 of 9"):
         attention_curves(np.zeros((0, 9)), 3)

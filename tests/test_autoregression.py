@@ -225,7 +225,7 @@ def test_what_is_kept_of_one_timeline_is_nothing_to_the_others_of_its_batch(mode
 
 @pytest.mark.parametrize("method", ["teach_b", "teach"])
 def test_constraints_are_refused_by_name(model, method):
-    with pytest.raises(SettingError, match="constraints: the method must compose at every step"):
+    with pytest.raises(SettingError, match="constraints need a method that composes at every step"):
         model.generate(TWO_ACTIONS, method=method, constraints=[Hold("left_hand", 0, 1)], steps=1)
 
 

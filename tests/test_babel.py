@@ -16,7 +16,7 @@ from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix
 from stmc.motion.motion import Motion
 from stmc.motion.representation import BABEL_LAYOUT, BabelRepresentation, Representation
-from stmc.motion.representation.babel import _turned
+from stmc.motion.representation.babel import _rotate
 
 REPRESENTATION = BabelRepresentation()
 SETS = pytest.mark.parametrize("folder", golden_sets("flow"))
@@ -51,7 +51,7 @@ def placed(motion: Motion, heading: float) -> Motion:
     """The same with its first pelvis above the origin and its first heading as told."""
     centre = motion.translation[0] * motion.translation.new_tensor([1, 1, 0])
     rotations, translation = motion.rotations, motion.translation - centre
-    rotations, translation = _turned(rotations, translation, heading - motion.heading[0])
+    rotations, translation = _rotate(rotations, translation, heading - motion.heading[0])
     return Motion.posed(rotations, translation, motion.fps, Skeleton.default())
 
 
@@ -59,7 +59,7 @@ def placed(motion: Motion, heading: float) -> Motion:
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-5, 5))
 def test_a_motion_comes_back_wherever_it_stood_and_looked(turn, heading, shift):
     motion = walking(1.0)
-    rotations, translation = _turned(motion.rotations, motion.translation + shift, torch.tensor(turn).double())
+    rotations, translation = _rotate(motion.rotations, motion.translation + shift, torch.tensor(turn).double())
     translation = translation - translation.new_tensor([0, 0, shift])
     moved = Motion.posed(rotations, translation, motion.fps, Skeleton.default())
     back = REPRESENTATION.decode(REPRESENTATION.encode(moved), motion.fps, heading=heading)
@@ -90,7 +90,7 @@ def test_any_finite_features_decode(frames, size, seed):
 
 
 def test_features_of_another_width_are_an_error():
-    with pytest.raises(ValueError, match="135 columns, not 205"):
+    with pytest.raises(ValueError, match="205 columns; this representation needs 135"):
         REPRESENTATION.decode(torch.zeros(3, 205), 20)
 
 

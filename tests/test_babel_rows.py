@@ -223,7 +223,7 @@ def test_what_processed_files_lack_is_named(tmp_path):
 def test_processed_recordings_that_cannot_be_used_are_named(changes, reason, tmp_path):
     texts = babel(tmp_path / "texts")
     (texts / "val.json").write_text((texts / "train.json").read_text())
-    with pytest.raises(ValueError, match=f"not one clip could be used.*1: {reason}"):
+    with pytest.raises(ValueError, match=f"no clip could be used.*1: {reason}"):
         prepared(processed(tmp_path / "teach", **changes), texts, tmp_path / "pieces")
 
 

@@ -182,8 +182,8 @@ def test_a_content_without_a_side_is_its_own_mirror_image():
         ("walk_normal_001", "'walk_normal_001' is not dataset-N_content_style_NNN"),
         ("dataset-3_walk_normal_001", "is not dataset-N"),
         ("dataset-1_walk_normal", "is not dataset-N"),
-        ("dataset-1_fly_normal_001", "unknown content 'fly'; known are walk"),
-        ("dataset-1_walk_grumpy_001", "unknown style 'grumpy'; known are normal"),
+        ("dataset-1_fly_normal_001", "unknown action 'fly'; choose from walk"),
+        ("dataset-1_walk_grumpy_001", "unknown style 'grumpy'; choose from normal"),
     ],
 )
 def test_a_name_that_is_not_the_dataset_s_says_why(name, message):
@@ -280,7 +280,7 @@ def test_files_that_cannot_be_used_are_skipped_with_their_names_and_the_reasons(
     assert set(skipped) == {"dataset-1_walk_normal_001", "dataset-1_walk_normal_002", "dataset-1_fly_normal_001"}
     assert "numbers for 8 frames" in skipped["dataset-1_walk_normal_001"]
     assert "no MOTION section" in skipped["dataset-1_walk_normal_002"]
-    assert "unknown content 'fly'" in skipped["dataset-1_fly_normal_001"]
+    assert "unknown action 'fly'" in skipped["dataset-1_fly_normal_001"]
 
 
 def packed(source, path, mode: str = "w:xz"):
@@ -380,7 +380,7 @@ def test_an_archive_that_breaks_off_is_an_error_and_not_a_smaller_data_set(sourc
     whole = packed(source, tmp_path / "dataset.tar.xz").read_bytes()
     for kept in (len(whole) // 4, len(whole) // 2, len(whole) - 20, 100):
         (tmp_path / "half.tar.xz").write_bytes(whole[:kept])
-        with pytest.raises(ValueError, match=r"half\.tar\.xz is not a \.tar\.xz, or a half or damaged one"):
+        with pytest.raises(ValueError, match=r"half\.tar\.xz is not a \.tar\.xz, or is truncated or damaged"):
             list(bandai.read_sources(tmp_path / "half.tar.xz"))
     (tmp_path / "text.tar.xz").write_text("not an archive at all")
     with pytest.raises(ValueError, match=r"not a \.tar\.xz"):
@@ -396,7 +396,7 @@ def test_a_place_without_clips_is_an_error_that_says_what_should_be_there(tmp_pa
 
 
 def test_nothing_but_broken_clips_is_an_error_that_names_the_first():
-    with pytest.raises(ValueError, match="not one clip could be read; the first: a: no MOTION"):
+    with pytest.raises(ValueError, match="no clip could be read; the first: a: no MOTION"):
         bandai.gather([("a", "no MOTION section"), ("b", "no MOTION section")], FPS)
 
 

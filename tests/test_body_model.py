@@ -254,7 +254,7 @@ def test_files_of_another_kind_are_refused(tmp_path):
         ({"posedirs": np.zeros((80, 3, 69))}, r"posedirs has shape .* \(80, 3, 207\)"),
         ({"v_template": np.full((80, 3), np.nan)}, "v_template has values that are not finite"),
         ({"v_template": np.full((80, 3), 1e300)}, "v_template has values that are not finite, or not in float32"),
-        ({"weights": np.full((80, 24), "1")}, "weights holds <U1, not numbers"),
+        ({"weights": np.full((80, 24), "1")}, "weights has dtype <U1; it must be numeric"),
         ({"kintree_table": np.stack([[-1, *PARENTS[1:22], -5, 21], np.arange(24)])}, "a joint before its parent"),
         ({"f": np.array([[0, 1, 80]])}, "f names vertices that do not exist; there are 80"),
         ({"kintree_table": np.stack([[-1, *PARENTS[1:22], 23, 23], np.arange(24)])}, "a joint before its parent"),

@@ -149,7 +149,7 @@ def test_hundreds_of_prompts_at_once_give_one_short_warning_at_the_line_of_the_c
     owners = assign(timeline, 10)
     assert owners[BodyPart.LEGS][:2] == ((0, 0, 1), (1, 1, 2))
     assert owners[BodyPart.LEGS][-1] == (799, 799, 2799)
-    with pytest.warns(TimelineWarning, match="lasts no frame at 0.5 fps: left out, and 1 more") as told:
+    with pytest.warns(TimelineWarning, match="lasts no frame at 0.5 fps and is left out, and 1 more") as told:
         assign(Timeline([Prompt("a", 0, 9, "legs"), Prompt("b", 2, 3, "head"), Prompt("c", 4, 5, "head")]), 0.5)
     assert [warning.filename for warning in told] == [__file__]
 

@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 from stmc.cli.config_parts import NAMES, build_part, check_plugins
 from stmc.run import RunError
-from stmc.run.construction import _named
+from stmc.run.construction import _resolve_name
 from stmc.settings.records import SettingError
 
 
@@ -85,7 +85,9 @@ def test_a_folder_of_somebody_else_s_configurations_runs_nothing_and_trusts_nobo
     arguments = ("--config-dir", tmp_path / "cfg", "text_encoder=theirs", f"texts={ROOT / 'README.md'}")
     told = refused(capsys, "embed", *arguments)
     assert not evil[1].exists()
-    assert ("say it on the command line" if trusted else "'torch.load' is not what a configuration may build") in told
+    assert (
+        "say it on the command line" if trusted else "'torch.load' is not a legal target of this configuration"
+    ) in told
 
 
 def test_hydra_s_own_settings_build_hydra_s_parts_alone(evil, tmp_path, capsys, monkeypatch):
@@ -145,7 +147,7 @@ def test_classes_and_functions_of_a_trusted_package_are_built(mylab):
     with pytest.raises(RunError, match="is not a class that mylab defines"):
         build_part(config, "data")
     config.trusted = []
-    with pytest.raises(RunError, match="is not what a configuration may build; a package of your own has to be named"):
+    with pytest.raises(RunError, match="is not a legal target of this configuration; name your own package"):
         build_part(config, "table")
 
 
@@ -153,7 +155,7 @@ def test_a_trusted_preparation_is_asked(mylab, capsys):
     described = "data.preparation={_target_: mylab.parts.Mine}"
     arguments = ("data=clips", f"+{described}", "source=here", "data.folder=x")
     assert "here is empty" in refused(capsys, "prepare", *arguments, "trusted=[mylab]")
-    assert "'mylab.parts.Mine' is not what a configuration may build" in refused(capsys, "prepare", *arguments)
+    assert "'mylab.parts.Mine' is not a legal target of this configuration" in refused(capsys, "prepare", *arguments)
 
 
 def targets(node: object):
@@ -181,7 +183,7 @@ def test_the_table_has_what_our_configurations_build_and_nothing_else():
         "stmc.training.TmrObjective"
     }
     for name in NAMES:
-        assert _named(name) is get_object(name) or name.endswith(".read")
+        assert _resolve_name(name) is get_object(name) or name.endswith(".read")
 
 
 WRONG = {
@@ -215,4 +217,4 @@ def test_a_setting_of_a_part_that_does_not_fit_is_one_line_before_data_are_read(
 
 def test_a_benchmark_that_is_none_is_one_line(capsys, tmp_path):
     told = refused(capsys, "evaluate", "benchmark._target_=nope", f"output={tmp_path}", "device=cpu")
-    assert told.startswith("benchmark: 'nope' is not what a configuration may build")
+    assert told.startswith("benchmark: 'nope' is not a legal target of this configuration")

@@ -107,7 +107,7 @@ def test_features_must_be_finite_and_the_clip_that_is_not_is_named():
     made = toy()
     spoilt = made.features.clone()
     spoilt[made.clips[3].start + 1, 4] = torch.nan
-    with pytest.raises(CacheError, match=rf"clip {made.clips[3].name}: .* frame {made.clips[3].start + 1} "):
+    with pytest.raises(CacheError, match=rf"clip {made.clips[3].name}: .* frame {made.clips[3].start + 1}$"):
         dataclasses.replace(made, features=spoilt)
 
 
@@ -204,5 +204,5 @@ def test_several_caches_are_read_as_one_without_the_statistics_of_the_first(tmp_
 def test_caches_of_different_bodies_are_not_one(tmp_path):
     written(tmp_path / "one")
     written(tmp_path / "two", skeleton=Skeleton(2 * Skeleton.default().offsets))
-    with pytest.raises(CacheError, match="two bodies"):
+    with pytest.raises(CacheError, match="one body"):
         read_caches([tmp_path / "one", tmp_path / "two"])

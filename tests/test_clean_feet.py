@@ -260,5 +260,5 @@ def test_feet_below_the_floor_where_they_must_stay_rise_slowly():
 def test_a_motion_of_which_nothing_is_free_is_itself_and_other_lengths_are_refused():
     motion, free = halves()
     assert clean_feet(motion, free=torch.zeros(60, dtype=torch.bool)) is motion
-    with pytest.raises(ValueError, match="59 frames for a motion of 60"):
+    with pytest.raises(ValueError, match="59 frames, but the motion has 60"):
         clean_feet(motion, free=free[1:])

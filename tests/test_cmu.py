@@ -223,7 +223,7 @@ def test_a_place_without_recordings_is_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"contains no \.amc or \.bvh"):
         list(cmu.read_sources(tmp_path))
     (tmp_path / "half.tar.xz").write_bytes(b"\xfd7zXZ\x00")
-    with pytest.raises(ValueError, match="half or damaged"):
+    with pytest.raises(ValueError, match="truncated or damaged"):
         list(cmu.read_sources(tmp_path / "half.tar.xz"))
 
 

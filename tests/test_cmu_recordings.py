@@ -96,7 +96,7 @@ def test_humanml3d_s_own_files_are_annotations_with_the_seconds_of_the_recording
     assert skipped["000001"] == "HumanAct12: it has no SMPL poses"
     assert skipped["M000000"] == "no file: texts/M000000.txt"
     assert skipped["000009"] == "listed but not in index.csv"
-    assert skipped["000003"].startswith("malformed caption: line 2 is not caption#")
+    assert skipped["000003"].startswith("malformed caption: line 2 must be caption#")
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_row_of_the_index_that_cannot_be_used_is_named(index, reason, tmp_path
 
 
 def test_files_that_are_not_humanml3d_s_say_what_was_expected(tmp_path):
-    with pytest.raises(LayoutError, match="columns should be source_path, start_frame, end_frame, new_name, not a, b"):
+    with pytest.raises(LayoutError, match="columns must be source_path, start_frame, end_frame, new_name, not a, b"):
         read_annotations(shared(tmp_path / "other", "a,b\n1,2\n"))
     folder = shared(tmp_path / "bare")
     (folder / "index.csv").unlink()
@@ -174,7 +174,7 @@ def test_tmr_s_and_babel_s_annotations_are_read_by_the_same_reader(bodies, sourc
         assert "truncated or damaged" in skipped["000001"]
         assert skipped["000000"].startswith("not CMU's")
     else:
-        with pytest.raises(LayoutError, match="not one of the 2 annotated recordings is CMU's; the first: KIT/3/kick"):
+        with pytest.raises(LayoutError, match="none of the 2 annotated recordings is CMU's; the first: KIT/3/kick"):
             prepared(source, babel(tmp_path / "texts"), tmp_path / "scratch")
 
 
@@ -183,7 +183,7 @@ def test_a_source_that_is_not_there_and_other_features_are_errors(source, tmp_pa
     with pytest.raises(LayoutError, match="nowhere does not exist; it should be a folder of CMU's recordings"):
         prepared(tmp_path / "nowhere", texts, tmp_path / "scratch")
     wrong = AnnotatedAmass(source, texts, 20, HumanML3DRepresentation(), recordings=CmuRecordings)
-    with pytest.raises(LayoutError, match="become 205 features: representation is SmplRepresentation, not HumanML3DR"):
+    with pytest.raises(LayoutError, match="have 205 features; use SmplRepresentation instead of HumanML3DR"):
         wrong.check()
 
 

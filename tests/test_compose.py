@@ -422,7 +422,7 @@ def test_with_a_window_there_are_no_masks_and_all_frames_are_predicted():
 
 def test_a_crop_longer_than_the_window_is_an_error_that_says_what_to_do():
     plans = plans_of(WALK_WAVE)
-    with pytest.raises(ValueError, match=r"a crop has 48 frames, but the denoiser sees 30: plan with longest=30"):
+    with pytest.raises(ValueError, match=r"a crop has 48 frames, but the denoiser sees 30; plan with longest=30"):
         guided_crops(Constant(), Schedule.cosine(100), plans, embeddings(plans), fixed_length=30)
 
 

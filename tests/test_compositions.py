@@ -111,7 +111,7 @@ def test_draws_of_compositions_average_what_each_has_by_itself(two, monkeypatch)
     first, *others = two.timelines("stmc")
     motions = [shown(first, {"left": "right", "right": "left"}), *map(shown, others)]
     scores = two.measured("stmc", motions, seed=0)
-    found = two._of_motions(motions)
+    found = two._measure_motions(motions)
     each = len(first.prompts)
     rows = [slice(each * number, each * (number + 1)) for number in range(len(motions))]
     alone = [matching_score(found.texts[row], found.subsequences[row]) for row in rows]
@@ -245,11 +245,13 @@ def test_a_test_split_that_holds_too_little_says_what_it_has():
     def make(cache: Cache, **settings) -> Compositions:
         return Compositions(cache, REPRESENTATION, ORACLE, **(SHORTER | settings))
 
-    with pytest.raises(CacheError, match=r"two contents of at least 5 clips .* it has left \(3\), right \(8\)"):
+    with pytest.raises(
+        CacheError, match=r"two actions with at least 5 unmirrored clips .* it has left \(3\), right \(8\)"
+    ):
         make(data({"left": 3, "right": 8}), min_clips=5)
     with pytest.raises(CacheError, match=r"it has none"):
         make(data({"left": 3, "right": 8}, split="train"))
-    with pytest.raises(CacheError, match=r"two cyclic contents .* it has left \(3\)"):
+    with pytest.raises(CacheError, match=r"two cyclic actions .* it has left \(3\)"):
         make(data({"left": 3, "right": 8}, cyclic=("left",)), repeats=2)
     with pytest.raises(CacheError, match="no test clip is as long as a window of 60 frames; the longest has 40"):
         make(data({"left": 1, "right": 1}, frames=40))
@@ -259,7 +261,7 @@ def test_motions_that_are_not_those_of_the_timelines_are_refused(two):
     motions = [shown(timeline) for timeline in two.timelines("stmc")]
     with pytest.raises(ValueError, match="1 motions for 2 timelines"):
         two.measured("stmc", motions[:1], 0)
-    with pytest.raises(ValueError, match=r"the motion of timeline 0001 has 100 frames, not \d+"):
+    with pytest.raises(ValueError, match=r"the motion of timeline 0001 has 100 frames instead of \d+"):
         two.measured("stmc", [motions[0], motions[1].trimmed(0, 100)], 0)
 
 

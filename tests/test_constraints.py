@@ -252,7 +252,7 @@ def test_a_constraint_that_cannot_be_is_refused(make, message):
 
 
 def test_methods_and_joints_that_constraints_do_not_fit_are_refused(model):
-    with pytest.raises(SettingError, match="compose at every step"):
+    with pytest.raises(SettingError, match="composes at every step"):
         model.generate(WALK, steps=1, method="sinc", constraints=[Heading(1.0)])
     with pytest.raises(SettingError, match="joints_from"):
         model.generate(WALK, steps=1, joints_from="features", constraints=[Heading(1.0)])

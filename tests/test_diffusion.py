@@ -133,7 +133,7 @@ def test_too_few_and_too_many_steps_are_errors(steps):
 
 def test_what_is_no_schedule_is_refused():
     for alpha_bar in ([0.5, 0.6], [1.0, 0.5], [0.5, 0.0], []):
-        with pytest.raises(ValueError, match="alpha_bar must fall"):
+        with pytest.raises(ValueError, match="alpha_bar must start below 1"):
             Schedule(torch.tensor(alpha_bar, dtype=torch.float64))
 
 

@@ -94,7 +94,7 @@ def test_an_interpolation_is_never_resolved_escaped_or_not(run, tmp_path, monkey
         for slashes in ("", "\\"):
             text = f"'{slashes}${{oc.create:{{{call}}}}}'"
             (run / CONFIG).write_text(kept + "\n" + place.format(f"evil: {text}", text) + "\n")
-            refused(run, "interpolations are not resolved")
+            refused(run, "a run directory does not resolve interpolations")
     assert not (tmp_path / "proof").exists()
 
 
@@ -112,7 +112,7 @@ def _sections(text: str) -> list[str]:
 def test_no_environment_variable_gets_into_a_model(run, monkeypatch):  # noqa: F811
     monkeypatch.setenv("TOKEN", "secret")
     edit(run, text_encoder=PARTS["text_encoder"] | {"source": "somebody/${oc.env:TOKEN}"})
-    refused(run, "text_encoder.source=.*interpolations are not resolved")
+    refused(run, "text_encoder.source=.*a run directory does not resolve interpolations")
 
 
 def test_keys_that_hydra_understands_are_refused_wherever_they_are(run):  # noqa: F811
@@ -150,13 +150,13 @@ def test_what_is_hidden_inside_an_argument_is_refused(run, within, tmp_path, mon
         ("<<: {more: 1}\n", "cannot be read"),
         ("3: three\n", "the key 3 is not a text"),
         ("? [1, 2]\n: three\n", r"the key \[1, 2\] is not a text"),
-        ("more: " + "[" * 5000 + "\n", "more than 16 collections within one another"),
-        ("more: " + "{a: " * 5000 + "\n", "more than 16 collections within one another"),
+        ("more: " + "[" * 5000 + "\n", "more than 16 levels of nested collections"),
+        ("more: " + "{a: " * 5000 + "\n", "more than 16 levels of nested collections"),
         ("more: " + "- " * 5000 + "\n", "config.yaml"),
         ("more: " + "9" * 5000 + "\n", "config.yaml"),
-        ("more: .nan\n", "more=nan: a finite number needed"),
-        ("more: 1e300\n", r"more=1e\+300: a finite number needed"),
-        ("more: " + "x" * 2000 + "\n", "printable characters needed"),
+        ("more: .nan\n", "more=nan: must be a finite number"),
+        ("more: 1e300\n", r"more=1e\+300: must be a finite number"),
+        ("more: " + "x" * 2000 + "\n", "characters, all of them printable"),
         ("more: " + "x" * 2**17 + "\n", "more than 65536 bytes"),
         ("---\nmore: 1\n", "config.yaml cannot be read"),
     ],
@@ -203,10 +203,10 @@ def test_an_evaluator_s_sizes_are_compared_too(evaluator_run, sizes):
 
 
 def test_a_window_or_schedule_of_any_length_is_refused():
-    with pytest.raises(ValueError, match="fixed_length must be 1 to 4999 frames, not 1000000000"):
+    with pytest.raises(ValueError, match="fixed_length 1000000000 must be 1 to 4999 frames"):
         MdmEncoder(205, 384, 16, 32, 1, 2, fixed_length=10**9)
     for kind in (Schedule.cosine, Schedule.linear):
-        with pytest.raises(ValueError, match="a schedule has 1 to 10000 steps"):
+        with pytest.raises(ValueError, match="must be 1 to 10000"):
             kind(10**9)
 
 
@@ -401,7 +401,10 @@ def test_what_is_trusted_has_to_be_a_package_s_name(run):  # noqa: F811
         ),
         ({"config": {"denoiser": PARTS["denoiser"] | {"depth": 2}}}, "denoiser.depth: .* has no such argument"),
         ({"config": {"schedule": {"_target_": "own.Schedule"}}}, "'own.Schedule' is not a class of stmc.diffusion"),
-        ({"config": {"text_encoder": {"_target_": "stmc.text.Clip"}}}, "text_width 384, the text_encoder 512"),
+        (
+            {"config": {"text_encoder": {"_target_": "stmc.text.Clip"}}},
+            "text_width 384, but the text_encoder has width 512",
+        ),
         ({"config": {"representation": {"_target_": "${oc.env:HOME}"}}}, "interpolations"),
         ({"longest": 0}, "longest=0: must be at least 1"),
         ({"fps": 5000}, "fps=5000: must be above 0"),

@@ -218,14 +218,14 @@ def test_two_and_three_frames_are_enough(frames):
 
 
 def test_one_frame_is_an_error():
-    with pytest.raises(ValueError, match="need 2 frames or more, not 1"):
+    with pytest.raises(ValueError, match="need at least 2 frames"):
         REPRESENTATION.encode(walk(1))
 
 
 def test_a_bone_without_length_is_an_error_that_names_it():
     joints = standing(4)
     joints[2, JOINTS.index("left_knee")] = joints[2, JOINTS.index("left_hip")]
-    with pytest.raises(ValueError, match="frame 2: left_knee lies on left_hip"):
+    with pytest.raises(ValueError, match="frame 2: left_knee coincides with left_hip"):
         joints_to_features(joints)
 
 
@@ -239,7 +239,7 @@ def test_bodies_that_lie_on_their_side_or_stand_on_their_head_have_finite_featur
 
 @pytest.mark.parametrize("back", [features_to_joints, features_to_posed_joints])
 def test_features_of_another_width_are_an_error(back):
-    with pytest.raises(ValueError, match="must have 263 columns, not 205"):
+    with pytest.raises(ValueError, match="have 205 columns; this representation needs 263"):
         back(torch.zeros(4, 205))
 
 

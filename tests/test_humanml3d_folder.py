@@ -98,7 +98,7 @@ def test_a_caption_s_line_has_four_parts_and_times_that_are_no_numbers_mean_the_
         Caption("walks", 0.0, 0.0, "walk/VERB"),
         Caption("runs", 1.5, 4.0, "run/VERB"),
     ]
-    assert "line 5 is not caption#tagged words#start#end but 'no times#no/DET'" in no_times
+    assert "line 5 must be caption#tagged words#start#end, not 'no times#no/DET'" in no_times
     assert "line 6" in no_text
     assert "line 7 is from 4 to 1 s" in back
     assert "line 8" in words
@@ -159,7 +159,7 @@ def test_one_bad_caption_does_not_cost_the_good_ones(source):
     cache = prepared(source)
     assert cache.texts["000002"] == (("walks", 1.0),)
     assert cache.skipped == (
-        ("000002", "malformed caption: line 2 is not caption#tagged words#start#end but 'broken'"),
+        ("000002", "malformed caption: line 2 must be caption#tagged words#start#end, not 'broken'"),
     )
 
 
@@ -214,7 +214,7 @@ def test_statistics_of_something_else_are_refused_before_anything_is_read(mean, 
 def test_a_std_of_zero_and_lists_of_other_clips_are_refused(source):
     std = np.load(source / "Std.npy")
     np.save(source / "Std.npy", np.zeros(263))
-    with pytest.raises(LayoutError, match="std above 0"):
+    with pytest.raises(LayoutError, match="std must be above 0"):
         ProcessedHumanML3D(source).check()
     np.save(source / "Std.npy", std)
     for split in ("train", "val", "test"):

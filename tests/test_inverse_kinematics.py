@@ -194,7 +194,7 @@ def test_a_walk_keeps_its_pace_in_every_joint():
 
 
 def test_joints_of_another_body_are_an_error():
-    with pytest.raises(ValueError, match="frames of 22 or 24 positions, not \\(3, 21, 3\\)"):
+    with pytest.raises(ValueError, match="22 or 24, 3\\], not \\(3, 21, 3\\)"):
         motion_of_joints(torch.zeros(3, 21, 3), 20.0)
     with pytest.raises(ValueError, match="not \\(0, 22, 3\\)"):
         motion_of_joints(torch.zeros(0, 22, 3), 20.0)

@@ -87,14 +87,14 @@ def test_arrays_of_a_plain_file_stay_on_the_disk_and_cannot_be_written(tmp_path)
 WHOLE = joblib_bytes(entries())
 BROKEN = {
     "empty": (b"", "it is empty"),
-    "a text": (b"hello", "not a file of joblib's, or a damaged one"),
-    "cut off": (WHOLE[:400], "goes on behind the end of the file"),
-    "cut off, packed": (zlib.compress(WHOLE)[:500], "it is cut off"),
-    "damaged, packed": (zlib.compress(WHOLE)[:300] + b"\0" * 300, "not a file of joblib's, or a damaged one"),
-    "bz2": (b"BZh91AY&SY", "its compression, bz2, is not read here"),
-    "xz": (b"\xfd7zXZ\x00", "its compression, xz, is not read here"),
-    "lzma": (b"]\x00\x00\x80\x00", "its compression, lzma, is not read here"),
-    "lz4": (b'\x04"M\x18', "its compression, lz4, is not read here"),
+    "a text": (b"hello", "not a joblib file, or is damaged"),
+    "cut off": (WHOLE[:400], "extends beyond the end of the file"),
+    "cut off, packed": (zlib.compress(WHOLE)[:500], "it is truncated"),
+    "damaged, packed": (zlib.compress(WHOLE)[:300] + b"\0" * 300, "not a joblib file, or is damaged"),
+    "bz2": (b"BZh91AY&SY", "its compression, bz2, is not supported"),
+    "xz": (b"\xfd7zXZ\x00", "its compression, xz, is not supported"),
+    "lzma": (b"]\x00\x00\x80\x00", "its compression, lzma, is not supported"),
+    "lz4": (b'\x04"M\x18', "its compression, lz4, is not supported"),
     "one dict": (joblib_bytes({"poses": np.eye(2)}), "not a list of dicts"),
     "a list of arrays": (joblib_bytes([np.eye(2)]), "not a list of dicts"),
     "without fps": (
@@ -116,7 +116,7 @@ def test_a_small_file_that_would_become_more_than_any_memory_is_not_unpacked(tmp
     monkeypatch.setattr("stmc.io.arrays.joblib_files.LARGEST", 2**26)
     path = written(tmp_path, zlib.compress(bytes(2**27)))
     assert path.stat().st_size < 2**18
-    with pytest.raises(ArraysError, match="it would take more than 67108864 bytes"):
+    with pytest.raises(ArraysError, match="its content exceeds 67108864 bytes"):
         read_joblib(path, NAMES)
 
 
@@ -132,14 +132,14 @@ HOSTILE = {
     "objects behind an array": (wrapped(state(dtype=np.dtype("O")), run_code("os.getcwd", "", 2)), "Python objects"),
     "a foreign class of arrays": (wrapped(state(subclass=Opcodes(b"cnumpy\nmatrix\n")), bytes(16)), "refused to run"),
     "a class that is none": (wrapped(state(subclass="ndarrays"), bytes(16)), "an array of a foreign class"),
-    "an order that is none": (wrapped(state(order="A"), bytes(16)), "an order that is none"),
+    "an order that is none": (wrapped(state(order="A"), bytes(16)), "an unknown order"),
     "a shape of a negative size": (wrapped(state(shape=(-2,)), bytes(16)), "without a shape or a type"),
-    "a shape beyond the file": (wrapped(state(shape=(2**31, 2**31)), bytes(16)), "goes on behind the end of the file"),
-    "a type with fields": (wrapped(state(dtype=np.dtype([("a", "f8")])), bytes(16)), "numbers of the type 'V8'"),
+    "a shape beyond the file": (wrapped(state(shape=(2**31, 2**31)), bytes(16)), "extends beyond the end of the file"),
+    "a type with fields": (wrapped(state(dtype=np.dtype([("a", "f8")])), bytes(16)), "an unsupported dtype 'V8'"),
     "a type in a text": (wrapped(state(dtype="f8"), bytes(16)), "without a shape or a type"),
     "no state": (wrapped(None, bytes(16)), "an array of a foreign class"),
     "a padding beyond its unit": (
-        wrapped(state(numpy_array_alignment_bytes=16), b"\xc8" + bytes(400)), "an array 200 bytes behind"
+        wrapped(state(numpy_array_alignment_bytes=16), b"\xc8" + bytes(400)), "an array with 200 bytes of padding"
     ),
     "arrays in files of their own": (
         Opcodes(b"cjoblib.numpy_pickle\nNDArrayWrapper\n)\x81}b"), "refused to run joblib.numpy_pickle.NDArrayWrapper"
@@ -161,7 +161,7 @@ def test_a_file_that_would_run_code_runs_nothing(call, pack, tmp_path):
     argument = pickle.dumps(f"touch '{mark}'", 2)[2:-1]
     called = Opcodes(f"c{module}\n{name}\n".encode() + argument + pickle.TUPLE1 + pickle.REDUCE)
     for hostile in ([entries()[0], called], [entries()[0] | {"more": called}], called):
-        with pytest.raises(ArraysError, match=rf"refused to run {module}.{name}: this is not a file of arrays alone"):
+        with pytest.raises(ArraysError, match=rf"refused to run {module}.{name}: the file must hold arrays alone"):
             read_joblib(written(tmp_path, pack(joblib_bytes(hostile))), NAMES, ["fname"])
     assert not mark.exists()
 

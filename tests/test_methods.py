@@ -270,19 +270,19 @@ def test_a_dotted_name_is_imported_of_trusted_packages_alone(tmp_path, monkeypat
     for name, message in (("mylab.rules.none", "no attribute 'none'"), ("mylab.no.mine", "No module named")):
         with pytest.raises(SettingError, match=message):
             find_method(name, ["mylab"])
-    with pytest.raises(SettingError, match="method=3: a name, a Method or a rule"):
+    with pytest.raises(SettingError, match="method=3: pass a name, a Method or a rule"):
         find_method("mylab.rules.number", ["mylab"])
 
 
 def test_the_name_that_cross_fading_had_is_answered_with_todays():
-    with pytest.raises(SettingError, match="stmc_soft is now stmc"):
+    with pytest.raises(SettingError, match="it is now called stmc"):
         find_method("stmc_soft")
 
 
 def test_independent_prompts_are_timelines_of_one_prompt_each(flow):
     [alone] = flow.generate(NOD, steps=2, method="independent")
     assert apart(alone, flow.generate(NOD, steps=2, stitch_from=0.0)[0]) < 1e-6
-    with pytest.raises(ValueError, match="one prompt a timeline, not 3"):
+    with pytest.raises(ValueError, match="3 prompts; this method needs one prompt per timeline"):
         flow.generate(WALK_WAVE, steps=2, method="independent")
 
 

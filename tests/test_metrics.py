@@ -98,9 +98,9 @@ def test_any_of_several_right_answers_counts_and_none_of_them_is_in_the_way():
 @pytest.mark.parametrize(
     ("table", "right", "message"),
     [
-        (torch.zeros(2, 3), None, "say which are right"),
-        (torch.zeros(2, 2), torch.tensor([[True, False], [False, False]]), "query 1 has no right answer"),
-        (torch.full((2, 2), torch.nan), None, "4 of 4 scores are not numbers"),
+        (torch.zeros(2, 3), None, "pass `right`"),
+        (torch.zeros(2, 2), torch.tensor([[True, False], [False, False]]), "query 1 has no correct answer"),
+        (torch.full((2, 2), torch.nan), None, "4 of 4 scores are NaN"),
     ],
 )
 def test_retrieval_of_what_cannot_be_ranked_is_an_error(table, right, message):
@@ -130,7 +130,7 @@ def test_matching_is_the_distance_of_pairs_and_precision_their_rank_among_32():
     assert matching.r_precision(texts, texts) == (1.0, 1.0, 1.0)
     swapped = texts[[1, 0, *range(2, 40)]]
     assert matching.r_precision(texts, swapped)[0] == pytest.approx(30 / 32)
-    with pytest.raises(ValueError, match="31 pairs make no batch of 32"):
+    with pytest.raises(ValueError, match="31 pairs are fewer than a batch of 32"):
         matching.r_precision(texts[:31], texts[:31])
 
 
@@ -215,9 +215,9 @@ ORDER = [0, 2, 5, 8, 11, 1, 4, 7, 10, 3, 6, 9, 12, 15, 14, 17, 19, 21, 13, 16, 1
         (lambda joints: y_up(joints), r"y up, not z up.*\(x, -z, y\)"),
         (lambda joints: joints[..., [2, 0, 1]], "x up, not z up"),
         (lambda joints: joints * torch.tensor([1.0, -1.0, -1.0]), "-z up, not z up"),
-        (lambda joints: 100 * joints, "look like centimetres; divide by 100"),
-        (lambda joints: 1000 * joints, "look like millimetres"),
-        (lambda joints: 0.1 * joints, "metres are needed"),
+        (lambda joints: 100 * joints, "suggests centimetres; divide by 100"),
+        (lambda joints: 1000 * joints, "suggests millimetres"),
+        (lambda joints: 0.1 * joints, "convert to metres"),
         (lambda joints: joints[:, ORDER], "not in SMPL's order"),
         (lambda joints: joints.flip(1), "not in SMPL's order"),
         (lambda joints: joints[:, list(MIRROR)], "left and right are exchanged"),

@@ -189,8 +189,8 @@ def row(a: AtomicPrompt) -> dict:
     [
         ({"shortest": 5.0, "longest": 4.0}, r"\[0\]: shortest \(5\.0\) must be above 0 and at most longest \(4\.0\)"),
         ({"shortest": 0}, r"\[0\]: shortest \(0\)"),
-        ({"longest": "9"}, r"\[0\]: shortest and longest are seconds"),
-        ({"cyclic": 1}, r"\[0\]: .* cyclic is true or false"),
+        ({"longest": "9"}, r"\[0\]: shortest and longest must be seconds"),
+        ({"cyclic": 1}, r"\[0\]: .* cyclic must be true or false"),
     ],
 )
 def test_a_range_that_cannot_be_meant_is_an_error_with_its_place(changed, message, tmp_path):

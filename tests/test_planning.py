@@ -313,13 +313,13 @@ def tiles_of(crop: int, start: int, end: int, weight: float = 1) -> tuple[Tile, 
 @pytest.mark.parametrize(
     ("crops", "tiles", "words"),
     [
-        ((Crop("a", 0, 9),), tiles_of(0, 0, 9), "the weights of the left arm sum to 0 and not to 1 from frame 9 on"),
-        ((Crop("a", 0, 10),), tiles_of(0, 0, 10)[1:], "the weights of the left arm sum to 0 and not to 1 from frame 0"),
-        ((Crop("a", 0, 10),), tiles_of(0, 0, 10) + tiles_of(0, 2, 4)[2:3], "legs sum to 2 and not to 1 from frame 2"),
+        ((Crop("a", 0, 9),), tiles_of(0, 0, 9), "the weights of the left arm sum to 0 instead of 1 from frame 9 on"),
+        ((Crop("a", 0, 10),), tiles_of(0, 0, 10)[1:], "the weights of the left arm sum to 0 instead of 1 from frame 0"),
+        ((Crop("a", 0, 10),), tiles_of(0, 0, 10) + tiles_of(0, 2, 4)[2:3], "legs sum to 2 instead of 1 from frame 2"),
         ((Crop("a", 0, 11),), tiles_of(0, 0, 10), "not within the timeline's 10 frames"),
         ((Crop("a", 3, 3), Crop("b", 0, 10)), tiles_of(1, 0, 10), "is empty or not within the timeline's 10 frames"),
         ((Crop("a", 1, 10),), tiles_of(0, 0, 10), "is empty or not within Crop"),
-        ((Crop("a", 0, 10),), tiles_of(1, 0, 10), "is of none of the 1 crops"),
+        ((Crop("a", 0, 10),), tiles_of(1, 0, 10), "refers to none of the 1 crops"),
     ],
 )
 def test_a_plan_that_breaks_the_invariant_is_refused(crops, tiles, words):
@@ -336,5 +336,5 @@ def test_a_plan_made_by_hand_may_have_fractional_weights():
 @pytest.mark.parametrize("total", [0.95, 0.9999, 1.001, 1.05])
 def test_a_plan_whose_weights_nearly_sum_to_1_is_refused(total):
     tiles = tuple(Tile(0, part, 0, 10, total) for part in BodyPart)
-    with pytest.raises(ValueError, match=f"sum to {re.escape(str(total))} and not to 1 from frame 0 on"):
+    with pytest.raises(ValueError, match=f"sum to {re.escape(str(total))} instead of 1 from frame 0 on"):
         Plan(10, (Crop("walk", 0, 10),), tiles)

@@ -117,7 +117,7 @@ def test_where_nothing_can_be_used_no_cache_is_left(tmp_path, in_this_process):
     source = humanml3d(tmp_path / "HumanML3D", clips=2)
     for path in (source / "new_joint_vecs").iterdir():
         path.write_bytes(b"")
-    with pytest.raises(ValueError, match="not one clip could be used, 4 were skipped; the first: 000000: damaged"):
+    with pytest.raises(ValueError, match="no clip could be used; 4 were skipped; the first: 000000: damaged"):
         run(
             "prepare",
             "prepare",

@@ -175,7 +175,7 @@ def test_statistics_of_mdm_may_lie_elsewhere(tmp_path):
 def test_of_several_weights_in_a_folder_one_has_to_be_named(tmp_path):
     checkpoints.mdm(tmp_path)
     checkpoints.mdm(tmp_path, name="model000475000.pt")
-    with pytest.raises(CheckpointError, match=r"holds model000200000\.pt, model000475000\.pt: name the file"):
+    with pytest.raises(CheckpointError, match=r"holds model000200000\.pt, model000475000\.pt; name the file"):
         read(tmp_path)
     assert "model000475000.pt" in read(tmp_path / "model000475000.pt").facts[1]
 
@@ -193,7 +193,7 @@ def test_weights_that_do_not_fit_are_listed_all():
         fill(network, weights, "some.pt")
     message = str(caught.value)
     assert "some.pt does not fit MdmSmpl" in message
-    assert "missing: to_skel_layer.bias" in message and "not known: surplus.weight" in message
+    assert "missing: to_skel_layer.bias" in message and "unknown: surplus.weight" in message
     assert "registers [3, 8] instead of [2, 8]" in message and "not finite: skel_embedding.bias" in message
 
 
@@ -231,7 +231,7 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
     path = tmp_path / "theirs" / FILES[write]
     content = torch.load(path, weights_only=True)
     torch.save(content | {"callbacks": RunsCode(tmp_path / "ran")}, path)
-    refused(tmp_path / "theirs", "could run code on this machine, and is not loaded")
+    refused(tmp_path / "theirs", "could execute code, and is not loaded")
     assert not (tmp_path / "ran").exists()
 
 
@@ -245,9 +245,9 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
         (partial(checkpoints.mdm, pred_len=40, context_len=20), "pred_len is 40"),
         (partial(checkpoints.mdm, sigma_small=False), "sigma_small is false"),
         (partial(checkpoints.mdm, text_encoder_type="bert"), "reads CLIP's sentences only"),
-        (partial(checkpoints.mdm, layers="many"), "layers must be a positive whole number up to 10000, not 'many'"),
+        (partial(checkpoints.mdm, layers="many"), "layers must be a positive integer up to 10000, not 'many'"),
         (partial(checkpoints.mdm, latent_dim=18), "(?s)args.json: denoiser cannot be built: .*multiple of heads"),
-        (partial(checkpoints.mdm, latent_dim=32), r"does not fit|another table of positions"),
+        (partial(checkpoints.mdm, latent_dim=32), r"does not fit|differs from the expected positional table"),
         (
             partial(checkpoints.mdm, layers=2),
             r"does not fit the denoiser .*, MdmEncoder. missing: seqTransEncoder\.layers\.1",
@@ -256,7 +256,7 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
         (partial(checkpoints.motion_diffuse, more="no_eff: True"), "no_eff is True"),
         (partial(checkpoints.motion_diffuse, more="no_clip: True"), "no_clip is True"),
         (partial(checkpoints.motion_diffuse, more="dataset_name: kit"), "dataset_name is kit"),
-        (partial(checkpoints.motion_diffuse, more="num_layers: two"), "num_layers must be a positive whole number"),
+        (partial(checkpoints.motion_diffuse, more="num_layers: two"), "num_layers must be a positive integer"),
         (partial(checkpoints.motion_diffuse, more=""), "does not fit the denoiser of the config, MotionDiffuse"),
         (partial(checkpoints.mdm_smpl, motion_features="rots"), "motion_features must be smplrifke or guoh3dfeats"),
         (partial(checkpoints.mdm_smpl, diffusion__prediction="y"), "prediction must be one of x, x0"),
@@ -265,13 +265,13 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
             "schedule must be cosine or",
         ),
         (partial(checkpoints.mdm_smpl, diffusion__denoiser__num_heads=7), "config.json: denoiser cannot be built"),
-        (partial(checkpoints.mdm, layers=10**9), "layers must be a positive whole number up to"),
+        (partial(checkpoints.mdm, layers=10**9), "layers must be a positive integer up to"),
         (partial(checkpoints.mdm, layers=9_999), "denoiser cannot be built: it has more layers than the"),
         (partial(checkpoints.mdm, latent_dim=10_000), "does not fit the denoiser of the config, MdmEncoder"),
-        (partial(checkpoints.mdm, layers=True), "layers must be a positive whole number"),
+        (partial(checkpoints.mdm, layers=True), "layers must be a positive integer"),
         (partial(checkpoints.mdm, noise_schedule=["cosine"]), "noise_schedule is"),
-        (partial(checkpoints.mdm_smpl, diffusion__timesteps=10**9), "timesteps must be a positive whole number up to"),
-        (partial(checkpoints.mdm_smpl, diffusion__timesteps="ten"), "timesteps must be a positive whole number"),
+        (partial(checkpoints.mdm_smpl, diffusion__timesteps=10**9), "timesteps must be a positive integer up to"),
+        (partial(checkpoints.mdm_smpl, diffusion__timesteps="ten"), "timesteps must be a positive integer"),
         (
             partial(checkpoints.mdm_smpl, diffusion__denoiser__num_heads="two"),
             "denoiser.heads='two': a whole",
@@ -279,9 +279,15 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
         (partial(checkpoints.mdm_smpl, diffusion__denoiser__dropout=[0]), r"denoiser.dropout=\[0\]: a number needed"),
         (partial(checkpoints.mdm_smpl, diffusion__prediction=[]), "prediction must be one of x, x0"),
         (partial(checkpoints.mdm_smpl, motion_features={}), "motion_features must be smplrifke or"),
-        (partial(checkpoints.mdm_smpl, data__text_encoder__modelname=7), "modelname must be a model's name, not 7"),
+        (
+            partial(checkpoints.mdm_smpl, data__text_encoder__modelname=7),
+            "modelname must be the name of a model, not 7",
+        ),
         (partial(checkpoints.mdm_smpl, data__motion_loader__fps=1e300), "fps must be a positive number up to 1000"),
-        (partial(checkpoints.motion_diffuse, more="num_layers: " + "9" * 5000), "num_layers must be a positive whole"),
+        (
+            partial(checkpoints.motion_diffuse, more="num_layers: " + "9" * 5000),
+            "num_layers must be a positive integer",
+        ),
         (partial(checkpoints.mdm_smpl, data__motion_loader={}), "has no setting data.motion_loader.fps"),
         (partial(checkpoints.mdm_smpl, data__motion_loader__fps=0), "fps must be a positive number up to 1000, not 0"),
         (
@@ -291,7 +297,7 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
         (partial(checkpoints.mdm_smpl, weights={"tmr.weight": torch.ones(1)}), "of another model: tmr.weight"),
         (
             partial(checkpoints.mdm_smpl, weights={"motion_normalizer.std": torch.full((205,), -1.0)}),
-            "motion_normalizer must be finite, with a std that is not negative",
+            "motion_normalizer must be finite, with a std of 0 or more",
         ),
         (
             partial(checkpoints.mdm_smpl, weights={"text_normalizer.mean": torch.zeros(2)}),
@@ -348,7 +354,7 @@ def test_other_tables_of_positions_are_refused_and_shorter_ones_are_not(tmp_path
     torch.save(weights | {name: network.positions[:300, None].clone()}, path)
     assert read(path).model.longest == 196
     torch.save(weights | {name: network.positions.flip(0)[:, None].clone()}, path)
-    refused(tmp_path / "theirs", rf"{name} \[5000, 1, 16\] is another table of positions")
+    refused(tmp_path / "theirs", rf"{name} \[5000, 1, 16\] differs from the expected positional table")
 
 
 @pytest.mark.parametrize("name", ["args.json", "config.json"])
@@ -368,7 +374,7 @@ def test_a_folder_of_no_known_format_is_refused_with_those_that_are(tmp_path):
     with pytest.raises(CheckpointError, match="does not exist; expected one of"):
         convert(tmp_path / "nowhere", tmp_path / "ours")
     checkpoints.motion_diffuse(tmp_path / "md")
-    with pytest.raises(CheckpointError, match="only MDM's, FlowMDM's and TMR's weights take statistics"):
+    with pytest.raises(CheckpointError, match="only the weights of MDM, FlowMDM and TMR take separate"):
         convert(tmp_path / "md", tmp_path / "ours", statistics=tmp_path)
 
 
@@ -377,7 +383,7 @@ def test_a_run_directory_that_is_there_is_not_touched(tmp_path):
     (tmp_path / "ours").mkdir()
     convert(tmp_path / "theirs", tmp_path / "ours")
     before = {path: path.read_bytes() for path in (tmp_path / "ours").iterdir()}
-    with pytest.raises(CheckpointError, match="ours exists already"):
+    with pytest.raises(CheckpointError, match="ours already exists"):
         convert(tmp_path / "theirs", tmp_path / "ours")
     assert before == {path: path.read_bytes() for path in (tmp_path / "ours").iterdir()}
 

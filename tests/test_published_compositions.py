@@ -91,13 +91,13 @@ def test_one_object_alone_is_a_list_of_one_and_an_entry_without_a_scenario_is_of
     ("content", "message"),
     [
         ("[{]", "not JSON"),
-        ("[3]", "entry 0 is not an object"),
-        ('[{"text": ["a"], "lengths": [1, 2]}]', "entry 0: text and lengths must be lists of one length"),
-        ('[{"text": [], "lengths": []}]', "lists of one length"),
+        ("[3]", "entry 0 must be an object"),
+        ('[{"text": ["a"], "lengths": [1, 2]}]', "entry 0: text and lengths must be nonempty lists of equal length"),
+        ('[{"text": [], "lengths": []}]', "lists of equal length"),
         ('[{"text": ["a"], "lengths": [true]}]', "lengths holds true"),
         ('[{"text": ["a"], "lengths": [99999999]}]', "lengths holds 99999999"),
         ('[{"text": [" "], "lengths": [4]}]', "text holds ' '"),
-        ('[{"text": ["a"], "lengths": [4], "scenario": 3}]', "scenario is 3"),
+        ('[{"text": ["a"], "lengths": [4], "scenario": 3}]', "scenario 3 and id"),
         ('[{"text": ["a"], "lengths": [4], "scenario": "long"}]', "no composition of scenario 'short'; it has long"),
         ("[]", "no composition"),
     ],
@@ -169,14 +169,14 @@ def test_captions_are_tagged_by_their_files_and_others_by_spacy(tags, monkeypatc
 
     assert tags(["raises  an arm"]) == ["raise/VERB an/DET arm/NOUN"]
     monkeypatch.setitem(sys.modules, "spacy", types.SimpleNamespace(load=lambda name: pipeline))
-    caption_tags._loaded.cache_clear()
+    caption_tags._load_pipeline.cache_clear()
     assert tags(["walks left t-pose 3"]) == ["walk/VERB left/VERB tpose/NOUN"]
-    caption_tags._loaded.cache_clear()
+    caption_tags._load_pipeline.cache_clear()
 
 
 def test_a_caption_without_tags_is_an_error_that_says_where_they_come_from(tags, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "spacy", None)
-    with pytest.raises(TagError, match="the caption 'hop' has no parts of speech: give a file"):
+    with pytest.raises(TagError, match="the caption 'hop' has no parts of speech; pass a file"):
         tags(["hop"])
     with pytest.raises(TagError, match="does not exist"):
         Tags.read(tmp_path / "none")
@@ -283,7 +283,7 @@ def test_a_list_in_frames_of_babel_keeps_its_frames_at_its_rate(tmp_path, files)
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"diversity_pairs": 40}, "40 pairs are compared"),
+        ({"diversity_pairs": 40}, "and 40 pairs"),
         ({"compositions": None, "diversity_pairs": 37}, "36 real clips"),
     ],
 )

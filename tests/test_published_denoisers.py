@@ -111,14 +111,14 @@ def test_what_cannot_be_built_or_denoised_is_an_error():
         MdmEncoder(**SIZES | {"heads": 3})
     with pytest.raises(ValueError, match=r"width 16 must be even and a multiple of heads \(3\)"):
         MotionDiffuse(**SIZES | {"heads": 3})
-    with pytest.raises(ValueError, match="fixed_length must be 1 to 4999 frames, not 0"):
+    with pytest.raises(ValueError, match="fixed_length 0 must be 1 to 4999 frames"):
         MdmEncoder(**SIZES, fixed_length=0)
     with pytest.raises((ValueError, TypeError), match="leading"):
         MdmDecoder(**SIZES, leading="text")
     with pytest.raises(ValueError, match="13 frames exceed the 12"):
         seeded("motion diffuse")(*inputs(frames=13))
     for name in ("encoder", "decoder, step and text"):
-        with pytest.raises(ValueError, match="reads one word a text here, not 2"):
+        with pytest.raises(ValueError, match="reads one word per text here; got 2"):
             seeded(name)(*inputs(words=2))
     with pytest.raises(ValueError, match="5001 tokens exceed the 5000"):
         MdmEncoder(1, 1, 2, 1, 1, 1)(torch.zeros(1, 5000, 1), torch.tensor([0]), torch.zeros(1, 1, 1))

@@ -68,7 +68,7 @@ def test_weights_are_cut_out_of_the_last_checkpoint_where_they_are_not_split(tmp
         ),
         (
             lambda run: torch.save(-torch.ones(263), run.parent.parent / "stats/humanml3d/guoh3dfeats/std.pt"),
-            "std that is not negative",
+            "std of 0 or more",
         ),
     ],
 )

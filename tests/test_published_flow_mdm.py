@@ -108,12 +108,18 @@ def test_one_file_and_statistics_elsewhere_do(tmp_path):
     ("change", "message"),
     [
         ({"dataset": "kit"}, "dataset must be humanml or babel, not 'kit'"),
-        ({"rpe_horizon": -1}, "rpe_horizon must be a positive whole number up to 10000, not -1"),
+        ({"rpe_horizon": -1}, "rpe_horizon must be a positive integer up to 10000, not -1"),
         ({"noise_schedule": "sigmoid"}, "noise_schedule must be cosine or linear"),
-        ({"extra": {"embed_action.weight": torch.zeros(1)}}, r"not known: embed_action\.weight"),
+        ({"extra": {"embed_action.weight": torch.zeros(1)}}, r"unknown: embed_action\.weight"),
         ({"extra": {"embed_text.bias": torch.full((16,), torch.nan)}}, r"not finite: embed_text\.bias"),
-        ({"extra": {"sequence_pos_encoder.pe": torch.zeros(5000, 1, 16)}}, "another table of positions"),
-        ({"extra": {"seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq": torch.ones(16)}}, "other rotary"),
+        (
+            {"extra": {"sequence_pos_encoder.pe": torch.zeros(5000, 1, 16)}},
+            "differs from the expected positional table",
+        ),
+        (
+            {"extra": {"seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq": torch.ones(16)}},
+            "differs from FlowMDM's rotary",
+        ),
     ],
 )
 def test_what_cannot_be_imported_is_refused_with_the_reason(tmp_path, change, message):

@@ -41,20 +41,20 @@ def test_a_guidance_beyond_all_bounds_is_named(guidance):
 
 
 TYPES = {
-    "Prompt(3, 0, 1)": "a prompt is a text and a list of body parts, not [3, ",
+    "Prompt(3, 0, 1)": "a prompt needs a text and a list of body parts; got [3, ",
     "Prompt('a', 'x', 1)": "start 'x' must be a finite number of seconds",
     "Prompt('a', 0, [1])": "end [1] must be a finite number of seconds",
     "Prompt('a', 0, 1, [[]])": "unknown body part []",
     "Prompt('a', 0, 1, [None])": "unknown body part null",
-    "Prompt('a', 0, 1, 7)": 'not ["a", 7]',
-    "BodyPart.parse({})": "a body part is a text, not {}",
-    "Change(0, 1, [{}])": "change: a body part is a text, not {}",
+    "Prompt('a', 0, 1, 7)": 'got ["a", 7]',
+    "BodyPart.parse({})": "a body part must be a text, not {}",
+    "Change(0, 1, [{}])": "change: a body part must be a text, not {}",
     "Change('x', 1)": "change 'x'..1 s",
     "Change(0, 1e308)": "from 0 to 14,400 s, the end behind the start",
     "Path([(0, 0), (0, 1)], end='x')": "path at 0.0..'x' s: seconds from 0 to 14,400 needed",
     "Hold('left_hand', end=[1])": "left_hand at 0.0..[1] s",
-    "find_method('os.system', ['os'])": "method='os.system': not a rule Plan → Plan that os defines",
-    "find_method('os.path', ['os'])": "a name, a Method or a rule Plan → Plan needed",
+    "find_method('os.system', ['os'])": "method='os.system': os defines no such rule Plan → Plan",
+    "find_method('os.path', ['os'])": "pass a name, a Method or a rule Plan → Plan",
     "load('mdm_smpl_cmu').generate('walk # 0 # 1', keep='x.npz', steps=2)": "keep='x.npz': a motion needed",
 }
 
@@ -74,7 +74,7 @@ def test_a_value_of_another_type_is_named():
 
 
 def test_a_rule_that_makes_no_plan_is_named():
-    with pytest.raises(SettingError, match="the rule nothing makes a NoneType, not a Plan"):
+    with pytest.raises(SettingError, match="the rule nothing returns a NoneType instead of a Plan"):
 
         def nothing(plan):
             return None

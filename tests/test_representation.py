@@ -147,7 +147,7 @@ def test_any_finite_features_decode_to_a_motion():
 
 
 def test_features_of_another_width_are_an_error():
-    with pytest.raises(ValueError, match="must have 205 columns, not 263"):
+    with pytest.raises(ValueError, match="have 263 columns; this representation needs 205"):
         REPRESENTATION.decode(torch.zeros(4, 263), 20.0)
 
 

@@ -12,7 +12,7 @@ from test_model import WALK_WAVE, apart
 from torch import Tensor
 
 import stmc
-from stmc.composing.retiming import FASTEST, _along, paced, retimed
+from stmc.composing.retiming import MAX_SPEED_RATIO, _locate, limit_speed, retimed
 from stmc.diffusion.statistics import Statistics
 from stmc.motion.body import BodyPart
 from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rows, rows_to_matrix, wrap
@@ -73,7 +73,7 @@ def test_an_arm_that_jumps_reaches_over_the_whole_transition_instead():
 def test_a_frame_at_the_border_of_two_steps_is_behind_all_that_stand_still():
     """Rotations rest while the other numbers of the hand go on: the last of the equal poses is meant."""
     steps = torch.tensor([[1.0, 0.0, 1.0]])
-    at, share = _along(steps, steps)
+    at, share = _locate(steps, steps)
     assert at.tolist() == [[2, 2]] and share.tolist() == [[0.0, 0.0]]
 
 
@@ -129,7 +129,7 @@ def test_no_arm_turns_further_in_a_frame_than_twice_its_mean_and_ends_are_kept(s
     old, new = (wrap(angles_of(each).diff()).abs() for each in (before, after))
     assert new.max() <= old.max() + 1e-4
     for window in runs(changed.tolist()):
-        assert new[window].max() <= FASTEST * old[window].mean() + 1e-3
+        assert new[window].max() <= MAX_SPEED_RATIO * old[window].mean() + 1e-3
 
 
 def runs(changed: list[bool]) -> list[slice]:
@@ -139,12 +139,12 @@ def runs(changed: list[bool]) -> list[slice]:
 
 
 @given(st.lists(st.floats(0, 9, width=32), min_size=1, max_size=20))
-def test_paced_steps_have_the_same_sum_and_none_is_longer_than_twice_the_mean(values):
+def test_limit_speed_steps_have_the_same_sum_and_none_is_longer_than_twice_the_mean(values):
     steps = torch.tensor([values])
-    found = paced(steps, torch.ones_like(steps))
+    found = limit_speed(steps, torch.ones_like(steps))
     assert found.sum() == pytest.approx(float(steps.sum()), abs=1e-3)
-    assert (found >= 0).all() and found.max() <= max(FASTEST * steps.mean(), 0) + 1e-3
-    assert steps.max() > FASTEST * steps.mean() or torch.equal(found, steps)
+    assert (found >= 0).all() and found.max() <= max(MAX_SPEED_RATIO * steps.mean(), 0) + 1e-3
+    assert steps.max() > MAX_SPEED_RATIO * steps.mean() or torch.equal(found, steps)
 
 
 # In a run ---------------------------------------------------------------------------------------------------------

@@ -304,7 +304,7 @@ def test_what_cannot_be_built_or_denoised_is_an_error():
         FlowMdm(10, 4, 0, width=15)
     with pytest.raises(ValueError, match="attention_window 0 must be at least 1"):
         FlowMdm(10, 4, 0, attention_window=0)
-    with pytest.raises(ValueError, match="2 words a text: FlowMdm reads one"):
+    with pytest.raises(ValueError, match="2 words per text; FlowMdm reads one"):
         small_network()(torch.zeros(1, 5, 10), torch.zeros(1, dtype=torch.int64), torch.zeros(1, 2, 4))
 
 

@@ -106,7 +106,7 @@ class Malicious:
         ("our_vab_idx.pkl", None, "has no our_vab_idx.pkl"),
         ("our_vab_data.npy", None, "has no our_vab_data.npy"),
         ("our_vab_idx.pkl", pickle.dumps(Malicious()), "refused to run"),
-        ("our_vab_idx.pkl", pickle.dumps({"walk": 1.5, "sos": 0}), "words and whole numbers only"),
+        ("our_vab_idx.pkl", pickle.dumps({"walk": 1.5, "sos": 0}), "words and integers only"),
         ("our_vab_idx.pkl", pickle.dumps(["walk"]), "holds a list"),
         ("our_vab_idx.pkl", pickle.dumps({"walk": 0}), "lack sos, eos, unk"),
         ("our_vab_idx.pkl", pickle.dumps({"sos": 0, "eos": 1, "unk": 99}), "beyond the 13 vectors"),
@@ -171,7 +171,7 @@ def test_a_folder_without_the_split_or_without_clips_is_an_error(tmp_path):
     with pytest.raises(LayoutError, match=r"test\.txt does not exist"):
         read_captioned_clips(tmp_path)
     (tmp_path / "test.txt").write_text("000000\n")
-    with pytest.raises(LayoutError, match="not one clip can be used; 000000: no file"):
+    with pytest.raises(LayoutError, match="no clip can be used; 000000: no file"):
         read_captioned_clips(tmp_path)
 
 
@@ -258,7 +258,7 @@ def test_of_an_evaluator_that_knows_the_answer_real_motion_is_perfect(clips):
 
 @pytest.mark.parametrize("changes", [{"first": 31}, {"diversity_pairs": 33}, {"texts": 38}, {"samples": 1}])
 def test_less_than_is_compared_is_an_error(clips, evaluator, changes):
-    with pytest.raises(ValueError, match="clips: 32 make a pool"):
+    with pytest.raises(ValueError, match="clips are too few for a pool of 32"):
         small(clips, evaluator, **changes)
 
 

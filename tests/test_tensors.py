@@ -23,7 +23,7 @@ def test_padding_keeps_the_dtype_and_any_trailing_shape(dtype):
 
 
 def test_an_empty_batch_cannot_be_padded():
-    with pytest.raises(ValueError, match="at least one sequence"):
+    with pytest.raises(ValueError, match="pass at least one"):
         pad([])
 
 

@@ -182,7 +182,9 @@ def test_weights_of_minilm_are_accepted_by_their_digest_alone_wherever_they_come
     monkeypatch.setattr(language_models, "load", pretrained.load)  # not what another test has read
     monkeypatch.setattr(language_models, "_packaged", lambda: str(tmp_path / "copy"))
     for encoder in (MiniLM(), MiniLM(source=str(tmp_path / "copy"))):
-        with pytest.raises(WeightsNotFound, match=r"copy/model\.safetensors holds other weights.*not 53aa51172d14"):
+        with pytest.raises(
+            WeightsNotFound, match=r"copy/model\.safetensors does not hold the weights.*not 53aa51172d14"
+        ):
             encoder.encode(["walk"])
 
 
@@ -498,7 +500,7 @@ def test_a_kill_while_words_are_written_leaves_a_cache_that_can_be_read(tmp_path
     class Killed(BaseException):
         pass
 
-    with pytest.raises(Killed), cached._opened("rw") as database:
+    with pytest.raises(Killed), cached._open("rw") as database:
         database.execute("PRAGMA cache_size = 1")
         database.executemany("INSERT INTO texts VALUES (?, ?, ?)", [(bytes([n]), b"w" * 9000, b"") for n in range(50)])
         half = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -537,7 +539,7 @@ def test_it_says_how_far_it_has_come(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr("stmc.text.cached.AT_ONCE", 2)
     caplog.set_level("INFO")
     Cached(Letters(), tmp_path).encode(["turn", "walk", "kick"])
-    assert "encoding 3 texts with letters; 0 are known" in caplog.text
+    assert "encoding 3 texts with letters; 0 are in the cache" in caplog.text
     assert "encoded 2 of 3 texts" in caplog.text and "encoded 3 of 3 texts" in caplog.text
 
 

@@ -1,4 +1,4 @@
-"""From predictions of crops, or of sequences, to predictions of timelines, by plans."""
+"""Predictors of timelines, built from predictors of crops or of sequences according to plans."""
 
 from stmc.composing.batching import Guided
 from stmc.composing.double_take import kept_shares

@@ -1,7 +1,7 @@
-"""Actions sampled one after the other, each with the last frames of those before it in view (Athanasiou et al. 2022).
+"""Consecutive sampling of actions, each with the last frames of the previous actions as context.
 
-Knows plans whose crops look back, see `planning.look_back`, and features made so far; knows no networks and no
-samplers.
+See Athanasiou et al. (2022). Depends on plans whose crops look back (`planning.look_back`) and on finished features;
+independent of networks and samplers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stmc.timeline.planning import Crop, Plan, Tile
 
 
 class Action(NamedTuple):
-    """A crop of a timeline and their numbers: the frames from `start` on are its own, those before it only sees."""
+    """A crop of a timeline with its indices: it owns the frames from `start` on; earlier frames are context."""
 
     timeline: int
     number: int
@@ -29,45 +29,53 @@ class Action(NamedTuple):
 
     @property
     def plan(self) -> Plan:
-        """The crop as a motion of its own."""
+        """The crop as a separate motion."""
         frames = self.crop.frames
         tiles = tuple(Tile(0, part, 0, frames, 1) for part in BodyPart)
         return Plan(frames, (Crop(self.crop.text, 0, frames),), tiles)
 
 
 def action_rounds(plans: Sequence[Plan]) -> list[list[Action]]:
-    """The first action of every plan, then the second one of those that have two, and so on, in order of time.
+    """Group actions into rounds: the first action of every plan, then the second, and so on, in time order.
 
-    Raises `ValueError` for a plan whose crops make the same frames: one of several tracks.
+    Raises `ValueError` if crops of a plan own the same frames, that is, for several tracks.
     """
-    sequences = [_in_time(i, plan) for i, plan in enumerate(plans)]
+    sequences = [_actions_in_order(i, plan) for i, plan in enumerate(plans)]
     return [[action for action in actions if action is not None] for actions in zip_longest(*sequences)]
 
 
-def _in_time(timeline: int, plan: Plan) -> list[Action]:
+def _actions_in_order(timeline: int, plan: Plan) -> list[Action]:
     starts = dict.fromkeys(range(len(plan.crops)), plan.frames)
     for tile in plan.tiles:
         starts[tile.crop] = min(starts[tile.crop], tile.start)
     order = sorted(starts, key=starts.__getitem__)
-    for before, after in pairwise(order):
-        if plan.crops[before].end != starts[after]:
-            texts = f"{plan.crops[before].text!r} and {plan.crops[after].text!r}"
-            raise ValueError(f"{texts} hold at the same frames: actions follow each other, on one track")
+    for earlier, later in pairwise(order):
+        if plan.crops[earlier].end != starts[later]:
+            texts = f"{plan.crops[earlier].text!r} and {plan.crops[later].text!r}"
+            raise ValueError(f"{texts} hold at the same frames; this method needs consecutive actions on one track")
     return [Action(timeline, number, plan.crops[number], starts[number]) for number in order]
 
 
 def seen_before(
     actions: Sequence[Action], lengths: Sequence[int], made: Float[Tensor, "batch _ features"], known: Known | None
 ) -> Known:
-    """What is known to actions of one round: of timelines that are `made` so far the frames that each looks back on,
-    and of the others that a denoiser sees, as many in all as `lengths` say, what is `known` of the timelines anyway."""
+    """Return the observed features of the actions of one round.
+
+    These are the finished frames that each action looks back on; all other frames are observed as in the timelines.
+
+    Args:
+        actions: Actions of the round.
+        lengths: Number of frames that the denoiser sees of each action.
+        made: Finished features of the timelines, [batch, frames, features].
+        known: Observed features of the timelines, or None.
+    """
     content = made.new_zeros(len(actions), max(lengths), made.shape[-1])
     weights = torch.zeros_like(content)
     for row, (action, length) in enumerate(zip(actions, lengths, strict=True)):
         start = action.crop.start
-        for own, given in zip((content, weights), known or (), strict=False):
-            piece = given[action.timeline, start : start + length]
-            own[row, : len(piece)] = piece
+        for target, source in zip((content, weights), known or (), strict=False):
+            chunk = source[action.timeline, start : start + length]
+            target[row, : len(chunk)] = chunk
         content[row, : action.start - start] = made[action.timeline, start : action.start]
         weights[row, : action.start - start] = 1
     return Known(content, weights)

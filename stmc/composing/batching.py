@@ -1,7 +1,7 @@
-"""One step's passes through a denoiser: rows of different lengths, each with its text and without, in few calls.
+"""Batching of one denoising step: rows of different lengths, with and without their texts, in few calls.
 
-What a call needs is padded once for all steps. Knows classifier-free guidance; knows no plans, and not whether a row is
-a crop or a whole sequence.
+The inputs of a call are padded once for all steps. Implements classifier-free guidance; independent of plans, and of
+whether a row is a crop or a whole sequence.
 """
 
 from __future__ import annotations
@@ -22,29 +22,38 @@ from stmc.diffusion.tensors import PerDevice, mask, pad
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What is denoised as one: a crop with a text, or a sequence of segments with a text each."""
+    """A unit of denoising: a crop with one text, or a sequence of segments with one text each."""
 
     frames: int
     padded_frames: int
-    """Frames that the denoiser sees: `frames`, and what it sees behind them."""
+    """Number of frames that the denoiser sees: `frames`, and those after them."""
     null: Float[Tensor, "_ width"]
-    """What takes the text's place in the unconditional pass: as many words, of nothing."""
+    """Replacement of the text in the unconditional pass, with the same number of words."""
     text: Float[Tensor, "_ width"] | None
-    """None: without a text, which needs the unconditional pass alone."""
+    """Text embedding; None for a request without a text, which needs the unconditional pass only."""
     segment: Int[Tensor, " _"] | None = None
-    """For every frame, which word of the text belongs to it; all requests have it, or none."""
+    """Index of the word that applies to each frame; given for all requests, or for none."""
     needed: bool = True
-    """False: nobody looks at it; it comes out as zero, and costs nothing."""
+    """Whether the prediction is used; otherwise it is zero and costs nothing."""
 
 
 class Guided:
-    """A predictor of rows, [rows, frames, features], with classifier-free guidance: a `Predict`.
+    """A `Predict` function of rows, [rows, frames, features], with classifier-free guidance.
 
-    Rows with a text are denoised with it and without it, the others once; a `guidance` of 1 or 0 needs one pass. Passes
-    are grouped by length into as few calls as keep the share of padding within `padding` and the frames of one call
-    within `budget`, but for a longer row alone. `supports_padding`: texts of different numbers of words share calls.
-    What stands beyond a row's `padded_frames` comes out as zero. `frames_denoised` counts those of all calls, with a
-    text and without, but no padding: pose-wise denoising steps (FlowMDM, section 4.2).
+    Rows with a text are denoised with and without it, other rows once; a `guidance` of 1 or 0 needs one pass. Passes
+    are grouped by length into as few calls as possible. Frames beyond a row's `padded_frames` are zero.
+    `frames_denoised` counts the frames of all calls, with and without text, excluding padding: the pose-wise denoising
+    steps of FlowMDM (section 4.2).
+
+    Args:
+        denoiser: Denoiser, called with noisy rows, steps, texts, masks and segments.
+        schedule: Noise schedule.
+        requests: Rows to denoise.
+        guidance: Guidance scale.
+        prediction: The quantity that the denoiser predicts.
+        padding: Maximum fraction of padding in a step.
+        budget: Maximum number of frames of one call, unless a single row is longer.
+        supports_padding: Whether texts with different numbers of words may share a call.
     """
 
     def __init__(
@@ -61,13 +70,13 @@ class Guided:
         self._denoiser, self._schedule, self._prediction, self._guidance = (
             denoiser, schedule, prediction, guidance
         )  # fmt: skip
-        self._shape = (len(requests), max(each.padded_frames for each in requests))
+        self._shape = (len(requests), max(request.padded_frames for request in requests))
         passes = _passes(requests, guidance)
-        alike = [passes] if supports_padding else _by_words(passes)
-        batches = [_Batch.of(call) for group in alike for call in _calls(group, padding, budget)]
-        conditional = torch.tensor([each.text is not None for each in requests])
+        groups = [passes] if supports_padding else _by_words(passes)
+        batches = [_Batch.of(call) for group in groups for call in _calls(group, padding, budget)]
+        conditional = torch.tensor([request.text is not None for request in requests])
         self.frames_denoised = 0
-        self._needed = sum(requests[each.row].frames for each in passes)
+        self._needed = sum(requests[row_pass.row].frames for row_pass in passes)
         self._denoised = sum(len(batch.rows) * batch.frames for batch in batches)
         self._batches = PerDevice(lambda x: ([batch.to(x) for batch in batches], conditional.to(x.device)))
 
@@ -77,27 +86,27 @@ class Guided:
 
     @property
     def padding(self) -> float:
-        """Which share of the frames that a step denoises lies behind the ends of the rows."""
+        """The fraction of the denoised frames of a step that lies after the ends of the rows."""
         return 1 - self._needed / self._denoised if self._denoised else 0.0
 
     def __call__(self, x: Float[Tensor, "rows frames features"], t: int) -> Float[Tensor, "rows frames features"]:
         assert x.shape[:2] == self._shape, f"rows of shape {tuple(x.shape[:2])}, but the plans have {self._shape}"
         batches, conditional = self._batches.at(x)
         self.frames_denoised += self._needed
-        both = x.new_zeros(2, *x.shape)
+        predictions = x.new_zeros(2, *x.shape)
         for batch in batches:
             noisy = x[batch.rows, : batch.frames]
             step = torch.full((len(noisy),), t, device=x.device)
             output = self._denoiser(noisy, step, batch.text, batch.text_mask, batch.mask, *batch.segment).to(x)
             x0 = self._schedule.to_x0(output, noisy, t, self._prediction)
             x0 = x0 if batch.mask is None else x0.masked_fill(~batch.mask[..., None], 0)
-            both[batch.conditional, batch.rows, : batch.frames] = x0
-        null, text = both
+            predictions[batch.conditional, batch.rows, : batch.frames] = x0
+        null, text = predictions
         return torch.where(conditional[:, None, None], guide(text, null, self._guidance), null)
 
 
 class _ForwardPass(NamedTuple):
-    """Of one row, with its text (conditional) or without."""
+    """A pass of one row, with its text (conditional) or without it."""
 
     row: int
     conditional: bool
@@ -107,7 +116,7 @@ class _ForwardPass(NamedTuple):
 
 
 def _passes(requests: Sequence[Request], guidance: float | int) -> list[_ForwardPass]:
-    """Everything that one step has to denoise: no second pass without a text, or where guidance ignores one of two."""
+    """List the passes of one step, without passes that would have no text or that the guidance ignores."""
     passes = []
     for row, request in ((row, request) for row, request in enumerate(requests) if request.needed):
         if request.text is not None and guidance != 0:
@@ -119,31 +128,31 @@ def _passes(requests: Sequence[Request], guidance: float | int) -> list[_Forward
 
 def _by_words(passes: Sequence[_ForwardPass]) -> list[list[_ForwardPass]]:
     groups: dict[int, list[_ForwardPass]] = {}
-    for each in passes:
-        groups.setdefault(len(each.text), []).append(each)
+    for row_pass in passes:
+        groups.setdefault(len(row_pass.text), []).append(row_pass)
     return list(groups.values())
 
 
 def _calls(passes: Sequence[_ForwardPass], padding: float, budget: int) -> list[list[_ForwardPass]]:
-    """In few calls, the longest first: see `Guided`."""
-    passes = sorted(passes, key=lambda each: each.frames)
+    """Group passes into few calls, longest first; see `Guided`."""
+    passes = sorted(passes, key=lambda row_pass: row_pass.frames)
     calls = []
-    for first, last in _runs([each.frames for each in passes], padding):
-        most = max(1, budget // passes[last - 1].frames)
-        pieces = -(-(last - first) // most)
-        calls += [[passes[i] for i in piece] for piece in np.array_split(range(first, last), pieces)]
+    for first, last in _runs([row_pass.frames for row_pass in passes], padding):
+        rows_per_call = max(1, budget // passes[last - 1].frames)
+        count = -(-(last - first) // rows_per_call)
+        calls += [[passes[i] for i in chunk] for chunk in np.array_split(range(first, last), count)]
     return calls[::-1]
 
 
 def _runs(lengths: Sequence[int], padding: float) -> list[tuple[int, int]]:
-    """The fewest runs [first, last) of sorted `lengths` with a share of padding of at most `padding`.
+    """Cut sorted `lengths` into the fewest runs [first, last) whose fraction of padding is at most `padding`.
 
-    Of the ways to cut that many runs it is the one with the least padding (dynamic programming).
+    Among all cuts into that many runs, dynamic programming finds the one with the least padding.
     """
     values, counts = np.unique(lengths, return_counts=True)
     rows = np.concatenate([[0], np.cumsum(counts)])
     frames = np.concatenate([[0], np.cumsum(counts * values)])
-    # waste[i, j]: padded frames if the distinct lengths i to j make one run
+    # waste[i, j]: padded frames if the distinct lengths i to j form one run
     waste = values * (rows[1:] - rows[:-1, None]) - (frames[1:] - frames[:-1, None])
     waste = np.where(np.tri(len(values), dtype=bool).T, waste, np.inf)
     least, starts = waste[0], []
@@ -159,7 +168,7 @@ def _runs(lengths: Sequence[int], padding: float) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class _Batch:
-    """One call of the denoiser as tensors; a mask is None where nothing is padded. `segment`: one tensor, or none."""
+    """One call of the denoiser as tensors; masks are None without padding, and `segment` holds at most one tensor."""
 
     rows: Tensor
     conditional: Tensor
@@ -171,24 +180,24 @@ class _Batch:
 
     @classmethod
     def of(cls, passes: Sequence[_ForwardPass]) -> _Batch:
-        text, words = pad([each.text for each in passes])
-        segments = [each.segment for each in passes if each.segment is not None]
+        text, words = pad([row_pass.text for row_pass in passes])
+        segments = [row_pass.segment for row_pass in passes if row_pass.segment is not None]
         return cls(
-            rows=torch.tensor([each.row for each in passes]),
-            conditional=torch.tensor([each.conditional for each in passes]).long(),
-            frames=max(each.frames for each in passes),
+            rows=torch.tensor([row_pass.row for row_pass in passes]),
+            conditional=torch.tensor([row_pass.conditional for row_pass in passes]).long(),
+            frames=max(row_pass.frames for row_pass in passes),
             text=text,
-            text_mask=_unless_full(mask(words)),
-            mask=_unless_full(mask(torch.tensor([each.frames for each in passes]))),
+            text_mask=_none_if_full(mask(words)),
+            mask=_none_if_full(mask(torch.tensor([row_pass.frames for row_pass in passes]))),
             segment=(pad(segments)[0],) if segments else (),
         )
 
     def to(self, x: Tensor) -> _Batch:
-        """On the device of `x`, with the text in its dtype."""
-        rows, conditional, *segment = (each.to(x.device) for each in (self.rows, self.conditional, *self.segment))
-        masks = [None if each is None else each.to(x.device) for each in (self.text_mask, self.mask)]
+        """Move the batch to the device of `x`, and the text to its dtype."""
+        rows, conditional, *segment = (tensor.to(x.device) for tensor in (self.rows, self.conditional, *self.segment))
+        masks = [None if tensor is None else tensor.to(x.device) for tensor in (self.text_mask, self.mask)]
         return _Batch(rows, conditional, self.frames, self.text.to(x), *masks, tuple(segment))
 
 
-def _unless_full(mask: Tensor) -> Tensor | None:
+def _none_if_full(mask: Tensor) -> Tensor | None:
     return None if bool(mask.all()) else mask

@@ -1,6 +1,6 @@
-"""DoubleTake's second take: the surroundings of transitions made anew (Shafir et al. 2024).
+"""DoubleTake's second take: the surroundings of transitions are generated again (Shafir et al. 2024).
 
-Knows plans; knows no networks, texts or samplers.
+Depends on plans; independent of networks, texts and samplers.
 """
 
 from __future__ import annotations
@@ -18,21 +18,27 @@ from stmc.timeline.planning import Plan, transition_spans
 def kept_shares(
     plans: Sequence[Plan], columns: Columns, ramp: int, share: float = 0.85
 ) -> Float[Tensor, "batch frames features"]:
-    """How much of the first take DoubleTake's second one keeps, at each frame and body part (Shafir et al. 2024).
+    """Compute the weight of the first take in DoubleTake's second take, at each frame and body part.
 
-    Everything, but for the `ramp` frames before each of the part's transitions, where it falls along a line from
-    `share` towards 0, and the `ramp` frames behind, where it rises from 0 towards `share`. The transition itself is
-    kept, as in the published code: what is made anew is the way to it and from it.
+    The weight is 1, except in the `ramp` frames before each transition of the part, where it falls linearly from
+    `share` towards 0, and in the `ramp` frames after it, where it rises from 0 towards `share`. The transition itself
+    keeps its weight, as in the published code: only its surroundings are generated again (Shafir et al. 2024).
+
+    Args:
+        plans: Plan of each timeline.
+        columns: Columns of each body part.
+        ramp: Number of frames of a ramp.
+        share: Weight at the outer end of a ramp.
     """
-    features = sum(len(own) for own in columns.values())
-    kept = torch.ones(len(plans), max(plan.frames for plan in plans), features)
+    features = sum(len(indices) for indices in columns.values())
+    weights = torch.ones(len(plans), max(plan.frames for plan in plans), features)
     rising = share * torch.arange(ramp) / max(1, ramp)
     for i, plan in enumerate(plans):
-        for part, own in columns.items():
+        for part, indices in columns.items():
             line = torch.ones(plan.frames + 2 * ramp)
             for start, end in transition_spans(plan, part):  # line[f + ramp] is frame f
                 before, after = slice(start, start + ramp), slice(end + ramp, end + 2 * ramp)
                 line[before] = line[before].minimum(share - rising)
                 line[after] = line[after].minimum(rising)
-            kept[i, : plan.frames, list(own)] = line[ramp : ramp + plan.frames, None]
-    return kept
+            weights[i, : plan.frames, list(indices)] = line[ramp : ramp + plan.frames, None]
+    return weights

@@ -1,6 +1,6 @@
-"""What a denoiser is asked for plans, with classifier-free guidance: their crops, or the sequences of their body parts.
+"""Predictors with classifier-free guidance for plans: of their crops, or of the sequences of their body parts.
 
-Knows plans, texts and embeddings; knows no text encoders, no samplers and nothing of how answers become timelines.
+Depends on plans, texts and embeddings; independent of text encoders, samplers and the composition of timelines.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from stmc.diffusion import Prediction, Schedule
 from stmc.timeline.planning import Plan
 
 NULL = ""
-"""The text that stands for no text: its embedding is what the network saw when the text was dropped in training."""
+"""The text that represents no text: the network saw its embedding when a text was dropped in training."""
 
 PADDING = 0.1
-"""Which share of the frames that a step denoises may be padding."""
+"""Maximum fraction of padding among the frames that a step denoises."""
 
 
 @runtime_checkable
 class SequenceDenoiser(Protocol):
-    """A denoiser that knows a text for every frame, such as `FlowMdm.denoise`."""
+    """A denoiser with a text for every frame, such as `FlowMdm.denoise`."""
 
     def __call__(
         self,
@@ -39,20 +39,20 @@ class SequenceDenoiser(Protocol):
         mask: Bool[Tensor, "batch frames"] | None,
         segment: Int[Tensor, "batch frames"] | None,
     ) -> Float[Tensor, "batch frames features"]:
-        """As `Denoiser`, but a text has a word for each segment, and `segment` says which one a frame belongs to."""
+        """Predict as `Denoiser` does, with one word per segment; `segment` holds the index of each frame's word."""
         ...
 
 
 def distinct_texts(plans: Sequence[Plan]) -> tuple[str, ...]:
-    """What has to be encoded for these plans: the empty text first, then every text once, in order of appearance."""
+    """List the texts to encode for plans: the empty text first, then every text once, in order of appearance."""
     return tuple(dict.fromkeys([NULL, *(crop.text or NULL for plan in plans for crop in plan.crops)]))
 
 
 def check_embeddings(plans: Sequence[Plan], embeddings: Mapping[str, Tensor]) -> None:
-    """Raises `ValueError` naming the texts of the plans that have no embedding."""
+    """Raise `ValueError` with the texts of the plans that have no embedding."""
     missing = [text for text in distinct_texts(plans) if text not in embeddings]
     if missing:
-        raise ValueError(f"no embedding for {missing}; every text of the plans needs one, and the empty text too")
+        raise ValueError(f"no embedding for {missing}; pass one for every text of the plans and for the empty text")
 
 
 def guided_crops(
@@ -68,17 +68,28 @@ def guided_crops(
     fixed_length: int | None = None,
     needed: Sequence[bool] | None = None,
 ) -> Guided:
-    """A predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance: see `Guided`.
+    """Build a predictor of the crops of all plans, [crops, frames, features], with classifier-free guidance.
 
-    `embeddings` gives the normalised embedding [words, width] of every text in `distinct_texts(plans)`. What stands
-    beyond a crop's end is not seen, and comes out as zero.
+    Frames beyond the end of a crop are not seen and are predicted as zero. See `Guided`.
 
-    `supports_padding`: texts of different numbers of words share calls. Only for denoisers that padded words do not
-    disturb, such as `MdmSmpl` with its `words` set: the published network moves the frames behind the longest text.
-    `fixed_length`: every crop has as many frames, whatever its own length (see `Network`), and all are predicted.
-    `needed`: of each crop, whether it is (None: all are); the others come out as zero.
+    Args:
+        denoiser: Denoiser of crops.
+        schedule: Noise schedule.
+        plans: Plans of the timelines.
+        embeddings: Normalised embedding [words, width] of every text in `distinct_texts(plans)`.
+        guidance: Guidance scale.
+        prediction: The quantity that the denoiser predicts.
+        padding: Maximum fraction of padding in a step.
+        budget: Maximum number of frames of one call.
+        supports_padding: Whether texts with different numbers of words share calls. Only for denoisers that are
+            insensitive to padded words, such as `MdmSmpl` with `words` set; the published network places the frames
+            after the longest text.
+        fixed_length: Number of frames of every crop, whatever its own length, all of which are predicted (see
+            `Network`).
+        needed: Whether each crop is used; unused crops are predicted as zero. None means that all are used.
 
-    Raises `ValueError` for a text without an embedding.
+    Raises:
+        ValueError: If a text has no embedding.
 
     Examples:
         >>> plans = [stmc.plan(stmc.Timeline.parse("walk # 0 # 2"), fps=20, overlap=10)]
@@ -90,8 +101,8 @@ def guided_crops(
     check_embeddings(plans, embeddings)
     crops = [crop for plan in plans for crop in plan.crops]
     requests = [
-        Request(crop.frames, frames, embeddings[NULL], embeddings[crop.text] if crop.text else None, needed=wanted)
-        for crop, frames, wanted in zip(
+        Request(crop.frames, frames, embeddings[NULL], embeddings[crop.text] if crop.text else None, needed=used)
+        for crop, frames, used in zip(
             crops, crop_lengths(plans, fixed_length), needed or [True] * len(crops), strict=True
         )
     ]
@@ -107,23 +118,33 @@ def guided_sequences(
     prediction: Prediction = "x0",
     budget: int = 65536,
 ) -> Guided:
-    """A predictor of the sequences of all plans, [sequences, frames, features], with classifier-free guidance.
+    """Build a predictor of the sequences of all plans, [sequences, frames, features], with classifier-free guidance.
 
-    `embeddings` gives the normalised embedding, one word, of every text in `distinct_texts(plans)`. A sequence with any
-    text is denoised with its texts, and in a second pass with the same segments but no text: see `Guided`. Raises
-    `ValueError` for a text without an embedding, or with more words than one, and for plans with overlap.
+    A sequence with any text is denoised with its texts, and again with the same segments but no text. See `Guided`.
+
+    Args:
+        denoiser: Denoiser with a text for every frame.
+        schedule: Noise schedule.
+        plans: Plans without overlap.
+        embeddings: Normalised embedding, one word, of every text in `distinct_texts(plans)`.
+        guidance: Guidance scale.
+        prediction: The quantity that the denoiser predicts.
+        budget: Maximum number of frames of one call.
+
+    Raises:
+        ValueError: If a text has no embedding or more than one word, or a plan has an overlap.
     """
     check_embeddings(plans, embeddings)
     if long := [text for text in distinct_texts(plans) if len(embeddings[text]) != 1]:
-        raise ValueError(f"a segment's text is one word, but {long[0]!r} has {len(embeddings[long[0]])}")
+        raise ValueError(f"the text of a segment must have one word, but {long[0]!r} has {len(embeddings[long[0]])}")
     requests = [_request(plan, sequence, embeddings) for plan in plans for sequence in body_sequences(plan)]
     return Guided(denoiser, schedule, requests, guidance, prediction, PADDING, budget, supports_padding=True)
 
 
 def _request(plan: Plan, sequence: Sequence[Segment], embeddings: Mapping[str, Tensor]) -> Request:
-    """A word and a segment for each crop, also for one that comes back behind another."""
+    """Build a request with one word and one segment per crop, also for a crop that resumes after another."""
     crops = list(dict.fromkeys(segment.crop for segment in sequence))
     texts = [plan.crops[crop].text or NULL for crop in crops]
-    conditional, null = (torch.cat([embeddings[text] for text in each]) for each in (texts, [NULL] * len(texts)))
+    conditional, null = (torch.cat([embeddings[text] for text in words]) for words in (texts, [NULL] * len(texts)))
     words = torch.cat([torch.full((end - start,), crops.index(crop)) for crop, start, end in sequence])
     return Request(plan.frames, plan.frames, null, conditional if any(text != NULL for text in texts) else None, words)

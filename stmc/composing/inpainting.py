@@ -1,7 +1,7 @@
-"""Inpainting: what is known of a clean sample stands in every prediction of it (imputation).
+"""Inpainting by imputation: observed parts of a clean sample replace every prediction of them.
 
-At every step the sampler then noises the known part like the rest, so that a network sees it, and what is new fits to
-it; samplers need not know. Knows predictors and tensors; knows no plans.
+At every step the sampler noises the observed part like the rest, so that the network sees it and the new part fits to
+it; samplers need no change. Depends on predictors and tensors; independent of plans.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from stmc.diffusion import Predict
 
 
 class Known(NamedTuple):
-    """What is known of timelines: normalised features, and their weights: 1 is kept, 0 is made anew, and what lies
-    between them is a border: see `impute`."""
+    """Observed features of timelines, normalised, and their weights: 1 is kept, 0 is generated, and values in between
+    form a border (see `impute`).
+    """
 
     content: Float[Tensor, "batch frames features"]
     weights: Float[Tensor, "batch frames features"]
@@ -26,10 +27,15 @@ class Known(NamedTuple):
 def inpaint(
     predict: Predict, content: Float[Tensor, "batch frames features"], kept: Float[Tensor, "batch frames features"]
 ) -> Predict:
-    """The predictor whose every answer is drawn towards `content`: by nothing where `kept` is 0, entirely where 1.
+    """Wrap a predictor so that every prediction is interpolated towards `content` by the weights `kept`.
 
-    To begin with less than full noise, sample with `schedule.respaced(tuple(range(steps)))` from `content` as noisy as
-    at its last step: the samplers need not know.
+    To start with less than full noise, sample with `schedule.respaced(tuple(range(steps)))` from `content` noised to
+    its last step; samplers need no change.
+
+    Args:
+        predict: Predictor of clean samples.
+        content: Observed features, [batch, frames, features].
+        kept: Weight of `content`, of the same shape: 0 keeps the prediction, 1 replaces it.
     """
     return lambda x, t: torch.lerp(predict(x, t), content, kept)
 
@@ -37,27 +43,32 @@ def inpaint(
 def impute(
     predict: Predict, content: Float[Tensor, "batch frames features"], weights: Float[Tensor, "batch frames features"]
 ) -> Predict:
-    """The predictor whose every answer is `content` where `weights` are 1, and is drawn towards it where they are less.
+    """Wrap a predictor so that every prediction equals `content` at weight 1 and moves towards it at lower weights.
 
-    Where there is no content (NaN), behind the end of what is known, an answer is moved instead by what it was off in
-    the nearest frame that is kept, as much as weights say: so what is new begins where what is kept ends.
+    If there is no content (NaN), after the end of the observed part, a prediction is shifted instead by the weighted
+    error in the nearest kept frame, so that the new part begins at the end of the kept part.
+
+    Args:
+        predict: Predictor of clean samples.
+        content: Observed features or NaN, [batch, frames, features].
+        weights: Weight of `content`, of the same shape.
     """
-    whole, there = weights == 1, content.isfinite()
-    nearest = _nearest(whole)
+    kept, available = weights == 1, content.isfinite()
+    nearest = _nearest(kept)
 
-    def imputed(x: Float[Tensor, "batch frames features"], t: int) -> Float[Tensor, "batch frames features"]:
+    def predict_imputed(x: Float[Tensor, "batch frames features"], t: int) -> Float[Tensor, "batch frames features"]:
         x0 = predict(x, t)
-        off = content - x0
-        off = torch.where(there, off, torch.where(whole, off, 0.0).gather(1, nearest))
-        return torch.where(whole, content, x0 + weights * off)
+        error = content - x0
+        error = torch.where(available, error, torch.where(kept, error, 0.0).gather(1, nearest))
+        return torch.where(kept, content, x0 + weights * error)
 
-    return imputed
+    return predict_imputed
 
 
-def _nearest(whole: Bool[Tensor, "batch frames features"]) -> Int[Tensor, "batch frames features"]:
-    """For every frame the nearest one that is kept; some frame where none is."""
-    frame = torch.arange(whole.shape[1], device=whole.device)[:, None].expand_as(whole)
-    far = 2 * whole.shape[1]
-    before = torch.where(whole, frame, -far).cummax(dim=1).values
-    behind = torch.where(whole, frame, far).flip(1).cummin(dim=1).values.flip(1)
-    return torch.where(frame - before <= behind - frame, before, behind).clamp(0, whole.shape[1] - 1)
+def _nearest(kept: Bool[Tensor, "batch frames features"]) -> Int[Tensor, "batch frames features"]:
+    """Return the nearest kept frame for every frame, or any frame if none is kept."""
+    frame = torch.arange(kept.shape[1], device=kept.device)[:, None].expand_as(kept)
+    far = 2 * kept.shape[1]
+    before = torch.where(kept, frame, -far).cummax(dim=1).values
+    after = torch.where(kept, frame, far).flip(1).cummin(dim=1).values.flip(1)
+    return torch.where(frame - before <= after - frame, before, after).clamp(0, kept.shape[1] - 1)

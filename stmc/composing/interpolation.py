@@ -1,6 +1,6 @@
-"""Seams smoothed after sampling: SINC's straight lines, and TEACH's interpolation on the sphere.
+"""Smoothing of seams after sampling: SINC's linear interpolation, and TEACH's spherical interpolation.
 
-Knows plans without overlap and layouts of features; knows no networks, texts or samplers.
+Depends on plans without overlap and on layouts of features; independent of networks, texts and samplers.
 """
 
 from __future__ import annotations
@@ -23,14 +23,23 @@ from stmc.timeline.planning import Plan
 def smooth_seams(
     features: Float[Tensor, "batch frames features"], plans: Sequence[Plan], columns: Columns, overlap: int
 ) -> Float[Tensor, "batch frames features"]:
-    """SINC's result with its seams smoothed: a straight line wherever a body part changes from one crop to another.
+    r"""Smooth SINC's result by linear interpolation wherever a body part changes from one crop to another.
 
-    The line runs over `overlap` frames around the change, half of them on each side, within the timeline, from the
-    value of its first frame to that of its last. Lines start from the values before smoothing; where two of one part
-    meet, the later wins. The `plans` are those without overlap (`ValueError` for others).
+    The line covers `overlap` frames around the change, half of them on each side, within the timeline, from the value
+    of its first frame to that of its last. Lines start from the values before smoothing; if two lines of one part
+    overlap, the later one wins.
+
+    Args:
+        features: Features of the timelines, [batch, frames, features].
+        plans: Plans without overlap.
+        columns: Columns of each body part.
+        overlap: Number of frames of a line.
+
+    Raises:
+        ValueError: If a plan has an overlap.
 
     Examples:
-        >>> plan = stmc.plan(stmc.Timeline.parse("walk # 0 # 1\\njump # 1 # 2"), fps=20, overlap=0)
+        >>> plan = stmc.plan(stmc.Timeline.parse("walk # 0 # 1\njump # 1 # 2"), fps=20, overlap=0)
         >>> columns = {part: [column] for column, part in enumerate(stmc.BodyPart)}
         >>> features = torch.cat([torch.zeros(1, 20, 5), torch.ones(1, 20, 5)], dim=1)
         >>> stmc.smooth_seams(features, [plan], columns, overlap=5)[0, 18:23, 0].tolist()
@@ -47,11 +56,21 @@ def smooth_seams(
 
 
 def seams(plan: Plan, part: BodyPart, overlap: int) -> list[slice]:
-    """The `overlap` frames around each change of `part` from one crop to another, half of them on each side, within the
-    timeline; none for 0. Raises `ValueError` for a plan with overlap."""
+    """Return the `overlap` frames around each change of `part` from one crop to another, within the timeline.
+
+    Half of the frames are on each side; an overlap of 0 has no seams.
+
+    Args:
+        plan: Plan without overlap.
+        part: Body part.
+        overlap: Number of frames of a seam.
+
+    Raises:
+        ValueError: If the plan has an overlap.
+    """
     tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
     if any(a.end > b.start for a, b in pairwise(tiles)):
-        raise ValueError(f"the tiles of {part} overlap: seams are smoothed in plans made with overlap=0")
+        raise ValueError(f"the tiles of {part} overlap; seams need plans with overlap=0")
     changes = [b.start for a, b in pairwise(tiles) if a.crop != b.crop] if overlap > 0 else []
     left, right = overlap // 2, overlap - overlap // 2
     return [slice(max(0, change - left), min(plan.frames, change + right)) for change in changes]
@@ -60,28 +79,32 @@ def seams(plan: Plan, part: BodyPart, overlap: int) -> list[slice]:
 def slerp(
     raw: Float[Tensor, "batch frames features"], plans: Sequence[Plan], layout: Layout, overlap: int
 ) -> Float[Tensor, "batch frames features"]:
-    """`smooth_seams` for features that are not normalised, with rotations on the shortest arc of the sphere: what TEACH
-    does to its transitions (Athanasiou et al. 2022).
+    """Smooth seams in features that are not normalised, with rotations on the shortest arc of the sphere.
 
-    The layout's field "rotations" holds two rows, or two columns, of a matrix for each joint. The `plans` are those
-    without overlap; `overlap` frames around each change are replaced.
+    TEACH smooths its transitions in this way (Athanasiou et al. 2022). Other features are smoothed by `smooth_seams`.
+
+    Args:
+        raw: Features that are not normalised, [batch, frames, features].
+        plans: Plans without overlap.
+        layout: Layout of the features; its field "rotations" holds two rows, or two columns, of a matrix per joint.
+        overlap: Number of frames to replace around each change.
     """
-    import roma  # not above: it takes as long to import as torch
+    import roma  # imported late: it takes as long to import as torch
 
     smooth = smooth_seams(raw, plans, layout.columns, overlap)
     for i, plan in enumerate(plans):
         for part in BodyPart:
-            turned = _rotations(layout, part)
-            for window in seams(plan, part, overlap) if turned else ():
-                old = rearrange(raw[i, window][[0, -1]][:, turned], "ends (joints six) -> ends joints six", six=6)
+            rotations = _rotations(layout, part)
+            for window in seams(plan, part, overlap) if rotations else ():
+                old = rearrange(raw[i, window][[0, -1]][:, rotations], "ends (joints six) -> ends joints six", six=6)
                 first, last = rows_to_matrix(old)
                 steps = torch.linspace(0, 1, window.stop - window.start).to(raw)
                 arc = matrix_to_rows(roma.rotmat_slerp(first, last, steps))
-                smooth[i, window, turned] = rearrange(arc, "frames joints six -> frames (joints six)")
+                smooth[i, window, rotations] = rearrange(arc, "frames joints six -> frames (joints six)")
     return smooth
 
 
 def _rotations(layout: Layout, part: BodyPart) -> list[int]:
-    """The columns of a part's rotations."""
-    where = layout["rotations"]
-    return [column for column in layout.columns[part] if where.start <= column < where.stop]
+    """Return the columns of a part's rotations."""
+    field = layout["rotations"]
+    return [column for column in layout.columns[part] if field.start <= column < field.stop]

@@ -1,7 +1,7 @@
-"""Methods as values: how timelines become features.
+"""Methods as values: functions that turn timelines into features.
 
-A method is one function of a `Run`; `stitched` makes one of any rule `Plan → Plan`. `METHODS` names ours and the
-baselines. Knows plans, predictors and schedules; knows no networks and no `Model`.
+A method is a function of a `Run`; `stitched` builds one from any rule `Plan → Plan`. `METHODS` holds the method of this
+library and the baselines. Depends on plans, predictors and schedules; independent of networks and of `Model`.
 """
 
 from __future__ import annotations
@@ -35,22 +35,28 @@ Rule = Callable[[Plan], Plan]
 Baseline = Callable[[Timeline, "float | int", int], Timeline]
 """(timeline, frames per second, frames of the longest crop) → the timeline that is sampled instead."""
 
-SKIPPED = 0.1
-"""The share of the steps, the noisiest, that DoubleTake's second take goes without (Shafir et al. 2024)."""
+SECOND_TAKE_SKIP = 0.1
+"""Fraction of the steps, the noisiest, that DoubleTake's second take skips (Shafir et al. 2024)."""
 
-SEEN = 5 / 30
-"""Seconds of what is before it that an action sees: TEACH's five frames, 30 a second (Athanasiou et al. 2022). The text
-holds for them, too: the more of them, the more of the action is over when its own frames begin."""
+TEACH_CONTEXT_SECONDS = 5 / 30
+"""TEACH's context in seconds: five frames at 30 fps (Athanasiou et al. 2022). The prompt also covers the context, so a
+longer context shortens the action itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """How timelines become features.
+    """A method that turns timelines into features.
 
-    `sample` makes normalised features [batch, frames, features] of a `Run`, each from its first frame on. `label` is
-    the method's name in tables, with what it sees of a timeline: `tracks` and `crops`, "Single" or "Multi" each.
-    `baseline` replaces each timeline beforehand. `fixed` are the settings that the method decides, whatever the model
-    says; None: it has no such setting. `per_frame_text`: it needs a denoiser that knows a text for every frame.
+    Args:
+        sample: Function from a `Run` to normalised features [batch, frames, features], each timeline from its first
+            frame on.
+        label: Name of the method in tables.
+        baseline: Function that replaces each timeline beforehand.
+        fixed: Settings that the method fixes, whatever the model's defaults; None means that the method has no such
+            setting.
+        per_frame_text: Whether the method needs a denoiser with a text for every frame.
+        tracks: "Single" or "Multi": the tracks of a timeline that the method uses.
+        crops: "Single", "Multi" or "None": the crops of a timeline that the method uses.
 
     Examples:
         >>> still = stmc.Method(lambda run: torch.zeros(1, 20, 205), "Still")
@@ -71,126 +77,141 @@ class Method:
 
     @property
     def stitches(self) -> bool:
-        """Whether it composes at every step, from a moment on that can be chosen or is fixed."""
+        """Whether the method composes at every step, from a configurable or fixed step on."""
         return self.fixed.get("stitch_from", 0.0) is not None
 
 
 def stitched(rule: Rule | None = None, baseline: Baseline | None = None, label: str = "", **more: Any) -> Method:
-    """The method that stitches crops at every step (STMC, section 3.3), by the plans that `rule` makes of the usual
-    ones (None: as they are), from the setting `stitch_from` on: before it crops are denoised alone (section 4.6's
-    outlook).
+    r"""Build a method that stitches crops at every step (STMC, section 3.3), according to a rule.
+
+    Stitching starts at the setting `stitch_from`; before it, crops are denoised independently (outlook of section 4.6).
 
         model.generate(timeline, method=stmc.stitched(my_rule), stitch_from=0.2)
 
-    `more`: as of `Method`; the label is the rule's own name unless said.
+    Args:
+        rule: Function from the usual plan to the plan to follow; None keeps the usual plan.
+        baseline: Function that replaces each timeline beforehand.
+        label: Name of the method in tables; defaults to the name of the rule.
+        **more: Further arguments of `Method`.
 
     Examples:
         >>> method = stmc.stitched(stmc.timeline.planning.cross_fade, label="Cross-faded")
-        >>> stmc.load().generate("walk # 0 # 1\\njump # 1 # 2", method=method, stitch_from=0.5, steps=2)
+        >>> stmc.load().generate("walk # 0 # 1\njump # 1 # 2", method=method, stitch_from=0.5, steps=2)
         [Motion(40 frames at 20 fps, 2.00 s)]
     """
 
     def sample(run: Run) -> Features:
-        return stitch(run, [plan if rule is None else _planned(rule, plan) for plan in run.plans()])
+        return stitch(run, [plan if rule is None else _apply_rule(rule, plan) for plan in run.plans()])
 
     return Method(sample, label or getattr(rule, "__name__", "stitched"), baseline, **more)
 
 
-def _planned(rule: Rule, plan: Plan) -> Plan:
-    """The plan that a rule makes. Raises `SettingError` for a rule that makes something else."""
-    made = rule(plan)
-    if not isinstance(made, Plan):
-        raise SettingError(f"the rule {getattr(rule, '__name__', 'given')} makes a {type(made).__name__}, not a Plan")
-    return made
+def _apply_rule(rule: Rule, plan: Plan) -> Plan:
+    """Apply a rule to a plan. Raises `SettingError` if the result is not a plan."""
+    result = rule(plan)
+    if not isinstance(result, Plan):
+        raise SettingError(
+            f"the rule {getattr(rule, '__name__', 'given')} returns a {type(result).__name__} instead of a Plan"
+        )
+    return result
 
 
 def cross_faded(run: Run) -> Features:
-    """STMC with cross-faded transitions, in which arms that have far to go take their time."""
+    """Sample with STMC and cross-faded transitions, in which arms with a long way to go move more slowly."""
     plans = run.plans()
-    faded = [cross_fade(plan) for plan in plans]
-    return stitch(run, faded, retimed(run.collage(faded), plans, run.layout, run.statistics))
+    plans_with_fades = [cross_fade(plan) for plan in plans]
+    return stitch(run, plans_with_fades, retimed(run.collage(plans_with_fades), plans, run.layout, run.statistics))
 
 
 def stitch(run: Run, plans: Sequence[Plan], predict: Predict | None = None) -> Features:
-    """STMC by `plans`, from the run's `stitch_from` on, with their collage or another predictor of timelines."""
+    """Sample with STMC according to `plans`, from the run's `stitch_from` on.
+
+    Args:
+        run: The run.
+        plans: Plans to follow.
+        predict: Predictor of timelines; None uses the collage of `plans`.
+    """
     predict, draw = run.constrained(predict or run.collage(plans)), run.noise(plans)
     independent = run.steps_before(run.sampling.stitch_from)
     if not independent:
         return run.denoise(predict, draw(), draw)
-    left = len(run.times) - independent
+    remaining = len(run.times) - independent
     noise = draw()
-    x = run.schedule.q_sample(torch.zeros_like(noise), run.times[left - 1], noise)  # what lies behind the ends
+    x = run.schedule.q_sample(torch.zeros_like(noise), run.times[remaining - 1], noise)  # the frames after the ends
     crops = run.begun_independently(independent)
     inside = mask(torch.tensor([plan.frames for plan in plans]))[..., None].to(crops.device)
     x[:, : crops.shape[1]] = torch.where(inside, crops, x[:, : crops.shape[1]])
-    return run.denoise(predict, x, draw, left)
+    return run.denoise(predict, x, draw, remaining)
 
 
-def alone(run: Run) -> Features:
-    """Every timeline's one prompt as a motion of its own. Raises `ValueError` for several prompts."""
+def sample_independent_prompts(run: Run) -> Features:
+    """Sample the single prompt of every timeline as a separate motion. Raises `ValueError` for several prompts."""
     if several := [timeline for timeline in run.timelines if len(timeline.prompts) != 1]:
-        raise ValueError(f"independent prompts: one prompt a timeline, not {len(several[0].prompts)}")
+        raise ValueError(f"a timeline has {len(several[0].prompts)} prompts; this method needs one prompt per timeline")
     return stitch(run, run.plans())
 
 
-def smoothed(run: Run) -> Features:
-    """SINC, with a straight line over the overlap wherever a part changes from one crop to another."""
+def sample_sinc_lerp(run: Run) -> Features:
+    """Sample with SINC, and interpolate linearly over the overlap wherever a part changes from one crop to another."""
     return smooth_seams(run.independent(), run.plans(0), run.columns, run.overlap)
 
 
-def smoothed_on_the_sphere(run: Run) -> Features:
-    """The same with rotations on their shortest arc: on one track TEACH's own baseline of independent actions."""
-    return _on_the_sphere(run, run.independent(), run.plans(0))
+def sample_sinc_slerp(run: Run) -> Features:
+    """Sample with SINC, and interpolate rotations on the sphere.
+
+    On one track this is TEACH's own baseline of independent actions.
+    """
+    return _interpolate_on_sphere(run, run.independent(), run.plans(0))
 
 
-def one_by_one(run: Run) -> Features:
-    """Crops one after the other, each with the last frames before it in view (TEACH without slerp)."""
-    return run.autoregressive(_looking_back(run))
+def sample_teach_b(run: Run) -> Features:
+    """Sample crops one after the other, each with the previous frames as context (TEACH without slerp)."""
+    return run.autoregressive(_plans_with_context(run))
 
 
-def one_by_one_on_the_sphere(run: Run) -> Features:
-    """The same, then rotations on their shortest arc over the overlap wherever an action follows another (TEACH)."""
-    plans = _looking_back(run)
-    return _on_the_sphere(run, run.autoregressive(plans), plans)
+def sample_teach(run: Run) -> Features:
+    """Sample with TEACH: as `teach_b`, then interpolate rotations on the sphere over the overlap between actions."""
+    plans = _plans_with_context(run)
+    return _interpolate_on_sphere(run, run.autoregressive(plans), plans)
 
 
-def _looking_back(run: Run) -> list[Plan]:
-    """Plans whose crops leave room for what they see, and begin with it."""
-    seen = min(round(SEEN * run.fps), run.longest - 1)
-    return [look_back(plan, seen) for plan in replace(run, longest=run.longest - seen).plans(0)]
+def _plans_with_context(run: Run) -> list[Plan]:
+    """Plan crops that leave room for their context and begin with it."""
+    context = min(round(TEACH_CONTEXT_SECONDS * run.fps), run.longest - 1)
+    return [look_back(plan, context) for plan in replace(run, longest=run.longest - context).plans(0)]
 
 
-def _on_the_sphere(run: Run, features: Features, plans: Sequence[Plan]) -> Features:
+def _interpolate_on_sphere(run: Run, features: Features, plans: Sequence[Plan]) -> Features:
     return run.statistics.normalise(slerp(run.statistics.restore(features), plans, run.layout, run.overlap))
 
 
-def seamless(run: Run) -> Features:
-    """What each body part obeys as one sequence, without crops (FlowMDM, here with several tracks)."""
-    run = replace(run, fixed_length=None)  # sequences are seen whole
+def sample_flow_mdm(run: Run) -> Features:
+    """Sample the prompts of each body part as one sequence, without crops (FlowMDM, here with several tracks)."""
+    run = replace(run, fixed_length=None)  # sequences have no fixed length
     plans = run.plans(0)
     draw = run.noise(plans)
     sequences = compose_tracks(run.guided_sequences(plans, run.sampling.guidance), plans, run.columns)
     return run.denoise(run.constrained(sequences), draw(), draw)
 
 
-def two_takes(run: Run) -> Features:
-    """Crops that fade into each other, then half an overlap on either side of each transition made anew."""
+def sample_double_take(run: Run) -> Features:
+    """Sample crops that fade into each other, then regenerate half an overlap on either side of each transition."""
     plans, ramp = run.plans(), run.overlap // 2
     content = stitch(run, [handshake(plan) for plan in plans])
     if not ramp:
         return content
     takes = [second_take(plan, run.longest) for plan in plans]
-    kept = kept_shares(plans, run.columns, ramp).to(content)
-    kept = F.pad(kept, (0, 0, 0, content.shape[1] - kept.shape[1]), value=1.0)
-    steps = max(1, len(run.times) - int(SKIPPED * len(run.times)))
+    weights = kept_shares(plans, run.columns, ramp).to(content)
+    weights = F.pad(weights, (0, 0, 0, content.shape[1] - weights.shape[1]), value=1.0)
+    steps = max(1, len(run.times) - int(SECOND_TAKE_SKIP * len(run.times)))
     draw = run.noise(takes, [(seed, 0) for seed in run.seeds])
     x = run.schedule.q_sample(content, run.times[steps - 1], draw())
-    return run.denoise(inpaint(run.constrained(run.collage(takes, 0.0)), content, kept), x, draw, steps)
+    return run.denoise(inpaint(run.constrained(run.collage(takes, 0.0)), content, weights), x, draw, steps)
 
 
-_FROM_THE_FIRST: Mapping[str, Any] = {"stitch_from": 0.0, "guidance_from": 0.0}
-_NEVER: Mapping[str, Any] = {"stitch_from": None, "guidance_from": None}
-_WITHOUT_OVERLAP: Mapping[str, Any] = _NEVER | {"overlap": None}
+_COMPOSED_FROM_THE_START: Mapping[str, Any] = {"stitch_from": 0.0, "guidance_from": 0.0}
+_NOT_COMPOSED: Mapping[str, Any] = {"stitch_from": None, "guidance_from": None}
+_WITHOUT_OVERLAP: Mapping[str, Any] = _NOT_COMPOSED | {"overlap": None}
 
 
 def _one_track(timeline: Timeline, fps: float | int, longest: int) -> Timeline:
@@ -208,93 +229,110 @@ METHODS: Mapping[str, Method] = {
     "single_track": stitched(
         baseline=_one_track,
         label="DiffCollage",
-        fixed=_FROM_THE_FIRST,
+        fixed=_COMPOSED_FROM_THE_START,
         tracks="Single",
     ),
-    INDEPENDENT: Method(alone, "Independent prompts", fixed=_WITHOUT_OVERLAP),
+    INDEPENDENT: Method(sample_independent_prompts, "Independent prompts", fixed=_WITHOUT_OVERLAP),
     "sinc": Method(Run.independent, "SINC w/o Lerp", fixed=_WITHOUT_OVERLAP),
-    "sinc_lerp": Method(smoothed, "SINC w/ Lerp", fixed=_NEVER),
-    "sinc_slerp": Method(smoothed_on_the_sphere, "SINC w/ Slerp", fixed=_NEVER),
-    "teach_b": Method(one_by_one, "TEACH_B", _one_track, fixed=_WITHOUT_OVERLAP, tracks="Single"),
-    "teach": Method(one_by_one_on_the_sphere, "TEACH", _one_track, fixed=_NEVER, tracks="Single"),
-    "multi_diffusion": stitched(multi_diffusion, label="MultiDiffusion", fixed=_FROM_THE_FIRST),
-    "double_take": Method(two_takes, "DoubleTake", fixed=_FROM_THE_FIRST),
-    "stmc_paper": stitched(label="STMC (paper)", fixed=_FROM_THE_FIRST),
+    "sinc_lerp": Method(sample_sinc_lerp, "SINC w/ Lerp", fixed=_NOT_COMPOSED),
+    "sinc_slerp": Method(sample_sinc_slerp, "SINC w/ Slerp", fixed=_NOT_COMPOSED),
+    "teach_b": Method(sample_teach_b, "TEACH_B", _one_track, fixed=_WITHOUT_OVERLAP, tracks="Single"),
+    "teach": Method(sample_teach, "TEACH", _one_track, fixed=_NOT_COMPOSED, tracks="Single"),
+    "multi_diffusion": stitched(multi_diffusion, label="MultiDiffusion", fixed=_COMPOSED_FROM_THE_START),
+    "double_take": Method(sample_double_take, "DoubleTake", fixed=_COMPOSED_FROM_THE_START),
+    "stmc_paper": stitched(label="STMC (paper)", fixed=_COMPOSED_FROM_THE_START),
     "stmc": Method(cross_faded, "STMC (cross-faded)"),
-    "flow_mdm": Method(seamless, "FlowMDM", fixed=_WITHOUT_OVERLAP, per_frame_text=True, crops="None"),
+    "flow_mdm": Method(sample_flow_mdm, "FlowMDM", fixed=_WITHOUT_OVERLAP, per_frame_text=True, crops="None"),
 }
-"""Table 1's rows in its order, and others beside those that they are nearest to. "stmc_paper" is the paper's algorithm
-to the letter: hard edges, composed from the first step on. Its noise is the model's: each publisher has its own."""
+"""The methods of Table 1 in its order, and related methods next to them. "stmc_paper" is the exact algorithm of the
+paper: hard edges, composed from the first step on. Its noise scale is that of the model, because publishers differ."""
 
 _RENAMED = {"stmc_soft": "stmc"}
 
 
 def find_method(method: str | Method | Rule, trusted: Iterable[str] = ()) -> Method:
-    """The method of a name in `METHODS`, or of a dotted name such as "mylab.rules.mine": a `Method` or a rule of a
-    package that `trusted` names, for importing it runs its code. A method is itself, and a rule is `stitched`.
+    """Resolve a method: a name in `METHODS`, a dotted name such as "mylab.rules.mine", a `Method` or a rule.
+
+    A dotted name refers to a `Method` or a rule of a package in `trusted`, because importing it executes its code. A
+    rule becomes a method by `stitched`.
 
     Raises:
-        SettingError: For an unknown name, and a package that is not trusted or has no such thing.
+        SettingError: If the name is unknown, or the package is not trusted or has no such attribute.
 
     Examples:
         >>> stmc.find_method("one_text").tracks
         'Single'
     """
     if isinstance(method, str):
-        method = METHODS.get(method) or _imported(method, tuple(trusted))
+        method = METHODS.get(method) or _import_method(method, tuple(trusted))
     if isinstance(method, Method):
         return method
     if not callable(method):
-        raise SettingError(f"method={shown(method)}: a name, a Method or a rule Plan → Plan needed")
+        raise SettingError(f"method={shown(method)}: pass a name, a Method or a rule Plan → Plan")
     return stitched(method)
 
 
-def _imported(name: str, trusted: Sequence[str]) -> Any:
+def _import_method(name: str, trusted: Sequence[str]) -> Any:
     if name in _RENAMED:
-        raise SettingError(f"method={name}: {name} is now {_RENAMED[name]}, and the paper's hard edges are stmc_paper")
+        raise SettingError(
+            f"method={name}: it is now called {_RENAMED[name]}; stmc_paper has the hard edges of the paper"
+        )
     home, _, attribute = name.rpartition(".")
     if not home:
-        raise SettingError(f"method={shown(name)}: choose from {', '.join(METHODS)}, or a dotted name of your own")
+        raise SettingError(f"method={shown(name)}: choose from {', '.join(METHODS)}, or pass a dotted name")
     package = name.partition(".")[0]
     if package not in trusted:
         raise SettingError(f"method={shown(name)}: {shown(package)} is not among the trusted packages")
     try:
-        found = getattr(import_module(home), attribute)
+        result = getattr(import_module(home), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise SettingError(f"method={shown(name)}: {str(error)[:120]}") from error
-    is_own = f"{getattr(found, '__module__', '')}".partition(".")[0] == package
-    if callable(found) and not isinstance(found, Method) and not is_own:
-        raise SettingError(f"method={shown(name)}: not a rule Plan → Plan that {package} defines")
-    return found
+    is_defined_there = f"{getattr(result, '__module__', '')}".partition(".")[0] == package
+    if callable(result) and not isinstance(result, Method) and not is_defined_there:
+        raise SettingError(f"method={shown(name)}: {package} defines no such rule Plan → Plan")
+    return result
 
 
 def settled(asked: Sampling, method: Method, own: Sampling) -> Sampling:
-    """The settings of a run: what the method fixes, then what is `asked`, then the model's `own`, which are complete.
-    What does not apply is None: to the method, to the sampler, or to the model."""
-    found = replace(asked.over(own), **method.fixed)
-    taken = settings_taken(found.sampler)
-    absent = {name for name in _OF_SAMPLERS if name not in taken} | {
-        name for name in asked.given if getattr(own, name) is None and name not in _OF_SAMPLERS
+    """Resolve the settings of a run: those that the method fixes, then the request, then the model's defaults.
+
+    A setting that does not apply to the method, the sampler or the model becomes None.
+
+    Args:
+        asked: Requested settings.
+        method: The method.
+        own: Complete defaults of the model.
+    """
+    resolved = replace(asked.over(own), **method.fixed)
+    taken = settings_taken(resolved.sampler)
+    absent = {name for name in _SAMPLER_SETTINGS if name not in taken} | {
+        name for name in asked.given if getattr(own, name) is None and name not in _SAMPLER_SETTINGS
     }
-    return replace(found, **dict.fromkeys(absent))
+    return replace(resolved, **dict.fromkeys(absent))
 
 
 def refuse(asked: Sampling, method: Method, own: Sampling) -> None:
-    """Raises `SettingError` for what is `asked` in vain: a value that a run would not have."""
-    found = settled(asked, method, own)
+    """Raise `SettingError` if a requested setting would be ignored by this method, sampler or model.
+
+    Args:
+        asked: Requested settings.
+        method: The method.
+        own: Complete defaults of the model.
+    """
+    resolved = settled(asked, method, own)
     for name, value in asked.given.items():
-        used = getattr(found, name)
+        used = getattr(resolved, name)
         if value != used and not (used is None and value == 0):
-            raise SettingError(f"{name}={shown(value)}: {_reason(name, used, method, found)}")
+            raise SettingError(f"{name}={shown(value)}: {_reason(name, used, method)}")
 
 
-def _reason(name: str, used: Any, method: Method, found: Sampling) -> str:
+def _reason(name: str, used: Any, method: Method) -> str:
     if name in method.fixed:
         return f"{method.label} has no such setting" if used is None else f"{method.label} fixes it at {used}"
-    return f"{'the sampler' if name in _OF_SAMPLERS else 'the model'} has no such setting"
+    return f"{'the sampler' if name in _SAMPLER_SETTINGS else 'the model'} has no such setting"
 
 
-_OF_SAMPLERS = frozenset.union(*(frozenset(settings_taken(name)) for name in SAMPLERS)) & set(
+_SAMPLER_SETTINGS = frozenset.union(*(frozenset(settings_taken(name)) for name in SAMPLERS)) & set(
     Sampling.__dataclass_fields__
 )
-"""The settings that samplers have arguments for."""
+"""Settings that are arguments of samplers."""

@@ -1,6 +1,6 @@
-"""One run of sampling: all that a method may touch, and the few moves that methods are made of.
+"""One run of sampling: everything that a method may use, and the building blocks of methods.
 
-Knows timelines, seeds, settings, a predictor of crops and a schedule; knows no networks, no texts' embeddings and no
+Depends on timelines, seeds, settings, a predictor of crops and a schedule; independent of networks, embeddings and
 `Model`.
 """
 
@@ -39,19 +39,31 @@ from stmc.timeline import Timeline
 from stmc.timeline.planning import Plan, plan
 
 Progress = Callable[..., Iterable[Any]]
-"""(denoising steps, total=their number) → the same steps: how a caller shows progress, e.g. `tqdm`."""
+"""(denoising steps, total=number of steps) → the same steps; displays progress, e.g. `tqdm`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A batch of timelines that is being sampled, whichever the method.
+    """A batch of timelines that is being sampled, whatever the method.
 
-    `sampling` is complete: what is None there does not apply. `overlap` is in frames. `guided` and `guided_sequences`
-    make predictors of plans' crops, and of the sequences of plans without overlap, with a guidance: see
-    `composing.guided_crops`. `fixed_length` is the denoiser's (see `Network`); `layout` and `statistics` are those of
-    the features, which are normalised. `once`: texts of what happens once, however long it is asked for: see `plan`.
-    What is asked for beside the texts: `known` features, and `meet`, which brings
-    clean timelines [batch, frames, features] nearer to constraints.
+    Args:
+        timelines: The timelines.
+        seeds: Seed of each timeline.
+        sampling: Resolved settings; None means that a setting does not apply.
+        schedule: Full noise schedule.
+        fps: Frames per second.
+        longest: Maximum number of frames of a crop.
+        overlap: Length of a transition in frames.
+        layout: Layout of the features.
+        statistics: Statistics that normalise the features.
+        guided: Builds a predictor of the crops of plans with a guidance; see `composing.guided_crops`.
+        guided_sequences: Builds a predictor of the sequences of plans without overlap, with a guidance.
+        fixed_length: The denoiser's `fixed_length`; see `Network`.
+        device: Device of the features.
+        progress: Displays progress.
+        once: Texts of one-shot actions; see `planning.plan`.
+        known: Observed features, or None.
+        meet: Moves clean timelines [batch, frames, features] towards constraints, or None.
     """
 
     timelines: Sequence[Timeline]
@@ -79,35 +91,37 @@ class Run:
 
     @cached_property
     def times(self) -> tuple[int, ...]:
-        """The steps of the schedule that are visited, in rising order."""
+        """The visited steps of the schedule, in rising order."""
         return self.schedule.spaced(self.sampling.steps)
 
-    def steps_before(self, share: float | int | None) -> int:
-        """How many of the steps, the noisiest, lie before a share of them."""
-        return int((share or 0) * len(self.times))
+    def steps_before(self, fraction: float | int | None) -> int:
+        """Return the number of the noisiest steps that make up a fraction of all steps."""
+        return int((fraction or 0) * len(self.times))
 
     def plans(self, overlap: int | None = None) -> list[Plan]:
-        """The layout of each timeline, its transitions as long as the run's, or `overlap` frames."""
+        """Lay out each timeline, with transitions of `overlap` frames; None uses the overlap of the run."""
         overlap = self.overlap if overlap is None else overlap
         return [plan(timeline, self.fps, overlap, self.longest, self.once) for timeline in self.timelines]
 
     def collage(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
-        """A predictor of the timelines by their plans, with the run's guidance or another."""
+        """Build a predictor of timelines from their plans; a guidance of None uses that of the run."""
         return collage(self.crops(plans, guidance), plans, self.columns, self.fixed_length)
 
     def constrained(self, predict: Predict) -> Predict:
-        """The predictor of timelines whose every answer meets what is asked for beside the texts: constraints first,
-        then what is known."""
-        meet, known = self.meet, self.known
-        met = predict if meet is None else lambda x, t: meet(predict(x, t))
-        return met if known is None else impute(met, *known)
+        """Wrap a predictor of timelines so that predictions meet the constraints and contain the observed features.
+
+        Constraints are applied first.
+        """
+        meet, observed = self.meet, self.known
+        constrained = predict if meet is None else lambda x, t: meet(predict(x, t))
+        return constrained if observed is None else impute(constrained, *observed)
 
     def crops(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
-        """A predictor of the plans' crops, with the run's guidance or another: from the setting `guidance_from` on.
+        """Build a predictor of the plans' crops with guidance from the setting `guidance_from` on.
 
-        Before it, in the noisiest steps, guidance is 1 at most (Kynkäänniemi et al. 2024). More of it exaggerates there
-        how neighbouring crops differ, which must then be bridged: a hand goes all its way in three frames. Less of it
-        is heard less: measured in the results.
+        Before it, in the noisiest steps, guidance is at most 1 (Kynkäänniemi et al. 2024). Higher guidance there
+        exaggerates the differences of neighbouring crops, which a transition must then bridge: a hand moves its whole
+        way in three frames. Lower guidance follows the text less; see the results page.
         """
         guidance = self.sampling.guidance if guidance is None else guidance
         unguided, predict = self.steps_before(self.sampling.guidance_from), cache(partial(self._guided, plans))
@@ -117,70 +131,85 @@ class Run:
         return lambda x, t: predict(1.0 if t >= first else guidance)(x, t)
 
     def noise(self, plans: Sequence[Plan], seeds: Sequence[Seed] | None = None) -> Noise:
-        """What timelines of these plans begin with, and what is added at every step."""
+        """Create the source of the initial noise, and of the noise of every step, for timelines with these plans."""
         return self._noise(self.seeds if seeds is None else seeds, canvas_lengths(plans, self.fixed_length))
 
     def denoise(
         self, predict: Predict, x: Float[Tensor, "batch frames features"], draw: Draw, steps: int | None = None
     ) -> Float[Tensor, "batch frames features"]:
-        """The clean sample after all steps, or after the `steps` least noisy ones, from `x`, as noisy as the first."""
+        """Run all steps, or the `steps` least noisy ones, and return the clean sample.
+
+        Args:
+            predict: Predictor of clean samples.
+            x: Initial sample, as noisy as the first of the steps.
+            draw: Source of noise.
+            steps: Number of steps; None runs all.
+        """
         times = self.times[:steps]
         return _last(self.progress(self._states(predict, x, draw, times), total=len(times)))
 
     def independent(self) -> Float[Tensor, "batch frames features"]:
-        """The crops of plans without overlap, each sampled by itself, and then combined (SINC)."""
-        self._refuse_constraints()
+        """Sample the crops of plans without overlap independently, and combine them (SINC)."""
+        self._check_no_constraints()
         plans = self.plans(0)
         draw = self._crop_noise(plans)
-        predict = self._knowing(self._guided(plans, self.sampling.guidance), plans)
+        predict = self._impute_crops(self._guided(plans, self.sampling.guidance), plans)
         return sinc(self.denoise(predict, draw(), draw), plans, self.columns)
 
     def autoregressive(self, plans: Sequence[Plan]) -> Float[Tensor, "batch frames features"]:
-        """The crops of plans that look back (`planning.look_back`), one after the other, each with the frames that it
-        looks back on as known (TEACH): they stand in all that is predicted, so that the crop is sampled to fit them."""
-        self._refuse_constraints()
-        made = torch.zeros(len(plans), max(plan.frames for plan in plans), self.layout.width, device=self.device)
-        for actions in action_rounds(plans):
-            for action, crop in zip(actions, self._sampled_behind(made, actions), strict=True):
-                own = slice(action.start - action.crop.start, action.crop.frames)
-                made[action.timeline, action.start : action.crop.end] = crop[own]
-        return made
+        """Sample the crops of plans that look back one after the other, with previous frames as context (TEACH).
 
-    def _sampled_behind(self, made: Tensor, actions: Sequence[Action]) -> Tensor:
-        """The crops of a round of actions, each with what it sees of what is `made`."""
+        The context replaces its part of every prediction, so that the crop is sampled to fit it. See
+        `planning.look_back`.
+        """
+        self._check_no_constraints()
+        features = torch.zeros(len(plans), max(plan.frames for plan in plans), self.layout.width, device=self.device)
+        for actions in action_rounds(plans):
+            for action, crop in zip(actions, self._sample_with_context(features, actions), strict=True):
+                owned = slice(action.start - action.crop.start, action.crop.frames)
+                features[action.timeline, action.start : action.crop.end] = crop[owned]
+        return features
+
+    def _sample_with_context(self, made: Tensor, actions: Sequence[Action]) -> Tensor:
+        """Sample the crops of a round of actions, each with its context in `made`."""
         plans = [action.plan for action in actions]
         lengths = crop_lengths(plans, self.fixed_length)
-        known = seen_before(actions, lengths, made, self.known)
+        observed = seen_before(actions, lengths, made, self.known)
         draw = self._noise([(self.seeds[action.timeline], action.number) for action in actions], lengths)
-        return self.denoise(impute(self.guided(plans, self.sampling.guidance), *known), draw(), draw)
+        return self.denoise(impute(self.guided(plans, self.sampling.guidance), *observed), draw(), draw)
 
-    def _refuse_constraints(self) -> None:
+    def _check_no_constraints(self) -> None:
         if self.meet is not None:
-            raise SettingError("constraints: the method must compose at every step; this one combines finished crops")
+            raise SettingError(
+                "constraints need a method that composes at every step; this method combines finished crops"
+            )
 
     def begun_independently(self, steps: int) -> Float[Tensor, "batch frames features"]:
-        """The same after so many `steps`, the noisiest: as noisy as the step behind them."""
-        plans, states = self.plans(0), []
-        predict, draw = self._knowing(self.crops(plans), plans), self._crop_noise(plans)
+        """Sample crops independently for the noisiest `steps` steps.
 
-        def watched(x: Tensor, t: int) -> Tensor:
+        The result is as noisy as the next step.
+        """
+        plans, states = self.plans(0), []
+        predict, draw = self._impute_crops(self.crops(plans), plans), self._crop_noise(plans)
+
+        def predict_and_record(x: Tensor, t: int) -> Tensor:
             states.append(x)
             return predict(x, t) if len(states) <= steps else x
 
-        _last(self.progress(islice(self._states(watched, draw(), draw, self.times), steps + 1), total=steps))
+        _last(self.progress(islice(self._states(predict_and_record, draw(), draw, self.times), steps + 1), total=steps))
         return sinc(states[-1], plans, self.columns)
 
     def _guided(self, plans: Sequence[Plan], guidance: float | int) -> Guided:
-        """Of the plans' crops those alone in which something is not known."""
+        """Build a predictor of the crops that contain something to generate; others are predicted as zero."""
         if self.known is None:
             return self.guided(plans, guidance)
         return self.guided(plans, guidance, needed=crops_needed(plans, self.known.weights == 1, self.columns))
 
-    def _knowing(self, predict: Predict, plans: Sequence[Plan]) -> Predict:
-        """A predictor of crops, each alone, that answers with what is known."""
+    def _impute_crops(self, predict: Predict, plans: Sequence[Plan]) -> Predict:
+        """Wrap a predictor of independent crops so that it returns the observed features."""
         if self.known is None:
             return predict
-        return impute(predict, *(crops_of(each, plans, self.fixed_length) for each in self.known))
+        return impute(predict, *(crops_of(values, plans, self.fixed_length) for values in self.known))
 
     def _states(self, predict: Predict, x: Tensor, draw: Draw, times: tuple[int, ...]) -> Iterable[Tensor]:
         schedule = self.schedule.respaced(times)
@@ -194,20 +223,20 @@ class Run:
 
 
 def sampler_of(sampling: Sampling) -> Sampler:
-    """The sampler, with those of the settings that its own arguments name."""
-    sampler = _named(sampling.sampler)
+    """Return the sampler, with the settings that are its arguments."""
+    sampler = _find_sampler(sampling.sampler)
     taken = settings_taken(sampler)
     return partial(sampler, **{name: value for name, value in sampling.given.items() if name in taken})
 
 
 def settings_taken(sampler: str | Sampler) -> set[str]:
-    """Which settings a sampler has arguments for that are not bound yet; the steps are those of its schedule."""
-    sampler = _named(sampler)
+    """Return the settings that are unbound arguments of a sampler, without the steps, which the schedule defines."""
+    sampler = _find_sampler(sampler)
     bound = set(sampler.keywords) if isinstance(sampler, partial) else set()
     return set(inspect.signature(sampler).parameters) - bound - {"steps"}
 
 
-def _named(sampler: str | Sampler) -> Sampler:
+def _find_sampler(sampler: str | Sampler) -> Sampler:
     return SAMPLERS[sampler] if isinstance(sampler, str) else sampler
 
 

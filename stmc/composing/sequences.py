@@ -1,10 +1,10 @@
-"""Body parts as seamless sequences: from a predictor of such sequences to a predictor of timelines
-(Barquero et al. 2024, here with several tracks).
+"""Body parts as sequences without crops: from a predictor of such sequences to a predictor of timelines.
 
-What a body part obeys from the first frame to the last, prompt after prompt, is one sequence, denoised whole; there are
-no crops and no transitions. Parts that obey the same share one. At every step all sequences see the same composite
-motion, and each part is taken from its own. The plans are those without overlap. Knows no text encoders, no samplers
-and no meaning of the features beyond each part's columns.
+See Barquero et al. (2024); here with several tracks. The prompts of a body part, from the first frame to the last, form
+one sequence, which is denoised as a whole; there are no crops and no transitions. Body parts with the same prompts
+share a sequence. At every step all sequences see the same composite motion, and each part is taken from its own
+sequence. Plans have no overlap. Independent of text encoders, samplers and the meaning of the features beyond each
+part's columns.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from stmc.timeline.planning import Plan
 
 
 class Segment(NamedTuple):
-    """Frames [start, end) of a sequence, which belong to a plan's `crop`."""
+    """Frames [start, end) of a sequence that belong to a plan's `crop`."""
 
     crop: int
     start: int
@@ -32,25 +32,30 @@ class Segment(NamedTuple):
 
 
 def body_sequences(plan: Plan) -> dict[tuple[Segment, ...], tuple[BodyPart, ...]]:
-    """The distinct sequences of segments that the body parts of a plan obey, each with the parts that obey it.
+    """Return the distinct sequences of segments of a plan's body parts, each with its parts.
 
-    Segments cover every frame of the plan once, in order. Raises `ValueError` for a plan with overlap.
+    Segments cover every frame of the plan once, in order. Raises `ValueError` if the plan has an overlap.
     """
     sequences: dict[tuple[Segment, ...], tuple[BodyPart, ...]] = {}
     for part in BodyPart:
         tiles = sorted((tile for tile in plan.tiles if tile.part == part), key=lambda tile: tile.start)
         if sum(tile.end - tile.start for tile in tiles) != plan.frames:
-            raise ValueError(f"the tiles of the {part} overlap: sequences are made of plans with overlap=0")
+            raise ValueError(f"the tiles of the {part} overlap; sequences need plans with overlap=0")
         sequence = tuple(Segment(tile.crop, tile.start, tile.end) for tile in tiles)
         sequences[sequence] = (*sequences.get(sequence, ()), part)
     return sequences
 
 
 def compose_tracks(predict: Predict, plans: Sequence[Plan], columns: Columns) -> Predict:
-    """A predictor of timelines [batch, frames, features] from a predictor of their sequences.
+    """Build a predictor of timelines [batch, frames, features] from a predictor of their sequences.
 
-    `predict` is given every timeline once for each of its `body_sequences`, plan 0's first; each body part's columns
-    are then taken from its own sequence.
+    `predict` receives every timeline once for each of its `body_sequences`, those of plan 0 first; the columns of each
+    body part are then taken from its own sequence.
+
+    Args:
+        predict: Predictor of sequences.
+        plans: Plans without overlap.
+        columns: Columns of each body part.
     """
     timelines, rows = [], {}
     for i, plan in enumerate(plans):
@@ -61,15 +66,15 @@ def compose_tracks(predict: Predict, plans: Sequence[Plan], columns: Columns) ->
     indexes = PerDevice(
         lambda x: (
             torch.tensor(timelines, device=x.device),
-            [(torch.tensor(own, dtype=torch.int64, device=x.device), row.to(x.device)) for own, row in owners],
+            [(torch.tensor(owned, dtype=torch.int64, device=x.device), row.to(x.device)) for owned, row in owners],
         )
     )
 
-    def composed(x: Float[Tensor, "batch frames features"], t: int) -> Float[Tensor, "batch frames features"]:
+    def predict_composed(x: Float[Tensor, "batch frames features"], t: int) -> Float[Tensor, "batch frames features"]:
         timeline, parts = indexes.at(x)
         sequences, x0 = predict(x[timeline], t), torch.empty_like(x)
-        for own, row in parts:
-            x0[..., own] = sequences[row][..., own]
+        for owned, row in parts:
+            x0[..., owned] = sequences[row][..., owned]
         return x0
 
-    return composed
+    return predict_composed

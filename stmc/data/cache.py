@@ -1,8 +1,8 @@
-"""A prepared data set on disk: the features of all clips in one tensor, and a table of what each clip shows.
+"""A prepared data set on disk: the features of all clips in one tensor, and a table of the clips.
 
-The one format between preparing data and training on it, whatever the data set; knows neither. A folder holds
-`clips.safetensors` ("features": every clip's frames one after the other, raw; and the numbers that come with the data)
-and `clips.json` (the table).
+It is the only format between data preparation and training, whatever the data set. A folder holds `clips.safetensors`
+("features": every clip's raw frames, concatenated; and the numbers of the data set) and `clips.json` (the table).
+Independent of preparation and training.
 """
 
 from __future__ import annotations
@@ -28,31 +28,42 @@ from stmc.motion.body_model import Skeleton
 FEATURES, TABLE = "clips.safetensors", "clips.json"
 
 HELD_OUT = ("test", "val")
-"""The splits that nothing is trained on."""
+"""Splits that are never used for training."""
 
 MOST_BYTES = 256 * 2**20
-"""Of the table; forty thousand clips take some 20 MB."""
+"""Maximum size of the table; 40,000 clips take about 20 MB."""
 
 
 TOUCHING = 0.3
-"""Seconds between the end of one clip and the beginning of another within which their recording passes from one to the
-other."""
+"""Maximum gap in seconds between two clips of a recording that count as continuous."""
 
 
 class CacheError(ValueError):
-    """A cache folder that is missing, incomplete or not one; the message says how to make it."""
+    """A cache folder that is missing, incomplete or invalid; the message says how to make it."""
 
 
 @dataclass(frozen=True)
 class Clip:
-    """One clip: frames `[start, end)` of the features; `texts` names its sentences in the table.
+    """One clip: frames `[start, end)` of the features.
 
-    `content` groups clips for balanced sampling and claims body `parts`, as a prompt would; of a `cyclic` clip any trim
-    still shows what its texts say. Clips of one `recording` (or one part of it) lie among the features as they do in
-    time, with what is between them; of a clip without, nobody knows what comes before and after it. `whole`: the frames
-    of all that was recorded before and after it, too; empty where nothing more is known. `annotations`: how many people
-    described it. `from_start`: training cuts nothing off the clip's beginning, and, unless it is `cyclic`, nothing off
-    its end: reaching out and coming back belong to what happens once.
+    Args:
+        name: Name of the clip.
+        content: Action of the clip, which groups clips for balanced sampling.
+        style: Style of the clip.
+        texts: Key of its sentences in the table.
+        parts: Body parts that the action claims, as a prompt would.
+        cyclic: Whether any part of the clip still shows its texts.
+        mirrored: Whether the clip is a mirror image.
+        split: "train", "val" or "test".
+        start: First frame.
+        end: Frame after the last.
+        recording: Recording (or part of one) that contains the clip. Clips of one recording lie among the features as
+            they do in time, with the frames between them; empty if nothing is known of the frames before and after the
+            clip.
+        annotations: Number of people who described the clip.
+        whole: First and last frame of the whole recording, or empty if unknown.
+        from_start: Training never cuts off the beginning of the clip nor, unless it is `cyclic`, its end: reaching out
+            and coming back belong to a one-shot action.
     """
 
     name: str
@@ -73,10 +84,21 @@ class Clip:
 
 @dataclass(frozen=True)
 class Cache:
-    """A prepared data set. `texts` maps a clip's key to its sentences, each with its probability.
+    """A prepared data set.
 
-    `statistics` are those that belong to the data set, where it has its own; `skeleton` is the body whose motions the
-    features are, if it is not the default one.
+    Args:
+        fps: Frame rate of the features.
+        representation: Name of the representation.
+        features: Features of all clips, [frames, features].
+        clips: The clips.
+        texts: Sentences of each key, with their probabilities.
+        skipped: Names of omitted clips, with the reasons.
+        fingerprint: Digest of the inputs.
+        statistics: Statistics of the data set, if it has its own.
+        skeleton: Body of the features; None is the default skeleton.
+
+    Raises:
+        CacheError: If a clip is out of range or has no sentences, or a feature is not finite.
     """
 
     fps: float | int
@@ -92,27 +114,31 @@ class Cache:
     def __post_init__(self) -> None:
         for clip in self.clips:
             if not 0 <= clip.start < clip.end <= len(self.features):
-                raise CacheError(f"clip {clip.name}: frames [{clip.start}, {clip.end}) of {len(self.features)}")
+                raise CacheError(
+                    f"clip {clip.name}: frames [{clip.start}, {clip.end}) exceed the {len(self.features)} features"
+                )
             first, last = clip.whole or (clip.start, clip.end)
             if not 0 <= first <= clip.start < clip.end <= last <= len(self.features):
-                raise CacheError(f"clip {clip.name}: frames [{clip.start}, {clip.end}) of recording [{first}, {last})")
+                raise CacheError(
+                    f"clip {clip.name}: frames [{clip.start}, {clip.end}) exceed the recording [{first}, {last})"
+                )
             if clip.texts not in self.texts:
                 raise CacheError(f"clip {clip.name}: no sentences under {clip.texts!r}")
         finite = self.features.isfinite().all(dim=1)
         if not finite.all():
             frame = int(finite.logical_not().nonzero()[0])
             names = [clip.name for clip in self.clips if clip.start <= frame < clip.end]
-            raise CacheError(f"clip {', '.join(names)}: features that are not finite, first in frame {frame} of all")
+            raise CacheError(f"clip {', '.join(names)}: features are not finite, first in frame {frame}")
 
     def held_out(self, text: str) -> list[Clip]:
-        """The clips that nothing is trained on and that have `text` among their sentences."""
-        told = {key for key, rows in self.texts.items() if any(text == sentence for sentence, _ in rows)}
-        return [clip for clip in self.clips if clip.split in HELD_OUT and clip.texts in told]
+        """Return the clips that are never used for training and have `text` among their sentences."""
+        keys = {key for key, rows in self.texts.items() if any(text == sentence for sentence, _ in rows)}
+        return [clip for clip in self.clips if clip.split in HELD_OUT and clip.texts in keys]
 
     def write(self, folder: Path) -> None:
-        """Writes both files, the table last: it marks a complete cache. A kill leaves all of it or none."""
+        """Write both files, the table last, because it marks a complete cache. A kill leaves all or nothing."""
         folder = Path(folder)
-        (folder / TABLE).unlink(missing_ok=True)  # it would lend its fingerprint to the new features
+        (folder / TABLE).unlink(missing_ok=True)  # otherwise it would give its fingerprint to the new features
         numbers = {"features": self.features}
         if self.statistics:
             numbers |= {"mean": self.statistics.mean, "std": self.statistics.std}
@@ -128,7 +154,7 @@ class Cache:
 
     @classmethod
     def read(cls, folder: Path) -> Cache:
-        """Raises `CacheError` where the folder holds no complete cache, or a damaged one."""
+        """Read a cache. Raises `CacheError` if the folder holds no complete cache, or a damaged one."""
         folder = Path(folder)
         table = _table(folder)
         if table is None or not (folder / FEATURES).exists():
@@ -140,8 +166,11 @@ class Cache:
                 representation=table["representation"],
                 features=numbers["features"],
                 clips=tuple(_clip(clip) for clip in table["clips"]),
-                texts={key: tuple((text, share) for text, share in rows) for key, rows in table["texts"].items()},
-                skipped=tuple((name, why) for name, why in table["skipped"]),
+                texts={
+                    key: tuple((text, probability) for text, probability in rows)
+                    for key, rows in table["texts"].items()
+                },
+                skipped=tuple((name, reason) for name, reason in table["skipped"]),
                 fingerprint=table["fingerprint"],
                 statistics=Statistics(numbers["mean"], numbers["std"]) if "mean" in numbers else None,
                 skeleton=Skeleton(numbers["skeleton"]) if "skeleton" in numbers else None,
@@ -153,7 +182,7 @@ class Cache:
 
 
 def fresh(folder: Path, fingerprint: str) -> bool:
-    """Whether `folder` holds a complete cache that was made from these very inputs."""
+    """Return whether `folder` holds a complete cache made from exactly these inputs."""
     try:
         table = _table(Path(folder))
     except CacheError:
@@ -162,47 +191,52 @@ def fresh(folder: Path, fingerprint: str) -> bool:
 
 
 def fingerprint(sources: Iterable[Path], settings: Sequence[object]) -> str:
-    """A name for the inputs of a cache: every file's place, size and time of change (folders: all files below them),
-    the contents of the Python files among them, and the settings. Where a source as a whole lies does not matter."""
+    """Compute a digest of the inputs of a cache.
+
+    It covers the relative path, size and modification time of every file (of folders, all files below them), the
+    contents of Python files among them, and the settings. The location of a source as a whole does not matter.
+    """
     digest = hashlib.sha256(repr(tuple(settings)).encode())
     for source in map(Path, sources):
         below = sorted(file for file in source.rglob("*") if file.is_file())
         for file in below if source.is_dir() else [source]:
-            status, place = file.stat(), file.relative_to(source.parent).as_posix()
+            status, path = file.stat(), file.relative_to(source.parent).as_posix()
             code = file.suffix == ".py"
             state = hashlib.sha256(file.read_bytes()).hexdigest() if code else (status.st_size, status.st_mtime_ns)
-            digest.update(repr((place, state)).encode())
+            digest.update(repr((path, state)).encode())
     return digest.hexdigest()
 
 
 def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "_ features"]]]) -> tuple[tuple[Clip, ...], Tensor]:
-    """Clips and their features, with `start` and `end` set to where each comes to lie in the one tensor: end to end,
-    so none is part of a `recording` any more."""
+    """Concatenate the features of clips, and set the `start` and `end` of each.
+
+    No clip is part of a `recording` any more.
+    """
     clips, start = [], 0
     for clip, features in rows:
-        place = {"start": start, "end": start + len(features)}
-        clips.append(dataclasses.replace(clip, **place, recording="", whole=()))
+        span = {"start": start, "end": start + len(features)}
+        clips.append(dataclasses.replace(clip, **span, recording="", whole=()))
         start += len(features)
     return tuple(clips), torch.cat([features for _, features in rows])
 
 
 def read_caches(folders: str | Path | Sequence[str | Path]) -> Cache:
-    """The prepared data set in a folder; those in several folders as one.
+    """Read the prepared data set in a folder, or those in several folders as one.
 
     Raises `CacheError` as `Cache.read` and `merged` do.
     """
-    places = [folders] if isinstance(folders, str | Path) else list(folders)
-    caches = [Cache.read(Path(place).expanduser()) for place in places]
+    paths = [folders] if isinstance(folders, str | Path) else list(folders)
+    caches = [Cache.read(Path(path).expanduser()) for path in paths]
     if len(caches) == 1:
         return caches[0]
     return dataclasses.replace(merged(caches), fingerprint=" ".join(cache.fingerprint for cache in caches))
 
 
 def merged(caches: Sequence[Cache]) -> Cache:
-    """All caches as one, their clips in the order given, without a fingerprint. They must be of one kind.
+    """Merge caches of one kind, with their clips in the given order and without a fingerprint.
 
-    Statistics that some have of their own are not those of all, and are left out. Raises `CacheError` for caches of
-    different kinds or bodies, and where two give the same key to different texts.
+    Statistics of single caches are dropped, because they do not describe all of them. Raises `CacheError` if caches
+    have different kinds or bodies, or if two give the same key to different texts.
     """
     first = caches[0]
     features = torch.empty(sum(len(cache.features) for cache in caches), first.features.shape[1])
@@ -210,16 +244,16 @@ def merged(caches: Sequence[Cache]) -> Cache:
     texts: dict[str, tuple[tuple[str, float], ...]] = {}
     start = 0
     for cache in caches:
-        kinds = [(each.fps, each.representation, each.features.shape[1]) for each in (first, cache)]
+        kinds = [(part.fps, part.representation, part.features.shape[1]) for part in (first, cache)]
         if kinds[0] != kinds[1]:
-            raise CacheError(f"caches of two kinds: {kinds[0]} and {kinds[1]}")
-        bodies = [(each.skeleton or Skeleton.default()).offsets for each in (first, cache)]
+            raise CacheError(f"caches must have one kind, but these have {kinds[0]} and {kinds[1]}")
+        bodies = [(part.skeleton or Skeleton.default()).offsets for part in (first, cache)]
         if not torch.equal(*bodies):
-            raise CacheError("caches of two bodies: their skeletons differ")
-        if twice := [key for key in cache.texts if texts.get(key, cache.texts[key]) != cache.texts[key]]:
-            raise CacheError(f"the texts of {', '.join(twice)} differ from one cache to the other")
+            raise CacheError("caches must have one body, but their skeletons differ")
+        if conflicts := [key for key in cache.texts if texts.get(key, cache.texts[key]) != cache.texts[key]]:
+            raise CacheError(f"the texts of {', '.join(conflicts)} differ between caches")
         features[start : start + len(cache.features)] = cache.features
-        clips += [_moved(clip, start) for clip in cache.clips]
+        clips += [_shift(clip, start) for clip in cache.clips]
         texts |= cache.texts
         start += len(cache.features)
     skipped = tuple(row for cache in caches for row in cache.skipped)
@@ -228,13 +262,13 @@ def merged(caches: Sequence[Cache]) -> Cache:
     )
 
 
-def _moved(clip: Clip, by: int) -> Clip:
+def _shift(clip: Clip, by: int) -> Clip:
     whole = tuple(by + frame for frame in clip.whole)
     return dataclasses.replace(clip, start=by + clip.start, end=by + clip.end, whole=whole)
 
 
 def _clip(row: dict) -> Clip:
-    """A clip of the table; earlier ones know no annotations, no recordings and no `from_start`."""
+    """Build a clip from the table; earlier tables lack annotations, recordings and `from_start`."""
     return Clip(**row | {"parts": tuple(row["parts"]), "whole": tuple(row.get("whole", ()))})
 
 

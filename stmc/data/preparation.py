@@ -1,7 +1,7 @@
-"""What preparing a data set is, whichever it is: checked first, then converted piece by piece, in parallel.
+"""Preparation of any data set: validation first, then conversion in pieces, in parallel.
 
-A piece's result is a cache of its own, whole or absent on the disk, so that a run that was killed resumes.
-Knows caches; knows no format and no body.
+The result of a piece is a cache of its own, complete or absent on disk, so that a killed run resumes. Depends on
+caches; independent of formats and bodies.
 """
 
 from __future__ import annotations
@@ -21,38 +21,47 @@ import torch
 from stmc.data.cache import Cache, fresh, merged
 
 Watch = Callable[[Iterable, int], Iterable]
-"""Shows progress: (what there is to do, how much) → the same, watched."""
+"""(items, number of items) → the same items; displays progress."""
 
 Job = tuple[Any, ...]
-"""A function and what it is given, for another process: all of it can be pickled."""
+"""A function and its arguments for another process; all of them can be pickled."""
 
 
 class LayoutError(ValueError):
-    """A folder that is not laid out as its data set's; the message says what was expected and what was found."""
+    """A folder without the layout of its data set; the message names the expected and the actual content."""
 
 
 @runtime_checkable
 class Preparation(Protocol):
-    """A data set on its way to a cache."""
+    """The conversion of a data set to a cache."""
 
     def check(self) -> None:
-        """Looks at the folders, before anything is converted. Raises `LayoutError` for a wrong one."""
+        """Check the folders before anything is converted. Raises `LayoutError` if one is wrong."""
         ...
 
     def fingerprint(self) -> str:
-        """A name for everything that the cache depends on."""
+        """Compute a digest of everything that the cache depends on."""
         ...
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
-        """The whole cache, without its fingerprint. `scratch` keeps the pieces of a run that was killed.
+        """Build the whole cache, without its fingerprint.
 
-        Raises `ValueError` where not one clip can be used.
+        Args:
+            scratch: Folder that keeps the pieces of a killed run.
+            workers: Number of processes.
+            watch: Displays progress.
+
+        Raises:
+            ValueError: If no clip can be used.
         """
         ...
 
 
 def find_source(source: str | Path, expected: str) -> Path:
-    """Where a data set lies, `~` expanded. Raises `LayoutError`, which says what is `expected`, where nothing does."""
+    """Return the path of a data set, with `~` expanded.
+
+    Raises `LayoutError`, with the `expected` content, if it does not exist.
+    """
     path = Path(source).expanduser()
     if not path.exists():
         raise LayoutError(f"source={source} does not exist; it should be {expected}")
@@ -61,8 +70,13 @@ def find_source(source: str | Path, expected: str) -> Path:
 
 @dataclass(frozen=True)
 class Piece:
-    """Something to convert on its own. `fingerprint` names its inputs; `convert` can be pickled, and raises
-    `ValueError` for a piece that cannot be used."""
+    """A unit of conversion.
+
+    Args:
+        name: Name for messages.
+        fingerprint: Digest of its inputs.
+        convert: Function that can be pickled; raises `ValueError` if the piece cannot be used.
+    """
 
     name: str
     fingerprint: str
@@ -77,11 +91,21 @@ def converted(
     watch: Watch,
     skipped: Sequence[tuple[str, str]] = (),
 ) -> Cache:
-    """All pieces, `total` of them at most, as one cache, in their order; pieces that are in `scratch` already are not
-    converted again. A piece is asked for when its turn comes, so that they need not be in memory together.
+    """Convert pieces to one cache, in their order; pieces in `scratch` are not converted again.
 
-    The cache names what was `skipped` before or while pieces were made, and every piece that was now, with the reason.
-    Raises `ValueError` where no clip is left.
+    Pieces are created one at a time, so that they need not be in memory together. The cache lists what was `skipped`
+    before or during the iteration, and every piece that failed, with the reason.
+
+    Args:
+        pieces: The pieces.
+        total: Maximum number of pieces, for the progress.
+        scratch: Folder of the converted pieces.
+        workers: Number of processes.
+        watch: Displays progress.
+        skipped: Names of omitted clips, with the reasons; may grow while pieces are created.
+
+    Raises:
+        ValueError: If no clip remains.
     """
     caches, unused, folders = [], list[tuple[str, str]](), deque[Path]()
 
@@ -99,19 +123,21 @@ def converted(
     skipped = [*skipped, *unused, *(row for cache in caches for row in cache.skipped)]
     if not any(cache.clips for cache in caches):
         first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
-        raise ValueError(f"not one clip could be used, {len(skipped)} were skipped{first}")
+        raise ValueError(f"no clip could be used; {len(skipped)} were skipped{first}")
     return replace(merged(caches), skipped=tuple(skipped))
 
 
 def in_parallel(jobs: Iterable[tuple[str, Job | None]], workers: int) -> Iterator[tuple[str, Any]]:
-    """Every job's name, and what its function returned (no job: None) or the message of its `ValueError`, in their
-    order. The workers end with this process, however it ends."""
+    """Run jobs in parallel; yield each name with the result or the message of its `ValueError`, in order.
+
+    A job of None has the result None. The worker processes end with this process, however it ends.
+    """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker) as pool:
         waiting: deque[tuple[str, Future | None]] = deque()
         for name, job in jobs:
             waiting.append((name, None if job is None else pool.submit(*job)))
-            if len(waiting) > 16 * workers:  # bounds the memory that what they are given and return waits in
+            if len(waiting) > 16 * workers:  # bounds the memory of waiting arguments and results
                 yield _result(*waiting.popleft())
         while waiting:
             yield _result(*waiting.popleft())
@@ -123,14 +149,17 @@ def _begin_worker() -> None:
 
 
 def _end_with_parent() -> None:
-    """A worker waits for its next job at a pipe that it holds open itself, so a parent that was killed leaves it there
-    for ever; this waits for the parent, on every platform, and takes the worker along."""
+    """End a worker when its parent ends.
+
+    A worker waits for its next job at a pipe that it holds open itself, so that it would survive a killed parent
+    forever. This works on every platform.
+    """
     multiprocessing.parent_process().join()
     os._exit(1)
 
 
 def write_piece(piece: Piece, folder: Path) -> None:
-    """Converts a piece and writes its cache to `folder`. Raises the `ValueError` of a piece that cannot be used."""
+    """Convert a piece and write its cache to `folder`. Raises the `ValueError` of a piece that cannot be used."""
     replace(piece.convert(), fingerprint=piece.fingerprint).write(folder)
 
 

@@ -1,6 +1,6 @@
-"""What a prepared data set holds and what had to be left out: for people as text, for programs as JSON.
+"""A report on a prepared data set and its omissions: text for people, JSON for programs.
 
-Knows caches; knows no data set.
+Depends on caches; independent of data sets.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ TEXT, NUMBERS = "report.txt", "report.json"
 
 
 def summary(cache: Cache) -> dict[str, Any]:
-    """Counts, per split and in all. `skipped` groups what was left out by the reason's words before the first colon.
+    """Count clips per split and in total. `skipped` groups omissions by the words of the reason before the first colon.
 
-    An annotated data set's contents are its entries, so an epoch of the published training is as many rows as the
-    training split has contents.
+    The contents of an annotated data set are its entries, so that an epoch of the published training has as many rows
+    as the training split has contents.
     """
     splits = {}
     for split in dict.fromkeys(clip.split for clip in cache.clips):
@@ -43,21 +43,23 @@ def summary(cache: Cache) -> dict[str, Any]:
 
 
 def lines(counted: dict[str, Any]) -> list[str]:
-    """A `summary` in a few lines, without the list of all that was skipped."""
-    told = [f"{counted['features']} features ({counted['representation']}) at {counted['fps']:g} fps"]
+    """Format a `summary` in a few lines, without the list of omissions."""
+    report = [f"{counted['features']} features ({counted['representation']}) at {counted['fps']:g} fps"]
     for split, row in counted["splits"].items():
         images = f"{row['of_which_mirrored']} mirrored"
-        told.append(f"{split}: {row['clips']} clips ({images}) of {row['contents']} contents, {row['hours']:.2f} hours")
-    told.append(f"{counted['texts']} different texts")
-    told += [f"skipped, {reason}: {count}" for reason, count in counted["skipped"].items()]
-    return told
+        report.append(
+            f"{split}: {row['clips']} clips ({images}) of {row['contents']} contents, {row['hours']:.2f} hours"
+        )
+    report.append(f"{counted['texts']} different texts")
+    report += [f"skipped, {reason}: {count}" for reason, count in counted["skipped"].items()]
+    return report
 
 
 def write_report(cache: Cache, folder: Path) -> dict[str, Any]:
-    """Writes `report.txt` and `report.json` to the cache's folder; returns the `summary`."""
+    """Write `report.txt` and `report.json` to the cache's folder; return the `summary`."""
     counted = summary(cache)
-    each = [f"{name}: {reason}" for name, reason in counted["each_skipped"]]
-    text = "\n".join([*lines(counted), *(["", "All that was skipped:", *each] if each else [])]) + "\n"
+    omissions = [f"{name}: {reason}" for name, reason in counted["each_skipped"]]
+    text = "\n".join([*lines(counted), *(["", "All that was skipped:", *omissions] if omissions else [])]) + "\n"
     numbers = json.dumps(counted, indent=1) + "\n"
     write_whole(Path(folder) / TEXT, lambda path: path.write_text(text, encoding="utf-8"))
     write_whole(Path(folder) / NUMBERS, lambda path: path.write_text(numbers, encoding="utf-8"))

@@ -1,6 +1,6 @@
-"""Spans of frames and what people said about each → clips and their texts, for data sets of one-off recordings.
+"""Spans of frames with sentences → clips and their texts, for data sets of unique recordings.
 
-Knows caches; knows no data set and no seconds.
+Depends on caches; independent of data sets and seconds.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from stmc.data.cache import Cache, Clip
 
 @dataclass(frozen=True)
 class AnnotatedSpans:
-    """Spans `[begin, end)` of some features, each with its sentences. The name, the split and whether it is a mirror
-    image hold for all of them."""
+    """Spans `[begin, end)` of some features, each with its sentences, and with a common name, split and mirroring."""
 
     name: str
     split: str
@@ -27,7 +26,7 @@ class AnnotatedSpans:
 
 
 class CacheBuilder:
-    """What a piece's cache is made of, entry by entry: features, clips and texts."""
+    """A builder of a piece's cache, entry by entry: features, clips and texts."""
 
     def __init__(self, width: int) -> None:
         self.skipped: list[tuple[str, str]] = []
@@ -36,19 +35,19 @@ class CacheBuilder:
         self._start = 0
 
     def add(self, features: Float[Tensor, "frames features"], *annotated: AnnotatedSpans) -> None:
-        """Keeps a recording, if anything of it is described, and a clip for every span of each entry.
+        """Add a recording, if anything of it is described, and a clip for every span of each entry.
 
-        No body part is known of a clip, and an entry's content is its own: it is like no other.
+        The body parts of clips are unknown, and every entry is its own action.
         """
-        if any(each.spans for each in annotated):
-            for each in annotated:
-                self._add(each, (self._start, self._start + len(features)))
+        if any(entry.spans for entry in annotated):
+            for entry in annotated:
+                self._add(entry, (self._start, self._start + len(features)))
             self._features.append(features)
             self._start += len(features)
 
     def _add(self, annotated: AnnotatedSpans, whole: tuple[int, int]) -> None:
         spans = annotated.spans
-        for number, ((begin, end), said) in enumerate(spans.items()):
+        for number, ((begin, end), sentences) in enumerate(spans.items()):
             name = f"{annotated.name}/{number}" if len(spans) > 1 else annotated.name
             self._clips.append(
                 Clip(
@@ -63,18 +62,18 @@ class CacheBuilder:
                     start=whole[0] + begin,
                     end=whole[0] + end,
                     recording=annotated.name,
-                    annotations=len(said),
+                    annotations=len(sentences),
                     whole=whole,
                 )
             )
-            self._texts[name] = _shares(said)
+            self._texts[name] = _frequencies(sentences)
 
     def cache(self, fps: float | int, representation: str) -> Cache:
-        """Everything that was added."""
+        """Build the cache of everything that was added."""
         features = torch.cat(self._features)
         return Cache(fps, representation, features, tuple(self._clips), self._texts, tuple(self.skipped))
 
 
-def _shares(texts: Sequence[str]) -> tuple[tuple[str, float], ...]:
-    """Each text once, with its share of all."""
+def _frequencies(texts: Sequence[str]) -> tuple[tuple[str, float], ...]:
+    """Return each distinct text with its relative frequency."""
     return tuple((text, texts.count(text) / len(texts)) for text in dict.fromkeys(texts))

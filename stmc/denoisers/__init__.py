@@ -1,4 +1,4 @@
-"""Networks that predict motion, or its noise, from noisy motion, a step and a text."""
+"""Networks that predict motion, or its noise, from noisy motion, a diffusion step and a text."""
 
 from stmc.denoisers.attention_scores import recorded_attention
 from stmc.denoisers.denoiser import Denoiser

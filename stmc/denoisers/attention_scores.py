@@ -1,6 +1,6 @@
-"""What a FlowMDM network attends to while it denoises (Barquero et al. 2024, Fig. 2).
+"""Attention scores of a FlowMDM network while it denoises (Barquero et al. 2024, Fig. 2).
 
-Knows networks with its attention; knows no steps and no figure.
+Depends on the attention of these networks; independent of diffusion steps and figures.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ _ALL = slice(None)
 def recorded_attention(
     network: nn.Module, frames: slice = _ALL
 ) -> Iterator[list[Float[Tensor, "batch chosen frames"]]]:
-    """Within, every call of `network` adds to the list how much each of the chosen `frames` attends to each frame, on
-    the CPU: the mean over all layers and heads. Rows sum to 1. A sampler calls it once a step, the noisiest first,
-    unless the batch is too large for that; a batch has the timelines with their texts first, then without. Raises
-    `ValueError` for a network without such attention.
+    """Record how much the selected `frames` attend to every frame, in each call of `network` inside the context.
+
+    Each call appends one tensor [batch, chosen, frames] on the CPU to the yielded list: the mean over all layers and
+    heads, whose rows sum to 1. A sampler calls the network once per step, noisiest step first, unless the batch is too
+    large for one call. The batch holds the timelines with their texts first, then the timelines without texts. Raises
+    `ValueError` if the network has no FlowMDM attention.
     """
-    blocks = [each for each in network.modules() if isinstance(each, Attention)]
+    blocks = [module for module in network.modules() if isinstance(module, Attention)]
     if not blocks:
-        raise ValueError(f"{type(network).__name__} has no attention of FlowMDM's")
+        raise ValueError(f"{type(network).__name__} has no FlowMDM attention; pass a FlowMdm network")
     calls, scores = list[Tensor](), list[Tensor]()
 
-    def record(block: Attention, given: tuple) -> None:
+    def record(block: Attention, inputs: tuple) -> None:
         with torch.no_grad():
-            scores.append(block.scores(*given)[:, :, frames].mean(dim=1).float().cpu())
+            scores.append(block.scores(*inputs)[:, :, frames].mean(dim=1).float().cpu())
         if len(scores) == len(blocks):
             calls.append(torch.stack(scores).mean(dim=0))
             scores.clear()

@@ -1,7 +1,7 @@
-"""What every denoiser is: noisy crops, a step and a text in; a prediction for each frame out.
+"""The interface of every denoiser: noisy crops, a step and a text go in; one prediction per frame comes out.
 
-Knows nothing of schedules, plans or features: whether the prediction is the clean motion, the noise or a velocity is
-the affair of whoever trained it.
+Independent of schedules, plans and features. Whether the prediction is the clean motion, the noise or a velocity
+depends on the training.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 
 @runtime_checkable
 class Denoiser(Protocol):
-    """A network that predicts for crops of motion; rows of the batch never see each other.
+    """A network that makes predictions for crops of motion; the rows of a batch do not influence each other.
 
     Examples:
         >>> from dataclasses import replace
@@ -32,9 +32,18 @@ class Denoiser(Protocol):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """The prediction for noisy `x` at the steps `t` (0 is the least noisy).
+        """Predict for noisy motion at given steps.
 
-        The masks are True where there is something; None says that nothing is padded. Frames outside `mask` influence
-        no other frame, and what comes out there is arbitrary.
+        Frames outside `mask` do not influence other frames, and their predictions are arbitrary.
+
+        Args:
+            x: Noisy crops, [batch, frames, features].
+            t: Diffusion step of each crop, [batch]; 0 is the least noisy.
+            text: Text embeddings, [batch, words, width].
+            text_mask: True at words, False in the padding, [batch, words]; None means no padding.
+            mask: True at frames, False in the padding, [batch, frames]; None means no padding.
+
+        Returns:
+            The prediction, [batch, frames, features].
         """
         ...

@@ -1,9 +1,9 @@
-"""FlowMDM: a sequence of any length, with a text for every frame, denoised as one (Barquero et al. 2024).
+"""FlowMDM: denoises a sequence of any length, with a text for every frame, as a whole (Barquero et al. 2024).
 
-Two encodings of time are blended: in the noisier steps a frame knows its place in its own segment and sees that segment
-alone; in the others it knows the distance to its neighbours and sees across. Parameter names and shapes are those of
-the published checkpoints, but for tables that follow from a formula. Knows nothing of what the features mean, nor of
-schedules and timelines.
+Two positional encodings are blended. In the noisier steps a frame is encoded by its absolute position in its segment
+and attends to that segment only. In the other steps frames are encoded by their relative distance and attend across
+segments. Parameter names and shapes are those of the published checkpoints, except for tables that follow from a
+formula. Independent of the meaning of the features, of schedules and of timelines.
 """
 
 from __future__ import annotations
@@ -28,27 +28,40 @@ from stmc.denoisers.network import Network
 from stmc.diffusion.tensors import sinusoids
 
 BPE_TRAINING_RATIO = 0.5
-"""The share of the rows in training that have relative positions, not absolute ones (blended positional encodings)."""
+"""The fraction of training rows with relative instead of absolute positions (blended positional encodings)."""
 
 Positions = Literal["blended", "absolute", "relative"]
-"""Both encodings of time, in training by chance and in sampling by the step; or one of them alone."""
+""""blended" uses both encodings, at random in training and by step in sampling; the others use one encoding only."""
 
 
 class FlowMdm(Network):
-    """A `Denoiser` of crops with one text each, or of sequences of many segments with a text each: see `denoise`.
+    """A `Denoiser` of crops with one text each, or of sequences of many segments with one text each (see `denoise`).
 
-    `features` numbers per frame, `text_width` numbers in the one word of a text; `width` of a frame inside,
-    `feedforward` width inside a layer. A frame sees at most `attention_window` frames to either side. The steps from
-    `absolute_from` on (0 is the least noisy) are taken with absolute positions, those below with relative ones; 0: all
-    absolute. More absolute steps keep more to the texts, fewer make smoother transitions (Fig. 5). In training each row
-    is relative or absolute by chance, whatever its step. `dropout` acts on the frames where they come in,
-    `stochastic_depth` is the probability to skip a layer's half.
+    In training each row is relative or absolute at random, whatever its step. `positions` and `conditioning` select the
+    ablations of the paper (Tables 3 and 4). "sat" and "cat" follow our reading of section 4.1, because their code is
+    not published.
 
-    Two settings are the paper's ablations (Tables 3 and 4). `positions`: with "absolute" or "relative" there is no
-    other encoding, in training or in sampling, and `absolute_from` means nothing. `conditioning`: "pccat" is the
-    method; "sat" lets the condition into keys and values, too, with the same weights; "cat" has a cross-attention to
-    the conditions of the frames that a frame sees. These two are our reading of section 4.1: their code is not
-    published.
+    Args:
+        features: Number of features per frame.
+        text_width: Width of a text embedding; a text has one word.
+        absolute_from: Steps from this one on (0 is the least noisy) use absolute positions, lower steps relative ones;
+            0 makes all steps absolute. More absolute steps follow the texts more closely, fewer make smoother
+            transitions (Fig. 5).
+        width: Width of a frame inside the network.
+        feedforward: Width of the feed-forward layers.
+        layers: Number of layers.
+        heads: Number of attention heads.
+        attention_window: A frame attends to at most this many frames on either side.
+        dropout: Dropout of the input frames.
+        stochastic_depth: Probability of skipping an attention or feed-forward block in training.
+        positions: "absolute" or "relative" uses that encoding alone, in training and in sampling, and ignores
+            `absolute_from`.
+        conditioning: "pccat" is the published method. "sat" also feeds the condition to keys and values, with the same
+            weights. "cat" adds cross-attention to the conditions of the visible frames.
+
+    Raises:
+        ValueError: If `width` is odd, `attention_window` is below 1, `absolute_from` is negative, or a choice is
+            unknown.
     """
 
     ends = "input_process.poseEmbedding", "output_process.poseFinal"
@@ -74,7 +87,7 @@ class FlowMdm(Network):
             raise ValueError(f"width {width} must be even")
         if attention_window < 1 or absolute_from < 0:
             raise ValueError(
-                f"attention_window {attention_window} must be at least 1, absolute_from {absolute_from} at least 0"
+                f"attention_window {attention_window} must be at least 1 and absolute_from {absolute_from} at least 0"
             )
         if positions not in get_args(Positions) or conditioning not in ATTENTION:
             choices = f"positions from {', '.join(get_args(Positions))}, conditioning from {', '.join(ATTENTION)}"
@@ -92,7 +105,7 @@ class FlowMdm(Network):
     def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
     ) -> Float[Tensor, "batch words encoded"]:
-        """The texts, each of them one word, as the network's own."""
+        """Project the texts, one word each, to the width of the network."""
         return self.embed_text(text)
 
     def denoise(
@@ -105,9 +118,18 @@ class FlowMdm(Network):
         segment: Int[Tensor, "batch frames"] | None = None,
         absolute_from: int | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """See `Denoiser`. With `segment`, which says of every frame to which segment it belongs, `text` has a word for
-        each of a row's segments; without it, a row is one segment. A segment may be interrupted by others.
-        `absolute_from`: None is the network's own."""
+        """Predict for noisy sequences; see `Denoiser`.
+
+        Args:
+            x: Noisy motion, [batch, frames, features].
+            t: Diffusion step of each row, [batch].
+            text: Encoded texts: one word per row, or one word per segment if `segment` is given.
+            text_mask: Unused; all words are present.
+            mask: True at frames, False in the padding, [batch, frames].
+            segment: Index of the segment that each frame belongs to, [batch, frames]. None makes each row one segment.
+                Other segments may interrupt a segment.
+            absolute_from: Overrides the attribute of the network; None keeps it.
+        """
         return self.blended(x, t, text, self._absolute(t, absolute_from), mask, segment)
 
     def forward(
@@ -119,11 +141,11 @@ class FlowMdm(Network):
         mask: Bool[Tensor, "batch frames"] | None = None,
         segment: Int[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """See `denoise`, for a text that is not encoded yet."""
+        """Encode the text and call `denoise`."""
         return self.denoise(x, t, self.encode_text(text), text_mask, mask, segment)
 
     def _absolute(self, t: Int[Tensor, " batch"], absolute_from: int | None) -> Bool[Tensor, " batch"]:
-        """Which rows have absolute positions."""
+        """Return a mask of the rows with absolute positions."""
         if self._encodings != "blended":
             return torch.full_like(t, self._encodings == "absolute", dtype=torch.bool)
         if self.training:
@@ -139,14 +161,26 @@ class FlowMdm(Network):
         mask: Bool[Tensor, "batch frames"] | None = None,
         segment: Int[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """The prediction where `absolute` says which rows are taken with absolute positions, and not their steps."""
+        """Predict with absolute positions in the rows selected by `absolute`, whatever their steps.
+
+        Args:
+            x: Noisy motion, [batch, frames, features].
+            t: Diffusion step of each row, [batch].
+            text: Encoded texts: one word per row, or one per segment.
+            absolute: True at the rows with absolute positions, [batch].
+            mask: True at frames, False in the padding, [batch, frames].
+            segment: Index of the segment of each frame, [batch, frames]; None makes each row one segment.
+
+        Raises:
+            ValueError: If a text has several words and `segment` is None.
+        """
         if segment is None and text.shape[1] != 1:
-            raise ValueError(f"{text.shape[1]} words a text: FlowMdm reads one, or one for each segment")
+            raise ValueError(f"{text.shape[1]} words per text; FlowMdm reads one word, or one per segment")
         step = self.embed_timestep["time_embed"](self.positions[t])[:, None]
         words = text if segment is None else text.take_along_dim(segment[..., None], dim=1)
         condition = (step + words).expand(-1, x.shape[1], -1)
-        alone = torch.arange(x.shape[1], device=x.device)[None]
-        position = alone if segment is None else _positions(segment, text.shape[1])
+        row_position = torch.arange(x.shape[1], device=x.device)[None]
+        position = row_position if segment is None else _positions(segment, text.shape[1])
         attention_mask = AttentionMask(x.shape[1], self.attention_window, mask, segment, absolute)
         frames = self.input_process["poseEmbedding"](x)
         return self.output_process["poseFinal"](self.seqTransEncoder(frames, condition, position, attention_mask))
@@ -172,9 +206,9 @@ class _Encoder(nn.Module):
 
     def forward(self, frames: Tensor, condition: Tensor, position: Tensor, attention_mask: AttentionMask) -> Tensor:
         frames = self.project_in(frames)
-        place = self.pos_emb["absolute"](absolute_positions(position, frames.shape[-1]))
+        encoding = self.pos_emb["absolute"](absolute_positions(position, frames.shape[-1]))
         absolute = rearrange(attention_mask.within_segment, "batch -> batch 1 1")
-        frames = self.dropout(frames + torch.where(absolute, place, 0.0))
+        frames = self.dropout(frames + torch.where(absolute, encoding, 0.0))
         rotary = RotaryEmbedding.of(frames.shape[1], ~attention_mask.within_segment)
         return self.project_out(self.attn_layers(frames, condition, rotary, attention_mask.attention()))
 
@@ -189,7 +223,7 @@ class _Scale(nn.Module):
 
 
 def _positions(segment: Int[Tensor, "batch frames"], segments: int) -> Int[Tensor, "batch frames"]:
-    """Of every frame, counted from the first one of its segment."""
+    """Return the position of every frame, counted from the first frame of its segment."""
     frame = torch.arange(segment.shape[1], device=segment.device).expand_as(segment)
     first = segment.new_full((len(segment), segments), segment.shape[1])
     return frame - first.scatter_reduce(1, segment, frame, "amin").take_along_dim(segment, dim=1)

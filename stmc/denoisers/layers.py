@@ -1,7 +1,7 @@
-"""What transformer denoisers are built from: attention, layers and positional tables, with PyTorch's parameter names.
+"""Building blocks of transformer denoisers, with the parameter names of PyTorch.
 
-So that published weights load: the names and shapes are those of `nn.MultiheadAttention`, `nn.TransformerEncoderLayer`
-and `nn.TransformerDecoderLayer`. Knows nothing of motion or texts.
+Names and shapes are those of `nn.MultiheadAttention`, `nn.TransformerEncoderLayer` and `nn.TransformerDecoderLayer`, so
+that published weights load. Independent of motion and texts.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 POSITIONS = 5000
-"""Rows of the positional table: an upper bound of steps and of tokens."""
+"""Rows of the positional table: the maximum number of steps and of tokens."""
 
 Attended = Bool[Tensor, "batch 1 1 _"] | None
-"""Which tokens may be attended to; None where it is all of them: that is much faster."""
+"""Mask of the tokens that may be attended to; None, which is much faster, means all tokens."""
 
 
 class Attention(nn.Module):
-    """Attention of tokens to each other, or to those of a memory, with the parameter names of `nn.MultiheadAttention`.
+    """Self-attention of tokens, or cross-attention to a memory, with the parameter names of `nn.MultiheadAttention`.
 
-    The attention weights have no dropout of their own: it would rule out the fused kernels.
+    The attention weights have no dropout, because dropout would rule out the fused kernels.
     """
 
     def __init__(self, width: int, heads: int) -> None:
@@ -38,19 +38,19 @@ class Attention(nn.Module):
         self, tokens: Float[Tensor, "batch _ width"], attended: Attended = None, memory: Tensor | None = None
     ) -> Float[Tensor, "batch _ width"]:
         if memory is None:
-            query, key, value = self._projected(tokens, slice(None))
+            query, key, value = self._project(tokens, slice(None))
         else:
             width = tokens.shape[-1]
-            [query] = self._projected(tokens, slice(width))
-            key, value = self._projected(memory, slice(width, None))
-        mixed = F.scaled_dot_product_attention(query, key, value, attn_mask=attended)
-        return self.out_proj(rearrange(mixed, "batch heads words width -> batch words (heads width)"))
+            [query] = self._project(tokens, slice(width))
+            key, value = self._project(memory, slice(width, None))
+        output = F.scaled_dot_product_attention(query, key, value, attn_mask=attended)
+        return self.out_proj(rearrange(output, "batch heads words width -> batch words (heads width)"))
 
-    def _projected(self, tokens: Tensor, rows: slice) -> Tensor:
+    def _project(self, tokens: Tensor, rows: slice) -> Tensor:
         projected = F.linear(tokens, self.in_proj_weight[rows], self.in_proj_bias[rows])
         width = tokens.shape[-1] // self.heads
         return rearrange(
-            projected, "batch words (each heads width) -> each batch heads words width", heads=self.heads, width=width
+            projected, "batch words (kind heads width) -> kind batch heads words width", heads=self.heads, width=width
         )
 
 
@@ -82,7 +82,7 @@ class PostNormLayer(PreNormLayer):
 
 
 class DecoderLayer(nn.Module):
-    """`nn.TransformerDecoderLayer` with norm_first=False and an exact GELU: tokens that also attend to a memory."""
+    """`nn.TransformerDecoderLayer` with norm_first=False and an exact GELU."""
 
     def __init__(self, width: int, feedforward: int, heads: int, dropout: float) -> None:
         super().__init__()
@@ -109,7 +109,7 @@ class DecoderLayer(nn.Module):
 
 
 class Stack(nn.Module):
-    """Layers one after the other, all with the same other arguments; no norm at the end."""
+    """A sequence of layers that share all other arguments, without a final norm."""
 
     def __init__(self, layers: list[nn.Module]) -> None:
         super().__init__()
@@ -122,10 +122,10 @@ class Stack(nn.Module):
 
 
 def heads_of(mask: Bool[Tensor, "batch words"] | None) -> Attended:
-    """The mask as `Attention` wants it.
+    """Convert a mask to the form of `Attention`: [batch, 1, 1, words], or None if all words may be attended to.
 
-    Looking into a mask on an accelerator would wait for everything queued there, so a full one is noticed on the CPU
-    only; callers say None instead.
+    A full mask is detected on the CPU only, because reading a mask on an accelerator would wait for all queued work;
+    callers on an accelerator pass None instead.
     """
     if mask is None or (mask.device.type == "cpu" and bool(mask.all())):
         return None

@@ -1,8 +1,8 @@
 """MDM: the motion diffusion model of Tevet et al. (2023), in its two published architectures.
 
-Parameter names and shapes are those of the published checkpoints, but for their tables of positions, which follow from
-a formula. Knows nothing of what the features mean, nor of schedules; that zeros tell it of no text is the affair of the
-text encoder (`stmc.text.EmptyAsZeros`).
+Parameter names and shapes are those of the published checkpoints, except for the positional tables, which follow from a
+formula. Independent of the meaning of the features and of schedules. The text encoder represents an empty text as zeros
+(`stmc.text.EmptyAsZeros`).
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from stmc.denoisers.network import Network
 from stmc.diffusion.tensors import sinusoids
 
 Leading = Literal["step", "step_and_text"]
-"""What a token in front of the frames tells: the step alone (in the published code since 2025), or with the text."""
+"""The token in front of the frames encodes the step alone (published code since 2025) or the step and the text."""
 
 
 class _Mdm(Network):
-    """What both architectures share. See `MdmEncoder` for the arguments."""
+    """Common parts of both architectures. See `MdmEncoder` for the arguments."""
 
     ends = "input_process.poseEmbedding", "output_process.poseFinal"
 
@@ -33,7 +33,7 @@ class _Mdm(Network):
         if width % heads or width % 2:
             raise ValueError(f"width {width} must be even and a multiple of heads ({heads})")
         if fixed_length is not None and not 1 <= fixed_length < POSITIONS:
-            raise ValueError(f"fixed_length must be 1 to {POSITIONS - 1} frames, not {fixed_length}")
+            raise ValueError(f"fixed_length {fixed_length} must be 1 to {POSITIONS - 1} frames")
         self.fixed_length = fixed_length
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features, width)})
         time_embed = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
@@ -46,33 +46,45 @@ class _Mdm(Network):
     def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
     ) -> Float[Tensor, "batch words encoded"]:
-        """The words as tokens."""
+        """Project the words to tokens."""
         return self.embed_text(text)
 
     def _step(self, t: Int[Tensor, " batch"]) -> Float[Tensor, "batch 1 width"]:
         return self.embed_timestep["time_embed"](self.positions[t])[:, None]
 
-    def _told(self, step: Tensor, text: Tensor) -> Float[Tensor, "batch 1 width"]:
-        """Step and text in one token."""
+    def _merge_step_and_text(self, step: Tensor, text: Tensor) -> Float[Tensor, "batch 1 width"]:
+        """Merge step and text into one token."""
         if text.shape[1] != 1:
-            raise ValueError(f"{type(self).__name__} reads one word a text here, not {text.shape[1]}")
+            raise ValueError(f"{type(self).__name__} reads one word per text here; got {text.shape[1]}")
         return step + text
 
     def _tokens(self, leading: Tensor, x: Tensor) -> Float[Tensor, "batch _ width"]:
-        """Tokens in front of the frames (of none to a few), and the frames; with their positions."""
+        """Concatenate the leading tokens (none to a few) and the frames, and add their positions."""
         tokens = torch.cat([leading, self.input_process["poseEmbedding"](x)], dim=1)
         if tokens.shape[1] > POSITIONS:
-            raise ValueError(f"{tokens.shape[1]} tokens exceed the {POSITIONS} known positions")
+            raise ValueError(f"{tokens.shape[1]} tokens exceed the {POSITIONS} positions of the table")
         return self.dropout(tokens + self.positions[: tokens.shape[1]])
 
 
 class MdmEncoder(_Mdm):
     """MDM's `trans_enc`: one token for step and text together, then one per frame, through post-norm layers.
 
-    `features` numbers per frame, `text_width` numbers in the one word of a text; `width` of a token, `feedforward`
-    width inside a layer. `fixed_length`: as published the network was trained on clips padded to 196 frames without
-    being told, so that it expects as many of every crop; None is for checkpoints trained with `mask_frames`, which
-    attend to a crop's own frames only. The output has no mask applied: padded frames carry arbitrary values.
+    The output is not masked: padded frames carry arbitrary values.
+
+    Args:
+        features: Number of features per frame.
+        text_width: Width of a text embedding; a text has one word.
+        width: Width of a token.
+        feedforward: Width of the feed-forward layers.
+        layers: Number of layers.
+        heads: Number of attention heads.
+        dropout: Dropout probability.
+        fixed_length: Number of frames that the network expects in every crop. The published networks were trained on
+            clips padded to 196 frames without a mask. None is for checkpoints trained with `mask_frames`, which attend
+            to a crop's own frames only.
+
+    Raises:
+        ValueError: If `width` is odd or not a multiple of `heads`, or `fixed_length` is out of range.
     """
 
     def __init__(
@@ -97,17 +109,29 @@ class MdmEncoder(_Mdm):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """See `Denoiser`."""
-        tokens = self._tokens(self._told(self._step(t), text), x)
-        tokens = self.seqTransEncoder(tokens, _attended(1, mask))
+        """Predict for noisy crops and an encoded text; see `Denoiser`."""
+        tokens = self._tokens(self._merge_step_and_text(self._step(t), text), x)
+        tokens = self.seqTransEncoder(tokens, _attention_mask(1, mask))
         return self.output_process["poseFinal"](tokens[:, 1:])
 
 
 class MdmDecoder(_Mdm):
-    """MDM's `trans_dec`: one token per frame; each layer attends to the words of the text, the step added to each.
+    """MDM's `trans_dec`: one token per frame; each layer attends to the words of the text, plus the step.
 
-    `leading` is the checkpoints' `emb_trans_dec`: a token in front of the frames that tells the step, or step and text
-    (then a text has one word); None has no such token. The other arguments are those of `MdmEncoder`.
+    Args:
+        features: Number of features per frame.
+        text_width: Width of a word embedding.
+        width: Width of a token.
+        feedforward: Width of the feed-forward layers.
+        layers: Number of layers.
+        heads: Number of attention heads.
+        dropout: Dropout probability.
+        fixed_length: See `MdmEncoder`.
+        leading: The checkpoints' `emb_trans_dec`: a token in front of the frames that encodes the step, or step and
+            text (then a text has one word). None adds no token.
+
+    Raises:
+        ValueError: As `MdmEncoder`, and if `leading` is unknown.
     """
 
     def __init__(
@@ -136,20 +160,20 @@ class MdmDecoder(_Mdm):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """See `Denoiser`."""
+        """Predict for noisy crops and an encoded text; see `Denoiser`."""
         step = self._step(t)
-        leading = self._in_front(step, text)
+        leading = self._leading_tokens(step, text)
         tokens = self._tokens(leading, x)
-        attended = _attended(leading.shape[1], mask)
+        attended = _attention_mask(leading.shape[1], mask)
         tokens = self.seqTransDecoder(tokens, step + text, attended, heads_of(text_mask))
         return self.output_process["poseFinal"](tokens[:, leading.shape[1] :])
 
-    def _in_front(self, step: Float[Tensor, "batch 1 width"], text: Tensor) -> Float[Tensor, "batch _ width"]:
+    def _leading_tokens(self, step: Float[Tensor, "batch 1 width"], text: Tensor) -> Float[Tensor, "batch _ width"]:
         if self.leading == "step_and_text":
-            return self._told(step, text)
+            return self._merge_step_and_text(step, text)
         return step if self.leading == "step" else step[:, :0]
 
 
-def _attended(leading: int, mask: Bool[Tensor, "batch frames"] | None) -> Attended:
-    """The mask of the frames, with tokens in front of them that are always there."""
+def _attention_mask(leading: int, mask: Bool[Tensor, "batch frames"] | None) -> Attended:
+    """Extend the frame mask by leading tokens that are always present."""
     return None if mask is None else heads_of(torch.nn.functional.pad(mask, (leading, 0), value=True))

@@ -1,7 +1,7 @@
 """MDM-SMPL: the transformer denoiser of STMC (section 3.4, appendix D).
 
 Parameter names and shapes are those of the published checkpoint, so that its `denoiser.*` weights load strictly.
-Knows nothing of what the features mean, nor of schedules.
+Independent of the meaning of the features and of schedules.
 """
 
 from __future__ import annotations
@@ -19,11 +19,23 @@ from stmc.diffusion.tensors import sinusoids
 class MdmSmpl(Network):
     """Transformer over one token for the step, the words of the text, registers, and one token per frame.
 
-    `features` numbers per frame, `text_width` numbers per word of text; `width` of a token, `feedforward` width inside
-    a layer. The output has no mask applied: padded frames carry arbitrary values.
+    The output is not masked: padded frames carry arbitrary values.
 
-    `words`: registers and frames take the positions behind this many words, however many the batch's longest text has,
-    so that a sample does not depend on its batch; None: behind that text, as published (which reads one word a text).
+    Args:
+        features: Number of features per frame.
+        text_width: Width of a word embedding.
+        width: Width of a token.
+        feedforward: Width of the feed-forward layers.
+        layers: Number of layers.
+        heads: Number of attention heads.
+        dropout: Dropout probability.
+        registers: Number of register tokens.
+        words: Registers and frames take the positions after this many words, however many words the longest text of the
+            batch has, so that a sample does not depend on its batch. None places them after that text, as published
+            (the published network reads one word per text).
+
+    Raises:
+        ValueError: If `width` is odd or not a multiple of `heads`.
     """
 
     ends = "skel_embedding", "to_skel_layer"
@@ -42,7 +54,7 @@ class MdmSmpl(Network):
     ) -> None:
         super().__init__()
         self.words = words
-        self.supports_padding = words is not None  # else frames move behind the longest text of the batch
+        self.supports_padding = words is not None  # otherwise the longest text of the batch shifts the frames
         if width % heads or width % 2:
             raise ValueError(f"width {width} must be even and a multiple of heads ({heads})")
         self.tx_embedding = nn.Sequential(
@@ -59,7 +71,7 @@ class MdmSmpl(Network):
     def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
     ) -> Float[Tensor, "batch words encoded"]:
-        """The words as tokens."""
+        """Project the words to tokens."""
         return self.tx_embedding(text)
 
     def denoise(
@@ -70,25 +82,25 @@ class MdmSmpl(Network):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """The prediction for the noisy crops `x` at steps `t`; see `Denoiser`."""
+        """Predict for the noisy crops `x` at steps `t`; see `Denoiser`."""
         batch, frames, _ = x.shape
         step = self.timestep_encoder(self.positions[t])
         registers = repeat(self.registers, "words width -> batch words width", batch=batch)
         tokens = torch.cat([step[:, None], text, registers, self.skel_embedding(x)], dim=1)
-        tokens = self.dropout(tokens + self._placed(tokens.shape[1], text.shape[1]))
-        tokens = self.seqTransEncoder(tokens, self._attended(text, text_mask, x, mask))
+        tokens = self.dropout(tokens + self._positional_encoding(tokens.shape[1], text.shape[1]))
+        tokens = self.seqTransEncoder(tokens, self._attention_mask(text, text_mask, x, mask))
         return self.to_skel_layer(tokens[:, -frames:])
 
-    def _placed(self, tokens: int, words: int) -> Float[Tensor, "tokens width"]:
-        """Rows of the table for every token: step and words from 0 on, then registers and frames."""
+    def _positional_encoding(self, tokens: int, words: int) -> Float[Tensor, "tokens width"]:
+        """Return the positional encoding of every token: step and words from 0 on, then registers and frames."""
         rest = tokens - 1 - words
         first = 1 + (words if self.words is None else self.words)
         if max(tokens, first + rest) > POSITIONS:
-            raise ValueError(f"{tokens} tokens ({words} words) exceed the {POSITIONS} known positions")
+            raise ValueError(f"{tokens} tokens ({words} words) exceed the {POSITIONS} positions of the table")
         return torch.cat([self.positions[: 1 + words], self.positions[first : first + rest]])
 
-    def _attended(self, text: Tensor, text_mask: Tensor | None, x: Tensor, mask: Tensor | None) -> Tensor | None:
-        """Which tokens may be attended to, [batch, 1, 1, tokens]; None where it is all of them."""
+    def _attention_mask(self, text: Tensor, text_mask: Tensor | None, x: Tensor, mask: Tensor | None) -> Tensor | None:
+        """Return the mask of tokens that may be attended to, [batch, 1, 1, tokens]; None means all tokens."""
         if heads_of(text_mask) is None and heads_of(mask) is None:
             return None
         text_mask = x.new_ones(text.shape[:2], dtype=torch.bool) if text_mask is None else text_mask

@@ -1,7 +1,7 @@
-"""MotionDiffuse: the denoiser of Zhang et al. (2022), with linear attention and a text transformer of its own.
+"""MotionDiffuse: the denoiser of Zhang et al. (2022), with linear attention and its own text transformer.
 
-Parameter names and shapes are those of the published checkpoint without its copy of CLIP. It predicts the noise. Knows
-nothing of what the features mean, nor of schedules.
+Parameter names and shapes are those of the published checkpoint without its copy of CLIP. The network predicts the
+noise. Independent of the meaning of the features and of schedules.
 """
 
 from __future__ import annotations
@@ -19,11 +19,27 @@ from stmc.denoisers.network import Network
 
 
 class MotionDiffuse(Network):
-    """Blocks of self-attention, attention to the text and feed-forward, each stylized by step and text.
+    """Blocks of self-attention, cross-attention to the text and feed-forward, each stylized by step and text.
 
-    `features` numbers per frame, `text_width` numbers per word of text; `width` of a frame's token, `frames` the most
-    it has learned positions for. The first word stands for the whole text: it has to be the one at the end of the text
-    (`stmc.text.ClipTokens` puts it there). The others' order is free: the text transformer knows no positions.
+    The first word represents the whole text: it must be the embedding at the end of the text (`stmc.text.ClipTokens`
+    puts it there). The order of the other words is free, because the text transformer has no positions.
+
+    Args:
+        features: Number of features per frame.
+        text_width: Width of a word embedding.
+        width: Width of a frame's token.
+        feedforward: Width of the feed-forward layers.
+        layers: Number of blocks.
+        heads: Number of attention heads.
+        frames: Number of learned positions, the maximum length of a crop.
+        text_latent_width: Width of the text transformer.
+        text_feedforward: Width of the feed-forward layers of the text transformer.
+        text_layers: Number of layers of the text transformer.
+        text_heads: Number of heads of the text transformer.
+        dropout: Dropout probability.
+
+    Raises:
+        ValueError: If `width` is odd or not a multiple of `heads`.
     """
 
     ends = "joint_embed", "out"
@@ -66,7 +82,7 @@ class MotionDiffuse(Network):
     def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
     ) -> Float[Tensor, "batch words encoded"]:
-        """The words through the text transformer."""
+        """Encode the words with the text transformer."""
         return self.text_ln(self.textTransEncoder(self.text_pre_proj(text), heads_of(text_mask)))
 
     def denoise(
@@ -77,10 +93,13 @@ class MotionDiffuse(Network):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """The predicted noise; see `Denoiser`."""
-        frames, known = x.shape[1], len(self.sequence_embedding)
-        if frames > known:
-            raise ValueError(f"{frames} frames exceed the {known} that MotionDiffuse knows")
+        """Predict the noise; see `Denoiser`.
+
+        Raises `ValueError` if there are more frames than learned positions.
+        """
+        frames, positions = x.shape[1], len(self.sequence_embedding)
+        if frames > positions:
+            raise ValueError(f"{frames} frames exceed the {positions} learned positions of MotionDiffuse")
         stylization = self.time_embed(self._waves(t).to(x)) + self.text_proj(text[:, 0])
         tokens = self.joint_embed(x) + self.sequence_embedding[:frames]
         for block in self.temporal_decoder_blocks:
@@ -88,7 +107,7 @@ class MotionDiffuse(Network):
         return self.out(tokens)
 
     def _waves(self, t: Int[Tensor, " batch"]) -> Float[Tensor, "batch width"]:
-        """Cosines, then sines, of the steps: wavelengths 2 pi to nearly 20,000 pi."""
+        """Encode steps as cosines followed by sines, with wavelengths 2 pi to nearly 20,000 pi."""
         half = self.sequence_embedding.shape[1] // 2
         frequency = torch.exp(torch.arange(half, device=t.device).float() * (-math.log(10000.0) / half))
         angle = t[:, None].float() * frequency
@@ -116,8 +135,10 @@ class _Block(nn.Module):
 
 
 class _LinearAttention(nn.Module):
-    """Efficient attention (Shen et al. 2021): keys become weights over the memory, queries weights over the features,
-    so that the cost grows with the length and not with its square. Not scaled by the root of the width."""
+    """Efficient attention (Shen et al. 2021), whose cost grows linearly with the length.
+
+    Keys are normalised over the memory and queries over the features, without scaling by the root of the width.
+    """
 
     def __init__(self, width: int, memory_width: int, heads: int, stylization_width: int, dropout: float) -> None:
         super().__init__()
@@ -139,15 +160,15 @@ class _LinearAttention(nn.Module):
         if mask is not None:
             key = key.masked_fill(~mask[:, None, :, None], float("-inf"))
         gathered = key.softmax(dim=-2).mT @ value
-        mixed = query.softmax(dim=-1) @ gathered
-        return self.proj_out(rearrange(mixed, "batch heads words width -> batch words (heads width)"), stylization)
+        output = query.softmax(dim=-1) @ gathered
+        return self.proj_out(rearrange(output, "batch heads words width -> batch words (heads width)"), stylization)
 
     def _by_head(self, tokens: Tensor) -> Tensor:
         return rearrange(tokens, "batch words (heads width) -> batch heads words width", heads=self.heads)
 
 
 class _FeedForward(nn.Module):
-    """Without a norm of its own in front: that is in `_Stylization`."""
+    """Feed-forward layers without a leading norm, which `_Stylization` provides."""
 
     def __init__(self, width: int, feedforward: int, stylization_width: int, dropout: float) -> None:
         super().__init__()
@@ -161,7 +182,7 @@ class _FeedForward(nn.Module):
 
 
 class _Stylization(nn.Module):
-    """A norm whose scale and shift follow from step and text, and a projection."""
+    """A norm whose scale and shift depend on step and text, followed by a projection."""
 
     def __init__(self, width: int, stylization_width: int, dropout: float) -> None:
         super().__init__()

@@ -1,6 +1,6 @@
-"""A denoiser as sampling uses it: what of it depends on the text alone is done once, not at every step.
+"""Denoisers for sampling: computations that depend on the text alone run once and not at every step.
 
-Knows no layers; see `protocol` for what a denoiser is.
+Independent of layers; `denoiser` defines the interface of a denoiser.
 """
 
 from __future__ import annotations
@@ -16,36 +16,40 @@ from stmc.diffusion.statistics import Statistics, restate
 
 
 class Network(nn.Module, ABC):
-    """A `Denoiser` in two parts: `encode_text` once, then `denoise` with the encoded text, at every step."""
+    """A `Denoiser` in two parts: `encode_text` runs once, then `denoise` runs with the encoded text at every step."""
 
     fixed_length: int | None = None
-    """How many frames it always sees, from a crop's first one on: also those behind the crop's end, where the timeline
-    goes on, or noise. None: a crop's own frames, with a mask where crops of a batch are padded."""
+    """Number of frames that the network always sees, counted from the first frame of a crop. Frames after the end of
+    the crop hold the rest of the timeline, or noise. None: the network sees the frames of the crop only, with a mask
+    for padded crops."""
 
     supports_padding: bool = True
-    """Whether texts of different numbers of words may share a call: whether padded words leave an answer alone."""
+    """Whether texts of different lengths may share a batch, that is, whether padded words leave the prediction
+    unchanged."""
 
     per_frame_text: bool = False
-    """Whether `denoise` takes as its last argument `segment`, which says of every frame to which word of the text it
-    belongs: see `FlowMdm.denoise`."""
+    """Whether `denoise` takes a last argument `segment`, the index of the word that applies to each frame (see
+    `FlowMdm.denoise`)."""
 
     absolute_from: int | None = None
-    """The least step with absolute positions, where `denoise` takes another one as an argument of that name; None: a
-    step is like any other."""
+    """The lowest step with absolute positions, if `denoise` accepts an argument of this name that overrides it; None if
+    all steps are alike."""
 
     ends: ClassVar[tuple[str, str]]
     """Names of the linear layers that take features in and give them out."""
 
     def restate(self, old: Statistics, new: Statistics) -> None:
-        """Makes weights that were trained on features normalised by `old` ones for features normalised by `new`: see
-        `statistics.restate`."""
+        """Adapt the weights from features normalised by `old` to features normalised by `new`.
+
+        See `statistics.restate`.
+        """
         restate(*map(self.get_submodule, self.ends), old, new)
 
     @abstractmethod
     def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
     ) -> Float[Tensor, "batch words encoded"]:
-        """What there is to know of texts at every step: as many words, of the network's own width."""
+        """Encode texts once for all steps: as many words, of the width that the network uses."""
 
     @abstractmethod
     def denoise(
@@ -56,7 +60,7 @@ class Network(nn.Module, ABC):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """The prediction, as `Denoiser` says, for an encoded `text`."""
+        """Predict, as `Denoiser` does, for an encoded `text`."""
 
     def forward(
         self,
@@ -66,27 +70,27 @@ class Network(nn.Module, ABC):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """See `Denoiser`."""
+        """Encode the text and call `denoise`; see `Denoiser`."""
         return self.denoise(x, t, self.encode_text(text, text_mask), text_mask, mask)
 
 
 def as_network(denoiser: Denoiser) -> Network:
-    """The denoiser itself, or any function with a denoiser's signature as one that has nothing to encode beforehand.
+    """Return a `Network` unchanged, or wrap any function with the signature of a `Denoiser`.
 
-    Attributes of the function's, such as `fixed_length`, say what it can; without them it is taken to be as `Network`
-    says. Raises `ValueError` for what cannot be called.
+    Attributes of the function, such as `fixed_length`, describe its abilities; missing attributes default to those of
+    `Network`. Raises `ValueError` if `denoiser` is not callable.
     """
     if isinstance(denoiser, Network):
         return denoiser
     if not callable(denoiser):
-        raise ValueError(f"a denoiser is a function (x, t, text, text_mask, mask) -> motion, not {denoiser!r:.60}")
-    return _Called(denoiser)
+        raise ValueError(f"{denoiser!r:.60} is not a denoiser; pass a function (x, t, text, text_mask, mask) -> motion")
+    return _FunctionNetwork(denoiser)
 
 
-class _Called(Network):
+class _FunctionNetwork(Network):
     def __init__(self, denoiser: Denoiser) -> None:
         super().__init__()
-        self.called = denoiser
+        self.function = denoiser
         for name in ("fixed_length", "supports_padding", "per_frame_text", "absolute_from"):
             setattr(self, name, getattr(denoiser, name, getattr(Network, name)))
 
@@ -94,4 +98,4 @@ class _Called(Network):
         return text
 
     def denoise(self, x: Tensor, t: Tensor, text: Tensor, *others: Tensor | None, **settings: int) -> Tensor:
-        return self.called(x, t, text, *others, **settings)
+        return self.function(x, t, text, *others, **settings)

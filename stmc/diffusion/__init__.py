@@ -1,4 +1,4 @@
-"""Diffusion on tensors: schedules, samplers, guidance and noise. Knows nothing of motion or timelines."""
+"""Diffusion on tensors: schedules, samplers, guidance and noise. Independent of motion and timelines."""
 
 from stmc.diffusion.guidance import guide
 from stmc.diffusion.noise import Noise, Seed

@@ -9,10 +9,18 @@ from torch import Tensor
 def guide(
     text: Float[Tensor, "batch ..."], null: Float[Tensor, "batch ..."], guidance: float | int
 ) -> Float[Tensor, "batch ..."]:
-    """The prediction without a text (`null`), moved `guidance` times the way to the prediction with it (`text`).
+    """Extrapolate from the unconditional prediction `null` towards the conditional prediction `text`.
 
-    0 ignores the text, 1 is the prediction with it, more exaggerates it. Predictions of x0, eps, v and the score can
-    all be guided, and agree, since each is affine in the others.
+    A guidance of 0 ignores the text, 1 returns the conditional prediction, and larger values exaggerate it. Predictions
+    of x0, eps, v and the score may all be guided and give the same result, because each is affine in the others.
+
+    Args:
+        text: Prediction with the text, [batch, ...].
+        null: Prediction without a text, of the same shape.
+        guidance: Guidance scale.
+
+    Returns:
+        `null + guidance * (text - null)`.
 
     Examples:
         >>> stmc.guide(text=torch.tensor([1.0]), null=torch.tensor([0.0]), guidance=2.5)

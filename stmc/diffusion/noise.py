@@ -1,6 +1,6 @@
-"""Noise that belongs to its seed: a sample draws the same numbers alone, in any batch, and for any device.
+"""Reproducible noise: a sample draws the same numbers alone, in any batch and on any device.
 
-Touches no global generator.
+No global generator is used.
 """
 
 from __future__ import annotations
@@ -13,15 +13,24 @@ from jaxtyping import Float
 from torch import Tensor
 
 Seed = int | tuple[int, ...]
-"""A seed, or a seed and the numbers of an independent stream below it, such as (seed, crop)."""
+"""An integer seed, or a tuple of a seed and the indices of an independent stream below it, such as (seed, crop)."""
 
 
 class Noise:
-    """Standard normal noise for a padded batch, one generator on the CPU for each sample.
+    """Standard normal noise for a padded batch, with one CPU generator per sample.
 
-    `lengths` are frames. A sample's stream is determined by its seed, its length and `features` alone; frames beyond
-    its length are zero. Numbers are drawn in float32 and then given `device` and `dtype`, so that every device gets the
-    same ones. Raises `ValueError` for negative seeds and for as many seeds as there are not lengths.
+    The stream of a sample depends only on its seed, its length and `features`; frames beyond its length are zero.
+    Numbers are drawn in float32 and then moved to `device` and `dtype`, so every device gets the same numbers.
+
+    Args:
+        seeds: One seed per sample, 0 or greater.
+        lengths: Length of each sample in frames.
+        features: Number of features per frame.
+        device: Device of the noise.
+        dtype: Data type of the noise.
+
+    Raises:
+        ValueError: If a seed is negative, or if the numbers of seeds and lengths differ.
 
     Examples:
         >>> draw = stmc.Noise(seeds=[0, 1], lengths=[30, 40], features=205)
@@ -38,7 +47,7 @@ class Noise:
         dtype: torch.dtype = torch.float32,
     ) -> None:
         if len(seeds) != len(lengths):
-            raise ValueError(f"{len(seeds)} seeds for {len(lengths)} samples: each sample needs one")
+            raise ValueError(f"{len(seeds)} seeds for {len(lengths)} samples; pass one seed per sample")
         self.shape = torch.Size([len(lengths), max(lengths), features])
         self._lengths = tuple(lengths)
         self._generators = [_generator(seed) for seed in seeds]
@@ -48,9 +57,9 @@ class Noise:
         return f"Noise({len(self._lengths)} samples of up to {self.shape[1]} frames, {self.shape[2]} features)"
 
     def __call__(self, shape: Sequence[int] | None = None) -> Float[Tensor, "batch frames features"]:
-        """The next noise of every sample. `shape`, what a sampler asks for, can only be `self.shape`."""
+        """Draw the next noise of every sample. `shape`, which samplers pass, must equal `self.shape`."""
         if shape is not None and tuple(shape) != tuple(self.shape):
-            raise ValueError(f"asked for noise of shape {tuple(shape)}, but these samples are {tuple(self.shape)}")
+            raise ValueError(f"shape {tuple(shape)} differs from {tuple(self.shape)}, the shape of these samples")
         noise = np.zeros(self.shape, dtype=np.float32)
         for row, length, generator in zip(noise, self._lengths, self._generators, strict=True):
             generator.standard_normal(dtype=np.float32, out=row[:length])
@@ -58,5 +67,5 @@ class Noise:
 
 
 def _generator(seed: Seed) -> np.random.Generator:
-    first, *stream = seed if isinstance(seed, tuple) else (seed,)
-    return np.random.default_rng(np.random.SeedSequence(first, spawn_key=tuple(stream)))
+    entropy, *stream = seed if isinstance(seed, tuple) else (seed,)
+    return np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=tuple(stream)))

@@ -1,7 +1,7 @@
-"""Samplers: from noise to a clean sample, as generators of the clean sample each step predicts.
+"""Samplers: generators that turn noise into a clean sample and yield the clean sample predicted at each step.
 
-A sampler sees a `Predict` and tensors of any shape; it knows no networks, texts or timelines. Whoever iterates decides
-what to show, when to stop, and whether gradients are recorded. The last value yielded is the result.
+A sampler sees a `Predict` function and tensors of any shape; it is independent of networks, texts and timelines. The
+caller iterates, and so decides about progress, early stopping and gradients. The last value yielded is the result.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from torch import Tensor
 from stmc.diffusion.schedule import Schedule
 
 Predict = Callable[[Float[Tensor, "batch frames features"], int], Float[Tensor, "batch frames features"]]
-"""(x_t, t) → the clean sample predicted from it; t is a step of the full schedule."""
+"""(x_t, t) → the clean sample predicted from x_t, where t is a step of the full schedule."""
 
 Draw = Callable[[torch.Size], Tensor]
 """shape → standard normal noise of that shape, on the device and in the dtype of the sample."""
 
 Sampler = Callable[..., Iterable[Tensor]]
-"""(predict, schedule, x, draw) → the clean sample that each step predicts, for steps of that very schedule."""
+"""(predict, schedule, x, draw) → the clean samples predicted at each step of that schedule."""
 
 NoiseScale = Literal["std", "variance"]
-"""What scales the noise of ancestral steps: the posterior's standard deviation, or its variance."""
+"""Scale of the noise in ancestral steps: standard deviation or variance of the posterior."""
 
 
 def ddpm(
@@ -36,12 +36,26 @@ def ddpm(
     steps: int | None = None,
     noise_scale: NoiseScale = "variance",
 ) -> Iterator[Float[Tensor, "batch ..."]]:
-    """Ancestral sampling (Ho et al. 2020; STMC, Eq. 2 to 4) from the noise `x`, in all steps or in `steps` of them.
+    """Sample ancestrally (Ho et al. 2020; STMC, Eq. 2 to 4), starting from the noise `x`.
 
-    `draw(x.shape)` is called once a step, also at the last, where the noise has no weight. `noise_scale` "std" scales
-    it by the posterior's standard deviation, the textbook's; "variance" by its variance, as the published code of STMC
-    does (R1): too narrow a distribution. Measured on real motion (see the bundled model's card) both do as the text
-    says equally often, and "variance" slides a little less and is a little less diverse, so it is the default.
+    With `noise_scale="std"` the noise is scaled by the standard deviation of the posterior, as in the textbook. With
+    "variance" it is scaled by the variance, as in the published code of STMC (R1), which makes the distribution too
+    narrow. On real motion (see the card of the bundled model) both follow the text equally often; "variance" has
+    slightly less foot sliding and slightly less diversity, and is the default.
+
+    Args:
+        predict: Function that predicts the clean sample.
+        schedule: Full noise schedule.
+        x: Initial noise, [batch, ...].
+        draw: Source of noise. It is called once per step, also at the last step, where the noise has no weight.
+        steps: Number of evenly spaced steps; None uses all steps of the schedule.
+        noise_scale: "std" or "variance".
+
+    Yields:
+        The clean sample predicted at each step, [batch, ...].
+
+    Raises:
+        ValueError: If `noise_scale` is unknown or `steps` is out of range.
 
     Examples:
         >>> draw = stmc.Noise(seeds=[0], lengths=[40], features=205)
@@ -68,10 +82,24 @@ def ddim(
     steps: int | None = None,
     eta: float = 0.0,
 ) -> Iterator[Float[Tensor, "batch ..."]]:
-    """DDIM (Song et al. 2021, Eq. 12 and 16) from the noise `x`, in all steps or in `steps` of them.
+    """Sample with DDIM (Song et al. 2021, Eq. 12 and 16), starting from the noise `x`.
 
-    With `eta` 0 it follows the probability-flow ODE to first order and never draws; with 1 it is `ddpm`. In between,
-    and up to there, `draw(x.shape)` is called once a step.
+    With `eta=0` the sampler follows the probability-flow ODE to first order and never draws noise; with `eta=1` it
+    equals `ddpm` with `noise_scale="std"`.
+
+    Args:
+        predict: Function that predicts the clean sample.
+        schedule: Full noise schedule.
+        x: Initial noise, [batch, ...].
+        draw: Source of noise, called once per step if `eta` is above 0.
+        steps: Number of evenly spaced steps; None uses all steps of the schedule.
+        eta: Fraction of the ancestral noise, 0 or greater.
+
+    Yields:
+        The clean sample predicted at each step, [batch, ...].
+
+    Raises:
+        ValueError: If `eta` is negative, if `eta` is above 0 and `draw` is missing, or if `steps` is out of range.
 
     Examples:
         >>> noise = stmc.Noise(seeds=[0], lengths=[40], features=205)()
@@ -80,16 +108,16 @@ def ddim(
         tensor([1.])
     """
     if eta < 0 or (eta > 0 and draw is None):
-        raise ValueError(f"eta={eta}: it must not be negative, and above 0 a source of noise (draw) is needed")
+        raise ValueError(f"eta={eta} must be 0 or greater, and a value above 0 needs a source of noise (draw)")
     times = schedule.spaced(steps)
     short = schedule.respaced(times)
     for i in reversed(range(len(times))):
         x0 = predict(x, times[i])
         yield x0
         noise = short.from_x0(x0, x, i, "eps")
-        left = 1 - short.alpha_bar_before[i]
-        variance = eta**2 * left * short.beta[i] / (1 - short.alpha_bar[i])
-        x = short.alpha_bar_before[i].sqrt().to(x) * x0 + (left - variance).clamp(min=0).sqrt().to(x) * noise
+        remaining = 1 - short.alpha_bar_before[i]
+        variance = eta**2 * remaining * short.beta[i] / (1 - short.alpha_bar[i])
+        x = short.alpha_bar_before[i].sqrt().to(x) * x0 + (remaining - variance).clamp(min=0).sqrt().to(x) * noise
         if eta > 0:
             x = x + variance.sqrt().to(x) * draw(x.shape)
 
@@ -101,10 +129,23 @@ def dpm_solver(
     draw: Draw | None = None,
     steps: int | None = None,
 ) -> Iterator[Float[Tensor, "batch ..."]]:
-    """DPM-Solver++(2M) (Lu et al. 2022, algorithm 2) from the noise `x`, in all steps or in `steps` of them.
+    """Sample with DPM-Solver++(2M) (Lu et al. 2022, algorithm 2), starting from the noise `x`.
 
-    Follows the probability-flow ODE to second order with one prediction a step, the previous one giving the slope. It
-    is deterministic: `draw` is accepted for the sake of one signature, and never called.
+    The sampler follows the probability-flow ODE to second order with one prediction per step: the previous prediction
+    gives the slope. It is deterministic.
+
+    Args:
+        predict: Function that predicts the clean sample.
+        schedule: Full noise schedule.
+        x: Initial noise, [batch, ...].
+        draw: Never called; all samplers share one signature.
+        steps: Number of evenly spaced steps; None uses all steps of the schedule.
+
+    Yields:
+        The clean sample predicted at each step, [batch, ...].
+
+    Raises:
+        ValueError: If `steps` is out of range.
 
     Examples:
         >>> noise = stmc.Noise(seeds=[0], lengths=[40], features=205)()
@@ -116,17 +157,17 @@ def dpm_solver(
     short = schedule.respaced(times)
     signal, noise = short.alpha_bar.sqrt(), (1 - short.alpha_bar).sqrt()
     log_snr = (signal / noise).log()
-    before = None
+    previous = None
     for i in reversed(range(len(times))):
         x0 = predict(x, times[i])
         yield x0
         if i == 0:
             return
         gain = log_snr[i - 1] - log_snr[i]
-        slope = 0 if before is None else (x0 - before) * (gain / (2 * (log_snr[i] - log_snr[i + 1]))).to(x)
+        slope = 0 if previous is None else (x0 - previous) * (gain / (2 * (log_snr[i] - log_snr[i + 1]))).to(x)
         x = (noise[i - 1] / noise[i]).to(x) * x - (signal[i - 1] * torch.expm1(-gain)).to(x) * (x0 + slope)
-        before = x0
+        previous = x0
 
 
 SAMPLERS = {"ddpm": ddpm, "ddim": ddim, "dpm_solver": dpm_solver}
-"""By the names that configurations use."""
+"""Samplers by their names in configurations."""

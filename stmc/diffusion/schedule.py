@@ -1,7 +1,7 @@
-"""The forward process and its posterior: Eq. 1 to 4 of STMC, and what a network may be trained to predict.
+"""The forward process, its posterior (STMC, Eq. 1 to 4) and the quantities that a network may predict.
 
-`alpha_bar` (the cumulative product of 1 - beta) determines everything else. Coefficients stay float64 until they meet a
-tensor, then take its dtype. Knows no networks and no motion.
+`alpha_bar`, the cumulative product of 1 - beta, determines everything else. Coefficients stay float64 until they are
+combined with a tensor, and then take its dtype. Independent of networks and motion.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from jaxtyping import Float, Float64, Int
 from torch import Tensor
 
 Prediction = Literal["x0", "eps", "v", "score"]
-"""What a network predicts: the clean sample, the noise, sqrt(alpha_bar) eps - sqrt(1 - alpha_bar) x0, or the score."""
+"""The quantity that a network predicts: the clean sample, the noise, sqrt(alpha_bar) eps - sqrt(1 - alpha_bar) x0, or
+the score."""
 
 Steps = int | Int[Tensor, " batch"]
-"""One step for the whole batch, or one for each sample; 0 is the least noisy."""
+"""One step for the whole batch, or one per sample; step 0 is the least noisy."""
 
 
 MOST_STEPS = 10_000
-"""Of a schedule; published ones have 50 to 1000."""
+"""Maximum number of steps of a schedule; published schedules have 50 to 1000."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Schedule:
-    """A noise schedule: `alpha_bar[t]` is the share of the clean sample's variance that is left at step t.
+    """A noise schedule: `alpha_bar[t]` is the fraction of the clean sample's variance that remains at step t.
 
     Examples:
         >>> stmc.Schedule(torch.tensor([0.9, 0.5, 0.1], dtype=torch.float64))
@@ -39,14 +40,19 @@ class Schedule:
     def __post_init__(self) -> None:
         before = torch.cat([self.alpha_bar.new_ones(1), self.alpha_bar])
         if len(before) < 2 or not bool((before[1:] < before[:-1]).all() & (before[1:] > 0).all()):
-            raise ValueError(f"alpha_bar must fall from below 1 towards 0 at every step, not {self.alpha_bar.tolist()}")
+            raise ValueError(
+                f"alpha_bar must start below 1 and decrease towards 0 at every step; got {self.alpha_bar.tolist()}"
+            )
 
     def __repr__(self) -> str:
         return f"Schedule({self.steps} steps, alpha_bar {self.alpha_bar[0]:.4g} to {self.alpha_bar[-1]:.4g})"
 
     @classmethod
     def cosine(cls, steps: int, s: float = 0.008) -> Schedule:
-        """The schedule of Nichol and Dhariwal (2021), which MDM-SMPL uses with 100 steps; no beta exceeds 0.999.
+        """Create the cosine schedule of Nichol and Dhariwal (2021), with every beta at most 0.999.
+
+        MDM-SMPL uses it with 100 steps. `s` is the offset of the cosine. Raises `ValueError` if `steps` is out of
+        range.
 
         Examples:
             >>> stmc.Schedule.cosine(100).steps
@@ -54,14 +60,18 @@ class Schedule:
         """
         _check_steps(steps)
 
-        def left(u: float) -> float:
+        def remaining(u: float) -> float:
             return math.cos(math.pi / 2 * (u + s) / (1 + s)) ** 2
 
-        return cls._from_betas([min(0.999, 1 - left((i + 1) / steps) / left(i / steps)) for i in range(steps)])
+        return cls._from_betas(
+            [min(0.999, 1 - remaining((i + 1) / steps) / remaining(i / steps)) for i in range(steps)]
+        )
 
     @classmethod
     def linear(cls, steps: int) -> Schedule:
-        """The schedule of Ho et al. (2020), 1e-4 to 0.02 for 1000 steps, rescaled to other numbers of steps.
+        """Create the linear schedule of Ho et al. (2020): beta from 1e-4 to 0.02 in 1000 steps, rescaled to `steps`.
+
+        Raises `ValueError` if `steps` is out of range.
 
         Examples:
             >>> round(float(stmc.Schedule.linear(1000).beta[-1]), 4)
@@ -77,23 +87,23 @@ class Schedule:
 
     @property
     def steps(self) -> int:
-        """How many steps of noising there are."""
+        """Number of noising steps."""
         return len(self.alpha_bar)
 
     @property
     def alpha_bar_before(self) -> Float64[Tensor, " _"]:
-        """`alpha_bar` one step earlier; 1 before the first."""
+        """`alpha_bar` one step earlier; 1 before the first step."""
         return torch.cat([self.alpha_bar.new_ones(1), self.alpha_bar[:-1]])
 
     @property
     def beta(self) -> Float64[Tensor, " _"]:
-        """The share of variance that each step replaces by noise."""
+        """The fraction of the variance that each step replaces by noise."""
         return 1 - self.alpha_bar / self.alpha_bar_before
 
     def spaced(self, steps: int | None) -> tuple[int, ...]:
-        """`steps` of this schedule's steps in rising order, evenly spaced and with both ends; all of them for None.
+        """Return `steps` evenly spaced steps of this schedule in rising order, including both ends; None returns all.
 
-        Raises `ValueError` for less than one or more than there are.
+        Raises `ValueError` if `steps` is less than one or more than the schedule has.
 
         Examples:
             >>> stmc.Schedule.cosine(100).spaced(4)
@@ -108,7 +118,7 @@ class Schedule:
         return tuple(round(i * (self.steps - 1) / (steps - 1)) for i in range(steps))
 
     def respaced(self, times: tuple[int, ...]) -> Schedule:
-        """The schedule that visits only the steps `times` (rising): its step i has the noise of step times[i].
+        """Return the schedule that visits only the steps `times` (rising): its step i has the noise of step times[i].
 
         Examples:
             >>> stmc.Schedule.cosine(100).respaced((0, 33, 66, 99)).steps
@@ -119,7 +129,12 @@ class Schedule:
     def q_sample(
         self, x0: Float[Tensor, "batch ..."], t: Steps, noise: Float[Tensor, "batch ..."]
     ) -> Float[Tensor, "batch ..."]:
-        """x_t of clean samples `x0` with standard normal `noise`: Eq. 1, reparameterised.
+        """Add noise to clean samples: return x_t (Eq. 1, reparameterised).
+
+        Args:
+            x0: Clean samples, [batch, ...].
+            t: Step of the batch, or of each sample.
+            noise: Standard normal noise, of the shape of `x0`.
 
         Examples:
             >>> schedule = stmc.Schedule(torch.tensor([0.64, 0.36], dtype=torch.float64))
@@ -132,7 +147,17 @@ class Schedule:
     def posterior(
         self, x0: Float[Tensor, "batch ..."], x: Float[Tensor, "batch ..."], t: Steps
     ) -> tuple[Float[Tensor, "batch ..."], Tensor]:
-        """Mean and variance of x_{t-1} given x_t and x_0 (Eq. 2 to 4); at step 0 they are `x0` itself and 0.
+        """Compute the mean and variance of x_{t-1} given x_t and x_0 (Eq. 2 to 4).
+
+        At step 0 they are `x0` and 0.
+
+        Args:
+            x0: Clean samples, [batch, ...].
+            x: Noisy samples x_t, of the shape of `x0`.
+            t: Step of the batch, or of each sample.
+
+        Returns:
+            The mean, [batch, ...], and the variance, which broadcasts to it.
 
         Examples:
             >>> mean, variance = stmc.Schedule.cosine(100).posterior(torch.ones(1, 3), torch.zeros(1, 3), 0)
@@ -140,14 +165,20 @@ class Schedule:
             (tensor([[1., 1., 1.]]), 0.0)
         """
         before, beta, noise = self.alpha_bar_before, self.beta, 1 - self.alpha_bar
-        clean_share = _at(beta * before.sqrt() / noise, t, x)
-        noisy_share = _at((1 - before) * (1 - beta).sqrt() / noise, t, x)
-        return clean_share * x0 + noisy_share * x, _at(beta * (1 - before) / noise, t, x)
+        clean_weight = _at(beta * before.sqrt() / noise, t, x)
+        noisy_weight = _at((1 - before) * (1 - beta).sqrt() / noise, t, x)
+        return clean_weight * x0 + noisy_weight * x, _at(beta * (1 - before) / noise, t, x)
 
     def to_x0(
         self, output: Float[Tensor, "batch ..."], x: Float[Tensor, "batch ..."], t: Steps, prediction: Prediction
     ) -> Float[Tensor, "batch ..."]:
-        """The clean sample that a network's `output` for the noisy `x` stands for.
+        """Convert the output of a network to the clean sample that it represents.
+
+        Args:
+            output: Output of the network, [batch, ...].
+            x: Noisy samples that the network received, of the same shape.
+            t: Step of the batch, or of each sample.
+            prediction: The quantity that the network predicts.
 
         Examples:
             >>> schedule = stmc.Schedule(torch.tensor([0.64, 0.36], dtype=torch.float64))
@@ -156,15 +187,21 @@ class Schedule:
         """
         if prediction == "x0":
             return output
-        noisy_share, output_share = self._x0_shares(prediction)
-        return _at(noisy_share, t, x) * x + _at(output_share, t, x) * output
+        noisy_weight, output_weight = self._x0_weights(prediction)
+        return _at(noisy_weight, t, x) * x + _at(output_weight, t, x) * output
 
     def from_x0(
         self, x0: Float[Tensor, "batch ..."], x: Float[Tensor, "batch ..."], t: Steps, prediction: Prediction
     ) -> Float[Tensor, "batch ..."]:
-        """The output that stands for the clean sample `x0` of the noisy `x`: the inverse of `to_x0`.
+        """Convert the clean sample `x0` to the network output that represents it: the inverse of `to_x0`.
 
-        With x = q_sample(x0, t, noise) it is a network's target in training; for "eps" it is the noise.
+        With x = q_sample(x0, t, noise) the result is the training target of a network; for "eps" it is the noise.
+
+        Args:
+            x0: Clean samples, [batch, ...].
+            x: Noisy samples, of the same shape.
+            t: Step of the batch, or of each sample.
+            prediction: The quantity that the network predicts.
 
         Examples:
             >>> schedule = stmc.Schedule(torch.tensor([0.64, 0.36], dtype=torch.float64))
@@ -173,11 +210,11 @@ class Schedule:
         """
         if prediction == "x0":
             return x0
-        noisy_share, output_share = self._x0_shares(prediction)
-        return (x0 - _at(noisy_share, t, x) * x) / _at(output_share, t, x)
+        noisy_weight, output_weight = self._x0_weights(prediction)
+        return (x0 - _at(noisy_weight, t, x) * x) / _at(output_weight, t, x)
 
-    def _x0_shares(self, prediction: str) -> tuple[Tensor, Tensor]:
-        """a and b of x0 = a x + b output, for every step."""
+    def _x0_weights(self, prediction: str) -> tuple[Tensor, Tensor]:
+        """Return the coefficients a and b of x0 = a x + b output, for every step."""
         signal, noise = self.alpha_bar.sqrt(), (1 - self.alpha_bar).sqrt()
         if prediction == "eps":
             return 1 / signal, -noise / signal
@@ -190,11 +227,11 @@ class Schedule:
 
 def _check_steps(steps: int) -> None:
     if not 1 <= steps <= MOST_STEPS:
-        raise ValueError(f"steps={steps}: a schedule has 1 to {MOST_STEPS} steps")
+        raise ValueError(f"steps={steps} must be 1 to {MOST_STEPS}")
 
 
 def _at(coefficients: Float64[Tensor, " _"], t: Steps, like: Tensor) -> Tensor:
-    """The coefficients of steps `t`, in dtype and on the device of `like`, ready to multiply it."""
+    """Return the coefficients of steps `t`, in the dtype and on the device of `like`, shaped to multiply it."""
     if isinstance(t, int):
         return coefficients[t].to(like)
     chosen = coefficients.to(t.device)[t].to(like)

@@ -1,4 +1,4 @@
-"""Judges of motion: networks that place motions and texts in one space, for retrieval and for realism."""
+"""Evaluators of motion: networks that embed motions and texts in one space, for retrieval and realism."""
 
 from stmc.evaluators.evaluator import Evaluator
 from stmc.evaluators.guo import GuoEvaluator

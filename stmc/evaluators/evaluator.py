@@ -1,6 +1,6 @@
-"""A trained TMR as one record, and the way from texts and motions to latents through it.
+"""A trained TMR as one record, with the functions from texts and motions to latents.
 
-Knows how raw features and texts become what the networks see; knows no metric (see `metrics`) and no files (see `run`).
+Converts raw features and texts to network inputs; independent of metrics (see `metrics`) and files (see `run`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,17 @@ BATCH = 64
 
 @dataclass(frozen=True, eq=False)
 class Evaluator:
-    """Everything that judges motions by texts, and each other. `fps` is the frame rate of the features; `config` says
-    how to build the parts again (see `run.save_evaluator`)."""
+    """A trained TMR with everything that it needs to compare motions with texts and with each other.
+
+    Args:
+        network: Networks of TMR.
+        text_encoder: Encoder of texts.
+        representation: Representation of motions.
+        motion_statistics: Statistics that normalise motion features.
+        text_statistics: Statistics that normalise text embeddings.
+        fps: Frame rate of the features.
+        config: Configuration to rebuild the parts; see `run.save_evaluator`.
+    """
 
     network: Tmr
     text_encoder: TextEncoder
@@ -38,32 +47,32 @@ class Evaluator:
     config: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        weights = sum(each.numel() for each in self.network.parameters())
+        weights = sum(parameter.numel() for parameter in self.network.parameters())
         encoder, representation = (type(part).__name__ for part in (self.text_encoder, self.representation))
         return f"Evaluator({weights:,} weights on {self.device}, {encoder} and {representation}, {self.fps:g} fps)"
 
     @property
     def device(self) -> torch.device:
-        """Where the networks are."""
+        """The device of the networks."""
         return next(self.network.parameters()).device
 
     def to(self, device: torch.device | str) -> Evaluator:
-        """The evaluator on another device. The networks are moved, not copied."""
+        """Return the evaluator on another device. The networks are moved, not copied."""
         return dataclasses.replace(self, network=self.network.to(device))
 
     def features(self, motion: Motion) -> Float[Tensor, "_ features"]:
-        """What `motions` wants to know of a motion of any frame rate: raw features at `fps`."""
+        """Compute the input of `motions` from a motion of any frame rate: raw features at `fps`."""
         return self.representation.encode(motion.resampled(self.fps)).float()
 
     def motions(self, features: Sequence[Float[Tensor, "_ features"]]) -> Float[Tensor, "batch width"]:
-        """The latents of raw feature sequences of any lengths, on the CPU; a latent does not depend on the others.
+        """Compute the latents of raw feature sequences of any lengths, on the CPU.
 
-        Raises `ValueError` for none at all, and for an empty one.
+        A latent does not depend on the other sequences. Raises `ValueError` if there is no sequence, or an empty one.
         """
         return self._latents(self.network.motion_encoder, [self.motion_statistics.normalise(row) for row in features])
 
     def texts(self, texts: Sequence[str]) -> Float[Tensor, "batch width"]:
-        """The latents of texts, on the CPU."""
+        """Compute the latents of texts, on the CPU."""
         words, lengths = self.text_encoder.encode(texts)
         normal = self.text_statistics.normalise(words.float().cpu())
         rows = [row[:length] for row, length in zip(normal, lengths.tolist(), strict=True)]
@@ -78,7 +87,7 @@ class Evaluator:
         order = sorted(range(len(rows)), key=lambda index: lengths[index])
         latents: dict[int, Tensor] = {}
         for start in range(0, len(order), BATCH):
-            chosen = order[start : start + BATCH]
-            batch, counts = pad([rows[index].to(self.device) for index in chosen])
-            latents |= dict(zip(chosen, encoder(batch, mask(counts)).mean.float().cpu(), strict=True))
+            indices = order[start : start + BATCH]
+            batch, counts = pad([rows[index].to(self.device) for index in indices])
+            latents |= dict(zip(indices, encoder(batch, mask(counts)).mean.float().cpu(), strict=True))
         return torch.stack([latents[index] for index in range(len(rows))])

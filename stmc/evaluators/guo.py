@@ -1,8 +1,8 @@
-"""The motion and text feature extractors of Guo et al. (2022), by which R-precision, matching score, FID, diversity and
-multimodality are measured in most of the field's tables.
+"""The motion and text feature extractors of Guo et al. (2022), the evaluator of most published tables.
 
-Parameter names and shapes are those of `text_mot_match/model/finest.tar`. Knows nothing of how features are made or
-words looked up, of files (see `published`), nor of metrics.
+They define R-precision, matching score, FID, diversity and multimodality there. Parameter names and shapes are those of
+`text_mot_match/model/finest.tar`. Independent of the computation of features, word vectors, files (see `published`) and
+metrics.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from torch import Tensor, nn
 from torch.nn.utils.rnn import pack_padded_sequence
 
 STRIDE = 4
-"""Frames that become one movement."""
+"""Number of frames that become one movement."""
 
 
 class MovementEncoder(nn.Module):
-    """Two convolutions over time: every four frames of `features` numbers become one movement of `width` numbers."""
+    """Two convolutions over time: four frames of `features` numbers become one movement of `width` numbers."""
 
     def __init__(self, features: int, hidden: int = 512, width: int = 512) -> None:
         super().__init__()
@@ -38,7 +38,7 @@ class MovementEncoder(nn.Module):
 
 
 class SequenceReader(nn.Module):
-    """A recurrent network that reads a sequence from both ends; its two last states become one vector."""
+    """A bidirectional recurrent network; its two last states become one vector."""
 
     def __init__(self, features: int, hidden: int, width: int = 512) -> None:
         super().__init__()
@@ -59,7 +59,7 @@ class SequenceReader(nn.Module):
 
 
 class TextReader(SequenceReader):
-    """A `SequenceReader` of word vectors, each with its part of speech (one-hot) added."""
+    """A `SequenceReader` of word vectors, with an embedding of the part of speech (one-hot) added to each."""
 
     def __init__(self, words: int = 300, parts_of_speech: int = 15, hidden: int = 512, width: int = 512) -> None:
         super().__init__(words, hidden, width)
@@ -75,11 +75,18 @@ class TextReader(SequenceReader):
 
 
 class GuoEvaluator(nn.Module):
-    """The three networks together; a caption and its motion are near each other in Euclidean distance.
+    """The three networks together; a caption and its motion are close in Euclidean distance.
 
-    Of the numbers of a frame, normalised with the evaluator's own mean and deviation, the first `seen` are looked at:
-    of HumanML3D's 263 all but the contacts, of BABEL's 135 all. Rows come out in the order in which they went in
-    (published wrapper: sorted by length).
+    Features must be normalised with the evaluator's own mean and standard deviation. Rows are returned in the order of
+    the input (the published wrapper sorts them by length).
+
+    Args:
+        seen: Number of leading features that are used: of HumanML3D's 263 all but the contacts, of BABEL's 135 all.
+        movements: Hidden and output width of the movement encoder.
+        motion_hidden: Hidden width of the motion encoder.
+        words: Width of a word vector.
+        text_hidden: Hidden width of the text encoder.
+        width: Width of the embeddings.
     """
 
     def __init__(
@@ -100,8 +107,11 @@ class GuoEvaluator(nn.Module):
     def motions(
         self, motion: Float[Tensor, "batch frames features"], lengths: Int[Tensor, " batch"]
     ) -> Float[Tensor, "batch width"]:
-        """Embeddings of normalised motions of these many frames, of which each needs at least four. What the padding
-        holds has a small influence: the convolutions see up to three frames past the end."""
+        """Embed normalised motions of the given lengths, at least four frames each.
+
+        The padding has a small influence: the convolutions see up to three frames after the end. Raises `ValueError` if
+        a motion is too short.
+        """
         if int(lengths.min()) < STRIDE:
             raise ValueError(f"a motion of {int(lengths.min())} frames is too short: the evaluator needs {STRIDE}")
         return self.motion_encoder(self.movement_encoder(motion[..., : self.seen]), lengths // STRIDE)
@@ -112,5 +122,11 @@ class GuoEvaluator(nn.Module):
         parts_of_speech: Float[Tensor, "batch words kinds"],
         lengths: Int[Tensor, " batch"],
     ) -> Float[Tensor, "batch _"]:
-        """Embeddings of captions of these many tokens, start and end included."""
+        """Embed captions with the given numbers of tokens, including start and end.
+
+        Args:
+            words: Word vectors, [batch, words, width].
+            parts_of_speech: One-hot parts of speech, [batch, words, kinds].
+            lengths: Number of tokens of each caption, [batch].
+        """
         return self.text_encoder(words, parts_of_speech, lengths)

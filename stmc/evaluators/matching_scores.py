@@ -1,6 +1,6 @@
-"""The evaluator of Guo et al. as one record: their networks, statistics and word vectors, and the way through them.
+"""The evaluator of Guo et al. as one record: networks, statistics and word vectors.
 
-Knows raw features and tagged captions; knows no metric (see `metrics.matching`) and no files (see `published`).
+Handles raw features and tagged captions; independent of metrics (see `metrics.matching`) and files (see `published`).
 """
 
 from __future__ import annotations
@@ -24,10 +24,16 @@ BATCH = 64
 
 @dataclass(frozen=True, eq=False)
 class MatchingEvaluator:
-    """Places motions and tagged captions (`a/DET person/NOUN walk/VERB`) in one space, compared by Euclidean distance.
+    """Embeds motions and tagged captions (`a/DET person/NOUN walk/VERB`) in one space, compared by Euclidean distance.
 
-    `motion_statistics` are the evaluator's own, which are not HumanML3D's; features are `representation`'s, at `fps`.
-    All motions are padded, with the mean, to `longest` frames: 196 as published, in FlowMDM's evaluation 200.
+    Args:
+        network: Networks of Guo et al.
+        motion_statistics: The evaluator's own statistics, which differ from HumanML3D's.
+        glove: Word vectors.
+        fps: Frame rate of the features.
+        representation: Representation of motions.
+        longest: Number of frames to which all motions are padded with the mean: 196 as published, 200 in FlowMDM's
+            evaluation.
     """
 
     network: GuoEvaluator
@@ -39,37 +45,42 @@ class MatchingEvaluator:
 
     @property
     def device(self) -> torch.device:
-        """Where the networks are."""
+        """The device of the networks."""
         return next(self.network.parameters()).device
 
     def features(self, motion: Motion) -> Float[Tensor, "_ features"]:
-        """The features of a motion of any frame rate and body, a row for each frame. HumanML3D's by the published road:
-        the directions of its bones on their skeleton, its lowest joint on the floor, contacts by the steps of the feet;
-        they are of steps between frames, so the last frame's are those of the one before."""
+        """Compute the features of a motion of any frame rate and body, one row per frame.
+
+        HumanML3D's features follow the published procedure: bone directions on its skeleton, the lowest joint on the
+        floor, contacts from the steps of the feet. They describe steps between frames, so that the last frame repeats
+        the row before it.
+        """
         motion = motion.resampled(self.fps)
         rows = self.representation.encode(motion).float()
         return torch.cat([rows, rows[-1:].expand(len(motion) - len(rows), -1)])
 
     @torch.inference_mode()
     def motions(self, features: Sequence[Float[Tensor, "_ features"]]) -> Float[Tensor, "batch width"]:
-        """The embeddings of raw features of these motions, on the CPU. Raises `ValueError` for one of less than four
-        frames, and for none at all."""
+        """Embed raw features of motions, on the CPU.
+
+        Raises `ValueError` if there is no motion, or one with fewer than four frames.
+        """
         if not features:
             raise ValueError("no motions to embed")
         self.network.eval()
-        found = []
+        embeddings = []
         for start in range(0, len(features), BATCH):
             normal = [self.motion_statistics.normalise(row) for row in features[start : start + BATCH]]
             batch, lengths = pad([*normal, torch.zeros(self.longest, normal[0].shape[1])])
-            found.append(self.network.motions(batch[:-1].to(self.device), lengths[:-1]).float().cpu())
-        return torch.cat(found)
+            embeddings.append(self.network.motions(batch[:-1].to(self.device), lengths[:-1]).float().cpu())
+        return torch.cat(embeddings)
 
     @torch.inference_mode()
     def texts(self, texts: Sequence[str]) -> Float[Tensor, "batch width"]:
-        """The embeddings of tagged captions, on the CPU."""
+        """Embed tagged captions, on the CPU."""
         self.network.eval()
-        found = []
+        embeddings = []
         for start in range(0, len(texts), BATCH):
             words, kinds, lengths = self.glove.encode(texts[start : start + BATCH])
-            found.append(self.network.texts(words.to(self.device), kinds.to(self.device), lengths).float().cpu())
-        return torch.cat(found)
+            embeddings.append(self.network.texts(words.to(self.device), kinds.to(self.device), lengths).float().cpu())
+        return torch.cat(embeddings)

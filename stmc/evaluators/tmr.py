@@ -1,7 +1,7 @@
 """TMR's networks: motions and texts as points of one space (Petrovich et al. 2023), built like ACTOR's (2021).
 
-Parameter names and shapes are those of the published checkpoints. Knows nothing of what features or words mean, nor of
-losses (see `objective`).
+Parameter names and shapes are those of the published checkpoints. Independent of the meaning of features and words, and
+of losses (see `objective`).
 """
 
 from __future__ import annotations
@@ -17,22 +17,21 @@ from stmc.diffusion.statistics import Statistics, restate
 from stmc.diffusion.tensors import sinusoids
 
 POSITIONS = 5000
-"""Rows of the sinusoidal table: an upper bound of tokens."""
+"""Rows of the sinusoidal table: the maximum number of tokens."""
 
 
 class Posterior(NamedTuple):
-    """Where an encoder places each row of its batch: the mean, and the logarithm of the variance around it (None for an
-    encoder that is not variational)."""
+    """The distribution of each row of a batch in the latent space: mean and log variance (None if not variational)."""
 
     mean: Float[Tensor, "batch width"]
     log_variance: Float[Tensor, "batch width"] | None
 
     def float(self) -> Posterior:
-        """In full precision: variances are exponentials."""
+        """Convert to float32, because variances are exponentials."""
         return Posterior(*(None if value is None else value.float() for value in self))
 
     def rsample(self, generator: torch.Generator | None = None) -> Float[Tensor, "batch width"]:
-        """A point of each distribution; the mean itself where there is no variance."""
+        """Draw a point from each distribution; without a variance, return the mean."""
         if self.log_variance is None:
             return self.mean
         noise = torch.randn(self.mean.shape, generator=generator, device=self.mean.device, dtype=self.mean.dtype)
@@ -40,9 +39,18 @@ class Posterior(NamedTuple):
 
 
 class SequenceEncoder(nn.Module):
-    """A transformer over learned tokens and a sequence of `features` numbers; the tokens' output is the answer.
+    """A transformer over learned tokens and a sequence; the outputs at the tokens are the result.
 
-    Two tokens, mean and log variance, where it is `variational`, else one. Layers normalise after each sub-layer.
+    The layers are post-norm.
+
+    Args:
+        features: Number of features per element of the sequence.
+        width: Width of a token.
+        feedforward: Width of the feed-forward layers.
+        layers: Number of layers.
+        heads: Number of attention heads.
+        dropout: Dropout probability.
+        variational: Whether there are two tokens, mean and log variance, instead of one.
     """
 
     def __init__(
@@ -66,13 +74,13 @@ class SequenceEncoder(nn.Module):
     def forward(
         self, sequence: Float[Tensor, "batch frames features"], mask: Bool[Tensor, "batch frames"] | None = None
     ) -> Posterior:
-        """The posterior of each sequence; `mask` is True where a frame exists, None where nothing is padded."""
+        """Compute the posterior of each sequence; `mask` is True at existing frames, and None without padding."""
         tokens = repeat(self.tokens, "tokens width -> batch tokens width", batch=len(sequence))
         tokens = torch.cat([tokens, self.projection(sequence)], dim=1)
         tokens = self.dropout(tokens + _first(self.positions, tokens.shape[1]))
         padded = None if mask is None else ~torch.cat([mask.new_ones(len(mask), len(self.tokens)), mask], dim=1)
-        answers = self.seqTransEncoder(tokens, src_key_padding_mask=padded)
-        return Posterior(answers[:, 0], answers[:, 1] if len(self.tokens) > 1 else None)
+        outputs = self.seqTransEncoder(tokens, src_key_padding_mask=padded)
+        return Posterior(outputs[:, 0], outputs[:, 1] if len(self.tokens) > 1 else None)
 
 
 class SequenceDecoder(nn.Module):
@@ -97,7 +105,7 @@ class SequenceDecoder(nn.Module):
     def forward(
         self, latent: Float[Tensor, "batch width"], mask: Bool[Tensor, "batch frames"]
     ) -> Float[Tensor, "batch frames features"]:
-        """The sequence of each latent, as long as `mask` says; zeros where it is False."""
+        """Decode the sequence of each latent, with the length of `mask`; zeros where it is False."""
         queries = self.dropout(_first(self.positions, mask.shape[1]).expand(len(latent), -1, -1))
         padded = None if mask.device.type == "cpu" and bool(mask.all()) else ~mask
         decoded = self.seqTransDecoder(queries, latent[:, None], tgt_key_padding_mask=padded)
@@ -105,7 +113,7 @@ class SequenceDecoder(nn.Module):
 
 
 class Output(NamedTuple):
-    """What a pair's two sides become: their posteriors, a point of each, and the motion that each point decodes to."""
+    """The results for text-motion pairs: posteriors, a point of each, and the motions decoded from the points."""
 
     text: Posterior
     motion: Posterior
@@ -114,8 +122,20 @@ class Output(NamedTuple):
 
 
 class Tmr(nn.Module):
-    """Motions of `features` numbers a frame and texts of `text_width` numbers a word, in one space of `width` numbers,
-    and motions out of that space again. A row's latent is its posterior's mean; cosines compare latents."""
+    """Encoders of motions and texts into one space, and a decoder from it to motions.
+
+    The latent of a row is the mean of its posterior; latents are compared by cosine similarity.
+
+    Args:
+        features: Number of features per frame.
+        text_width: Width of a word embedding.
+        width: Width of the space.
+        feedforward: Width of the feed-forward layers.
+        layers: Number of layers.
+        heads: Number of attention heads.
+        dropout: Dropout probability.
+        variational: Whether the encoders predict a variance.
+    """
 
     def __init__(
         self,
@@ -143,22 +163,32 @@ class Tmr(nn.Module):
         generator: torch.Generator | None = None,
         rebuild_every: int = 1,
     ) -> Output:
-        """Everything that training looks at, text first; points are drawn from the posteriors. Every so many rows are
-        rebuilt."""
+        """Compute the inputs of the training losses, text first; points are drawn from the posteriors.
+
+        Args:
+            text: Word embeddings, [batch, words, width].
+            text_mask: True at words, [batch, words], or None.
+            motion: Motion features, [batch, frames, features].
+            mask: True at frames, [batch, frames], or None.
+            generator: Source of the points.
+            rebuild_every: Stride of the rows that are decoded.
+        """
         posteriors = self.text_encoder(text, text_mask).float(), self.motion_encoder(motion, mask).float()
         points = tuple(posterior.rsample(generator) for posterior in posteriors)
-        exists = torch.ones_like(motion[..., 0], dtype=torch.bool) if mask is None else mask
-        chosen = slice(None, None, rebuild_every)
-        rebuilt = tuple(self.motion_decoder(point[chosen], exists[chosen]).float() for point in points)
+        present = torch.ones_like(motion[..., 0], dtype=torch.bool) if mask is None else mask
+        rows = slice(None, None, rebuild_every)
+        rebuilt = tuple(self.motion_decoder(point[rows], present[rows]).float() for point in points)
         return Output(*posteriors, points, rebuilt)
 
     def restate(self, old: Statistics, new: Statistics) -> None:
-        """Makes weights that were trained on features normalised by `old` ones for features normalised by `new`: see
-        `statistics.restate`."""
+        """Adapt the weights from features normalised by `old` to features normalised by `new`.
+
+        See `statistics.restate`.
+        """
         restate(self.motion_encoder.projection, self.motion_decoder.final_layer, old, new)
 
 
 def _first(positions: Tensor, tokens: int) -> Float[Tensor, "_ width"]:
     if tokens > len(positions):
-        raise ValueError(f"{tokens} tokens exceed the {len(positions)} known positions")
+        raise ValueError(f"{tokens} tokens exceed the {len(positions)} positions of the table")
     return positions[:tokens]

@@ -1,6 +1,6 @@
-"""Reads what strangers wrote: regular files of bounded size, JSON without duplicate keys, values short enough to show.
+"""Safe reading of untrusted files: regular files of bounded size, JSON without duplicate keys, short quotes of values.
 
-Knows neither formats nor what is asked for; each reader says in its own error what its file cannot mean.
+Independent of formats: each reader describes the errors of its own format.
 """
 
 from __future__ import annotations
@@ -11,30 +11,31 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 MOST_BYTES = 2**26
-"""Of a data set's file of lines; HumanML3D's index has 3 MB."""
+"""Maximum size of a data set's file of lines; HumanML3D's index has 3 MB."""
 
 _CHUNK = 2**20
 
 SHOWN = 60
-"""How many characters of a value stand in a message."""
+"""Maximum number of characters of a value in a message."""
 
 
 class UnreadableError(ValueError):
-    """Not a file to be read, or not the JSON it should be; the message says why, but not which file."""
+    """A file that cannot be read, or invalid JSON; the message gives the reason, but not the name of the file."""
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """The content of a regular file of at most `most` bytes; nothing else is opened, so that nothing is waited for.
+    """Read a regular file of at most `most` bytes. Nothing else is opened, so that the call never blocks.
 
     Raises:
-        UnreadableError: For a directory, a pipe, a device, a loop of links, a path with a NUL, or a larger file.
-        OSError: For a file that does not exist or may not be read, as `open` does.
+        UnreadableError: If the path is a directory, a pipe, a device, a loop of links or contains a NUL, or if the file
+            is larger.
+        OSError: If the file does not exist or may not be read, as for `open`.
     """
     try:
         status = path.stat()
     except FileNotFoundError:
         raise
-    except (OSError, ValueError) as error:  # a loop of links, a name that is too long; a NUL or a lone surrogate
+    except (OSError, ValueError) as error:  # a loop of links, a long name; a NUL or a lone surrogate
         raise UnreadableError(f"not a path to a file ({cut(getattr(error, 'strerror', None) or str(error))})") from None
     if not stat.S_ISREG(status.st_mode):
         kind = "a directory" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
@@ -57,7 +58,7 @@ def _read_up_to(file: BinaryIO, most: int) -> bytes:
 
 
 def read_text(path: Path, most: int) -> str:
-    """The text of a file in UTF-8, with "\\n" for every end of a line. Raises as `read_bytes`."""
+    r"""Read a UTF-8 file, with "\\n" for every line end. Raises as `read_bytes`."""
     try:
         text = read_bytes(path, most).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -66,7 +67,7 @@ def read_text(path: Path, most: int) -> str:
 
 
 def read_lines(path: Path) -> list[str]:
-    """The lines of a file in a data set; as `read_text`, but an `UnreadableError` names the file."""
+    """Read the lines of a file in a data set, as `read_text`; an `UnreadableError` names the file."""
     try:
         return read_text(path, MOST_BYTES).splitlines()
     except UnreadableError as error:
@@ -74,19 +75,19 @@ def read_lines(path: Path) -> list[str]:
 
 
 def load_json(document: str) -> Any:
-    """The data of a JSON document. Raises `UnreadableError` also for a key that an object has twice."""
+    """Parse a JSON document. Raises `UnreadableError` also if an object has a duplicate key."""
     try:
-        return json.loads(document, object_pairs_hook=_unique)
+        return json.loads(document, object_pairs_hook=_build_object)
     except json.JSONDecodeError as error:
         raise UnreadableError(f"line {error.lineno}, column {error.colno}: not JSON ({error.msg})") from None
     except UnreadableError:
         raise
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits, thousands of brackets
+    except (ValueError, RecursionError) as error:  # thousands of digits or brackets
         raise UnreadableError(f"not JSON that can be read ({cut(str(error), 100)})") from None
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object whose keys are unique: which of two would count?"""
+def _build_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Build an object, and reject duplicate keys, because their meaning is ambiguous."""
     data: dict[str, Any] = {}
     for key, value in pairs:
         if key in data:
@@ -96,7 +97,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def shown(value: Any, most: int = SHOWN) -> str:
-    """A value as a message shows it: on one line, escaped, cut after `most` characters; data as JSON."""
+    """Quote a value for a message: on one line, escaped, truncated after `most` characters; data as JSON."""
     if isinstance(value, str):
         quoted = repr(value[: most + 1])
         return quoted if len(quoted) <= most + 2 else quoted[: most - 1] + "…" + quoted[-1]
@@ -105,14 +106,14 @@ def shown(value: Any, most: int = SHOWN) -> str:
     if isinstance(value, float):
         return repr(value)
     text = ""
-    for piece in json.JSONEncoder(ensure_ascii=False, default=str).iterencode(value):  # lazily: however deep or long
-        text += piece[: most + 1]
+    for chunk in json.JSONEncoder(ensure_ascii=False, default=str).iterencode(value):  # lazy, for any depth or length
+        text += chunk[: most + 1]
         if len(text) > most:
             break
     return cut(text, most)
 
 
 def cut(text: str, most: int = SHOWN) -> str:
-    """At most `most` printable characters of a text, with … for what is left out; others are escaped."""
+    """Truncate a text to `most` printable characters, with … for the rest; other characters are escaped."""
     escaped = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text[: most + 1])
     return escaped if len(escaped) <= most else escaped[: most - 1] + "…"

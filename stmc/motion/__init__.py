@@ -1,7 +1,4 @@
-"""A moving person: body, rotations, kinematics, features, feet and skins.
-
-Knows no text and no network.
-"""
+"""A moving person: body, rotations, kinematics, features, feet and skins. Independent of texts and networks."""
 
 from lazy_loader import attach
 

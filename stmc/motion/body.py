@@ -1,6 +1,6 @@
 """The human body as names: joints, their tree, left and right, and the five body parts that own them.
 
-Knows SMPL's joint order; knows no positions (see `body_model`) and no features (see `representation`).
+Uses SMPL's joint order; `body_model` holds positions and `representation` features.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ JOINTS: tuple[str, ...] = (
 """SMPL's 24 joints in SMPL's order."""
 
 PARENTS: tuple[int, ...] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
-"""Index of each joint's parent; -1 for the root. A parent always stands before its children."""
+"""Index of each joint's parent; -1 for the root. A parent always precedes its children."""
 
 NUM_ROTATIONS = 22
-"""The first 22 joints have a rotation of their own; the two hands follow the wrists."""
+"""Number of joints with their own rotation, the first 22; the two hands follow the wrists."""
 
 
 def _other_side(name: str) -> str:
@@ -33,7 +33,7 @@ MIRROR: tuple[int, ...] = tuple(JOINTS.index(_other_side(name)) for name in JOIN
 """Index of each joint's left-right counterpart (itself on the midline)."""
 
 
-_READ_AS: dict[str, str] = {
+_SYNONYMS: dict[str, str] = {
     "torso": "spine",
     "neck": "head",
     "left hand": "left arm",
@@ -41,7 +41,7 @@ _READ_AS: dict[str, str] = {
     "left leg": "legs",
     "right leg": "legs",
 }
-"""Other names of parts that timelines may use, as in the published code, and the part that each is read as."""
+"""Other names of parts that timelines may use, as in the published code, and the parts that they stand for."""
 
 
 class BodyPart(StrEnum):
@@ -62,24 +62,24 @@ class BodyPart(StrEnum):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints this part owns, in SMPL's order. The pelvis belongs to the legs."""
+        """Names of the joints that this part owns, in SMPL's order. The pelvis belongs to the legs."""
         return tuple(name for name in JOINTS if _owner(name) is self)
 
     @classmethod
     def parse(cls, text: str) -> BodyPart:
-        """The part named by `text`, in any case, with spaces, `_` or `-`; names of smaller parts, such as "neck" or
-        "left hand", are those of the part that they belong to, and "torso" is the spine.
+        """Return the part with a name, in any case, with spaces, `_` or `-`.
 
-        Raises `ValueError` naming the legal choices for anything else.
+        Names of smaller parts, such as "neck" or "left hand", stand for the part that contains them; "torso" stands for
+        the spine. Raises `ValueError` with the legal names otherwise.
 
         Examples:
             >>> stmc.BodyPart.parse("Left_Hand")
             <BodyPart.LEFT_ARM: 'left arm'>
         """
         if not isinstance(text, str):
-            raise ValueError(f"a body part is a text, not {shown(text)}; choose from {', '.join(cls)}")
+            raise ValueError(f"a body part must be a text, not {shown(text)}; choose from {', '.join(cls)}")
         name = " ".join(text.lower().replace("_", " ").replace("-", " ").split())
-        name = _READ_AS.get(name, name)
+        name = _SYNONYMS.get(name, name)
         if name not in set(cls):
             raise ValueError(f"unknown body part {shown(text)}; choose from {', '.join(cls)}")
         return cls(name)

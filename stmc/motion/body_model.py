@@ -1,7 +1,7 @@
-"""Bodies: a skeleton of 24 joints with adult proportions, and SMPL meshes where the user has the files.
+"""Bodies: a skeleton of 24 joints with adult proportions, and SMPL meshes if the user has the files.
 
-Knows rest poses and how rotations pose them; knows no time. Everything here speaks of pelvis positions, as `Motion`
-does; `smpl_translation` is the one place that knows what SMPL adds to them.
+Bodies have rest poses and are posed by rotations; they are independent of time. All functions use pelvis positions, as
+`Motion` does; only `smpl_translation` converts them to SMPL's translations.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # slow to import
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Bones of 24 joints in `body.JOINTS`' order, in SMPL's rest pose (x left, y up, z forward, metres).
+    """Bones of 24 joints in the order of `body.JOINTS`, in SMPL's rest pose (x left, y up, z forward, metres).
 
     Examples:
         >>> stmc.Skeleton.default().rest.shape
@@ -44,7 +44,7 @@ class Skeleton:
 
     @classmethod
     def default(cls) -> Skeleton:
-        """The bundled skeleton, with proportions of the training data (float32, CPU).
+        """Return the bundled skeleton, with proportions of the training data (float32, CPU).
 
         Examples:
             >>> stmc.Skeleton.default().offsets.shape
@@ -60,10 +60,15 @@ class Skeleton:
         joints: Float[Tensor, "frames 24 3"],
         pelvis: Float[Tensor, " 3"] | None = None,
     ) -> Skeleton:
-        """The skeleton that a motion moves: its bones in their parents' frames, averaged over the frames.
+        """Measure the skeleton of a motion: its bones in their parents' frames, averaged over the frames.
 
-        Exact where `joints` are posed by `rotations`. A motion does not tell where the rest `pelvis` is
-        (metres; None: where the default skeleton's is).
+        The result is exact if `rotations` pose the `joints`.
+
+        Args:
+            rotations: Local rotations, [frames, 22, 3, 3].
+            joints: Joint positions in metres, [frames, 24, 3].
+            pelvis: Rest position of the pelvis in metres, which a motion does not determine; None uses that of the
+                default skeleton.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -85,7 +90,7 @@ class Skeleton:
     def pose(
         self, rotations: Float[Tensor, "*batch 22 3 3"], translation: Float[Tensor, "*batch 3"]
     ) -> Float[Tensor, "*batch 24 3"]:
-        """Joint positions of the body with these local rotations and the pelvis at `translation`.
+        """Compute the joint positions for local rotations, with the pelvis at `translation`.
 
         Examples:
             >>> stmc.Skeleton.default().pose(torch.eye(3).repeat(22, 1, 1), torch.zeros(3)).shape
@@ -95,7 +100,9 @@ class Skeleton:
         return translation[..., None, :] + forward_kinematics(rotations, offsets, PARENTS)
 
     def smpl_translation(self, pelvis: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-        """SMPL's `trans` for pelvis positions: less the rest pelvis, which SMPL adds whatever the rotation.
+        """Convert pelvis positions to SMPL's `trans`.
+
+        The result is the position minus the rest pelvis, which SMPL adds whatever the rotation.
 
         Examples:
             >>> body = stmc.Skeleton.default()
@@ -106,15 +113,16 @@ class Skeleton:
 
 
 _HANDS = {"smpl": (24, 22, 23), "smplh": (52, 22, 37), "smplx": (55, 25, 40)}
-"""Of each kind: its number of joints, and the two that are our hands (SMPL's own; else the first index knuckles)."""
+"""For each kind: its number of joints, and the two joints that serve as hands (SMPL's own; otherwise the first index
+knuckles)."""
 
 _GENDERS = ("neutral", "female", "male")
 
 _SMPLX_SHAPES, _SMPLX_SHORT = 300, 10
-"""Shape directions of SMPL-X's files with 400 directions, and of those with 20. The others are the face's."""
+"""Shape directions of SMPL-X files with 400 directions, and of those with 20. The others describe the face."""
 
-_AT_ONCE = 64
-"""Frames skinned at once: 10,000 vertices of them take some 100 MB."""
+_FRAMES_AT_ONCE = 64
+"""Number of frames skinned at once: 10,000 vertices in 64 frames take some 100 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,33 +130,33 @@ class Body:
     """An SMPL, SMPL-H or SMPL-X body of one shape: a mesh, and the skeleton that moves it. See `load_body`."""
 
     skeleton: Skeleton
-    """Its 24 joints: `skeleton.pose` and `vertices` agree."""
+    """The 24 joints; `skeleton.pose` and `vertices` agree."""
     faces: Int64[Tensor, "_ 3"]
-    """Triangles as indexes of vertices."""
+    """Triangles as vertex indices."""
     v_template: Float[Tensor, "_ 3"]
     """Vertices of the shaped body in the rest pose, in SMPL's axes, metres."""
     posedirs: Float[Tensor, "_ _"]
-    """What each entry of the rotation matrices (less the identity) adds to the vertices' coordinates."""
+    """Contribution of each entry of the rotation matrices (minus the identity) to the vertex coordinates."""
     J_regressor: Float[Tensor, "joints _"]
-    """The bones' rest positions as sums of vertices."""
+    """Weights of the vertices that give the rest positions of the bones."""
     lbs_weights: Float[Tensor, "_ joints"]
-    """How much each bone moves each vertex."""
+    """Weight of each bone at each vertex (linear blend skinning)."""
     parents: Int64[Tensor, " joints"]
-    """Each bone's parent, -1 for the root."""
+    """Index of each bone's parent, -1 for the root."""
     mean_pose: Float[Tensor, "joints 3 3"]
-    """Local rotations of the bones that a motion does not turn: hands at their mean pose."""
+    """Local rotations of the bones that a motion does not rotate: hands in their mean pose."""
 
     def vertices(
         self, rotations: Float[Tensor, "frames 22 3 3"], translation: Float[Tensor, "frames 3"]
     ) -> Float[Tensor, "frames _ 3"]:
-        """Mesh vertices in the world for local rotations and pelvis positions (both as a `Motion` has them)."""
-        chunks = zip(rotations.split(_AT_ONCE), translation.split(_AT_ONCE), strict=True)
-        return torch.cat([self._skinned(*chunk) for chunk in chunks])
+        """Compute mesh vertices in the world from local rotations and pelvis positions, as in a `Motion`."""
+        chunks = zip(rotations.split(_FRAMES_AT_ONCE), translation.split(_FRAMES_AT_ONCE), strict=True)
+        return torch.cat([self._skin(*chunk) for chunk in chunks])
 
     def meshes(
         self, rotations: Float[Tensor, "frames 22 3 3"], translation: Float[Tensor, "frames 3"]
     ) -> list[trimesh.Trimesh]:
-        """The mesh of every frame, z up, in metres: trimesh writes each as `.obj`, `.ply`, `.glb` and more."""
+        """Build the mesh of every frame, z up, in metres; trimesh writes it as `.obj`, `.ply`, `.glb` and more."""
         with named_extra():
             import trimesh  # not above: it is slow to import
 
@@ -156,12 +164,12 @@ class Body:
         posed = self.vertices(rotations, translation).double().cpu().numpy()
         return [trimesh.Trimesh(vertices, faces, process=False) for vertices in posed]
 
-    def _skinned(self, rotations: Tensor, translation: Tensor) -> Tensor:
+    def _skin(self, rotations: Tensor, translation: Tensor) -> Tensor:
         lbs = _smplx().lbs
         frames = len(translation)
         pose = torch.cat([rotations, self.mean_pose[NUM_ROTATIONS:].to(rotations).expand(frames, -1, 3, 3)], dim=1)
         vertices, _ = lbs(
-            betas=pose.new_zeros(frames, 0),  # the template is shaped already
+            betas=pose.new_zeros(frames, 0),  # the template includes the shape
             pose=pose,
             v_template=self.v_template.to(pose),
             shapedirs=pose.new_zeros(*self.v_template.shape, 0),
@@ -175,7 +183,7 @@ class Body:
 
 
 def _smplx() -> ModuleType:
-    """What poses bodies: only they need it."""
+    """Import the module that poses bodies; nothing else needs it."""
     with named_extra():
         return import_module("smplx.lbs")
 
@@ -183,14 +191,20 @@ def _smplx() -> ModuleType:
 def load_body(
     folder: str | Path, kind: str = "smpl", gender: str = "neutral", betas: Sequence[float] | None = None
 ) -> Body:
-    """The body in the user's own SMPL, SMPL-H or SMPL-X file, `.npz` or `.pkl`.
+    """Load a body from the user's own SMPL, SMPL-H or SMPL-X file, `.npz` or `.pkl`.
 
-    `folder` is where the files lie as downloaded (`basicmodel_neutral_lbs_10_207_0_v1.1.0.pkl`, `neutral/model.npz`,
-    ...) or as smplx expects them (`smplh/SMPLH_NEUTRAL.npz`, ...), or one such file. `betas`: shape coefficients, zeros
-    by default. Of a `.pkl`, only arrays are read; its code is not run, and chumpy is not needed.
+    Only arrays are read from a `.pkl`: its code is not executed, and chumpy is not needed.
 
-    Raises `FileNotFoundError` naming the places looked at, `ValueError` for an unknown kind or gender, or a file that
-    is not a body of this kind.
+    Args:
+        folder: Folder of the files as downloaded (`basicmodel_neutral_lbs_10_207_0_v1.1.0.pkl`, `neutral/model.npz`,
+            ...) or as smplx expects them (`smplh/SMPLH_NEUTRAL.npz`, ...), or the path of one such file.
+        kind: "smpl", "smplh" or "smplx".
+        gender: "neutral", "female" or "male".
+        betas: Shape coefficients; zeros by default.
+
+    Raises:
+        FileNotFoundError: If no file is found; the message lists the candidates.
+        ValueError: If the kind or gender is unknown, or the file is not a body of this kind.
     """
     if kind not in _HANDS:
         raise ValueError(f"unknown kind of body {kind!r}; choose from {', '.join(_HANDS)}")
@@ -224,29 +238,29 @@ def _find(folder: Path, kind: str, gender: str) -> Path:
     if kind == "smpl":
         letter = gender if gender == "neutral" else gender[0]
         names += [f"basicmodel_{letter}_lbs_10_207_0_v{version}.pkl" for version in ("1.1.0", "1.0.0")]
-    places = [*names, *(f"{kind}/{name}" for name in names)]
-    there = {path.relative_to(folder).as_posix().lower(): path for path in _below(folder, depth=3)}
-    for place in places:  # names differ in case from one release to the next
-        if place in there:
-            return there[place]
-    raise FileNotFoundError(f"no {kind} body for gender {gender!r} in {folder}; looked for {', '.join(places)}")
+    candidates = [*names, *(f"{kind}/{name}" for name in names)]
+    present = {path.relative_to(folder).as_posix().lower(): path for path in _below(folder, depth=3)}
+    for candidate in candidates:  # releases differ in the case of names
+        if candidate in present:
+            return present[candidate]
+    raise FileNotFoundError(f"no {kind} body for gender {gender!r} in {folder}; looked for {', '.join(candidates)}")
 
 
 def _below(folder: Path, depth: int) -> list[Path]:
-    """Files of at most `depth` names below `folder`."""
+    """List the files at most `depth` levels below `folder`."""
     return sorted(
         path for level in range(1, depth + 1) for path in folder.glob("/".join("*" * level)) if path.is_file()
     )
 
 
 def _read(path: Path, kind: str) -> dict[str, Tensor]:
-    """The arrays of a body, floats as float32; `ValueError` where one is missing, damaged or of the wrong shape."""
-    wanted, hands = ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f"], []
+    """Read the arrays of a body, floats as float32; raise `ValueError` if one is missing, damaged or misshapen."""
+    required, hands = ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f"], []
     if kind != "smpl":
         hands = ["hands_meanl", "hands_meanr"]
     read = read_pickle if path.suffix == ".pkl" else read_npz
     try:
-        arrays = read(path, wanted, hands)
+        arrays = read(path, required, hands)
     except ArraysError as error:
         raise ValueError(f"{path} is not a {kind} body: {error}") from error
     _check(arrays, path, kind)
@@ -258,14 +272,16 @@ def _read(path: Path, kind: str) -> dict[str, Tensor]:
 
 
 def _check(arrays: Mapping[str, np.ndarray], path: Path, kind: str) -> None:
-    """Raises `ValueError` unless the arrays fit one another and the kind of body."""
+    """Raise `ValueError` unless the arrays match each other and the kind of body."""
     for name, array in arrays.items():
         if array.dtype.kind not in "biuf":
-            raise ValueError(f"{path}: {name} holds {array.dtype}, not numbers")
+            raise ValueError(f"{path}: {name} has dtype {array.dtype}; it must be numeric")
     bones, tree = _HANDS[kind][0], arrays["kintree_table"]
     if tree.ndim != 2 or tree.shape[1] != bones or list(tree[0, 1:NUM_ROTATIONS]) != list(PARENTS[1:NUM_ROTATIONS]):
         joints = tree.shape[-1] if tree.ndim else 0
-        raise ValueError(f"{path} has {joints} joints; a {kind} body has {bones}, the first {NUM_ROTATIONS} as SMPL's")
+        raise ValueError(
+            f"{path} has {joints} joints; a {kind} body has {bones}, and the first {NUM_ROTATIONS} are SMPL's"
+        )
     if (tree[0, 1:] < 0).any() or (tree[0, 1:] >= np.arange(1, bones)).any():
         raise ValueError(f"{path}: kintree_table has a joint before its parent")
     vertices = len(arrays["v_template"]) if arrays["v_template"].ndim else 0
@@ -284,7 +300,7 @@ def _check(arrays: Mapping[str, np.ndarray], path: Path, kind: str) -> None:
             continue
         array = arrays[name]
         if array.ndim != len(shape) or any(
-            want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
+            expected not in (None, actual) for expected, actual in zip(shape, array.shape, strict=True)
         ):
             raise ValueError(f"{path}: {name} has shape {array.shape}; a {kind} body's is {shape}")
         if not (np.abs(array.astype(np.float64)) <= np.finfo(np.float32).max).all():
@@ -294,18 +310,18 @@ def _check(arrays: Mapping[str, np.ndarray], path: Path, kind: str) -> None:
 
 
 def _shape(directions: Tensor, betas: Sequence[float], kind: str, path: Path) -> Tensor:
-    known = directions.shape[-1]
-    if kind == "smplx":  # the directions of the face's expressions follow those of the shape
-        known = _SMPLX_SHAPES if known > _SMPLX_SHAPES else min(known, _SMPLX_SHORT)
-    if len(betas) > known:
-        raise ValueError(f"{len(betas)} betas, but {path} has {known}")
+    count = directions.shape[-1]
+    if kind == "smplx":  # the directions of facial expressions follow those of the shape
+        count = _SMPLX_SHAPES if count > _SMPLX_SHAPES else min(count, _SMPLX_SHORT)
+    if len(betas) > count:
+        raise ValueError(f"{len(betas)} betas, but {path} has {count} shape directions")
     return directions[..., : len(betas)] @ torch.tensor(list(betas), dtype=directions.dtype)
 
 
 def _mean_pose(arrays: Mapping[str, Tensor], bones: int) -> Tensor:
-    """Local rotations of a body at ease: fingers, the last 15 bones of each side, at their mean; the rest unturned."""
-    turned = torch.zeros(bones, 3)
+    """Return local rotations: the fingers, the last 15 bones of each side, in their mean pose, the rest at identity."""
+    rotations = torch.zeros(bones, 3)
     if "hands_meanl" in arrays and "hands_meanr" in arrays:
         hands = torch.cat([arrays["hands_meanl"], arrays["hands_meanr"]])
-        turned[-30:] = rearrange(hands, "(joints axes) -> joints axes", axes=3)
-    return axis_angle_to_matrix(turned)
+        rotations[-30:] = rearrange(hands, "(joints axes) -> joints axes", axes=3)
+    return axis_angle_to_matrix(rotations)

@@ -1,6 +1,6 @@
-"""What a body does, read off its joints: where it goes, how it turns, what its hands are at, whether its feet slide.
+"""Kinematic measures of a body: its path, its turns, its hands and the sliding of its feet.
 
-Measures of one `Motion` at a time, in metres, seconds and radians; knows no text, no model and no other motion.
+Measures of one `Motion` at a time, in metres, seconds and radians; independent of texts and models.
 """
 
 from __future__ import annotations
@@ -16,37 +16,48 @@ from stmc.motion.geometry import wrap
 from stmc.motion.motion import Motion
 
 CONTACT_HEIGHT = 0.025
-"""Metres above the floor from which on a toe is not in contact with it (MANN's H)."""
+"""Height in metres above the floor from which a toe is not in contact with it (H of MANN)."""
 
 
 def joint(motion: Motion, name: str) -> Float[Tensor, "frames 3"]:
-    """The path of one joint. Raises `ValueError` with the names there are for an unknown one."""
+    """Return the path of one joint. Raises `ValueError` with the legal names if the name is unknown."""
     if name not in JOINTS:
         raise ValueError(f"unknown joint {name!r}; choose from {', '.join(JOINTS)}")
     return motion.joints[:, JOINTS.index(name)]
 
 
 def forward_speed(motion: Motion) -> Float[Tensor, " frames"]:
-    """Metres per second of the pelvis along the heading, negative where it moves backwards; one frame shorter."""
+    """Return the speed of the pelvis along the heading in m/s, negative for backward motion; one frame shorter."""
     velocity = motion.translation.diff(dim=0) * motion.fps
     return (velocity * motion.facing[:-1]).sum(dim=-1)
 
 
 def turn(motion: Motion) -> float:
-    """Net change of the heading in radians, counter-clockwise (to the left) positive, full turns counted."""
+    """Return the net change of the heading in radians, positive to the left, including full turns."""
     return float(wrap(motion.heading.diff()).sum())
 
 
 def wrist_height(motion: Motion, side: str, above: str) -> Float[Tensor, " frames"]:
-    """Height of the wrist of `side` ("left" or "right") above that side's joint `above` ("shoulder", "elbow")."""
+    """Return the height of a wrist above a joint of the same side.
+
+    Args:
+        motion: The motion.
+        side: "left" or "right".
+        above: "shoulder" or "elbow".
+    """
     return joint(motion, f"{side}_wrist")[:, 2] - joint(motion, f"{side}_{above}")[:, 2]
 
 
 def swings(motion: Motion, side: str, extent: float | int = 0.05) -> int:
-    """How often the forearm of `side` swings sideways, one way or the other, while the wrist is above the elbow.
+    """Count the sideways swings, in either direction, of a forearm while its wrist is above the elbow.
 
-    A swing counts when the wrist has moved at least `extent` metres, relative to the elbow and along the shoulders'
-    line, since the last turning point; so one wave to and fro makes two.
+    A swing counts when the wrist has moved at least `extent` metres, relative to the elbow and along the line of the
+    shoulders, since the last turning point; one wave to and fro makes two.
+
+    Args:
+        motion: The motion.
+        side: "left" or "right".
+        extent: Minimum extent of a swing in metres.
     """
     raised = wrist_height(motion, side, "elbow") > 0
     across = joint(motion, "left_shoulder") - joint(motion, "right_shoulder")
@@ -68,38 +79,41 @@ def swings(motion: Motion, side: str, extent: float | int = 0.05) -> int:
 
 
 def hand_step(motion: Motion) -> float:
-    """The furthest that a wrist moves, relative to the pelvis, from one frame to the next; metres *per frame*, so those
-    of different frame rates do not compare. 0 for a single frame."""
+    """Return the largest movement of a wrist, relative to the pelvis, between consecutive frames.
+
+    The unit is metres *per frame*, so that values of different frame rates are not comparable. 0 for a single frame.
+    """
     wrists = torch.stack([joint(motion, f"{side}_wrist") for side in ("left", "right")], dim=1)
     steps = (wrists - joint(motion, "pelvis")[:, None]).diff(dim=0).norm(dim=-1)
     return float(steps.max()) if len(steps) else 0.0
 
 
 def foot_sliding(motion: Motion, floor: float | int = 0.0) -> float:
-    """Mean horizontal way of a toe per frame of contact with the `floor` (its height, metres), in metres; NaN where
-    no toe ever touches it.
+    """Return the mean horizontal distance, in metres, that a toe moves per frame of contact with the floor.
 
-    How much of a contact a frame is falls from 1 on the floor to 0 at H = `CONTACT_HEIGHT` above it, as 2 - 2^(h / H)
-    (the foot skating of MANN, Zhang et al. 2018); h is the toe's height in this frame or in the next, whichever is
-    higher. So feet that swing just above the floor, two metres a second, hardly count.
+    The weight of a contact falls from 1 on the `floor` (its height in metres) to 0 at H = `CONTACT_HEIGHT` above it, as
+    2 - 2^(h / H) (the foot skating of MANN, Zhang et al. 2018); h is the toe's height in this frame or in the next,
+    whichever is higher. Feet that swing just above the floor, at two metres a second, therefore hardly count. NaN if no
+    toe ever touches the floor.
     """
     feet = torch.stack([joint(motion, "left_foot"), joint(motion, "right_foot")], dim=1)
     height = (torch.maximum(feet[1:, :, 2], feet[:-1, :, 2]) - floor).clamp(min=0)
     contact = (2 - 2 ** (height / CONTACT_HEIGHT)).clamp(min=0)
-    way = feet[..., :2].diff(dim=0).norm(dim=-1)
-    return float((way * contact).sum() / contact.sum())
+    distance = feet[..., :2].diff(dim=0).norm(dim=-1)
+    return float((distance * contact).sum() / contact.sum())
 
 
 def floor_penetration(motion: Motion, floor: float | int = 0.0) -> float:
-    """Mean depth of the lowest joint below `floor` over all frames, in metres; 0 where nothing goes below."""
+    """Return the mean depth of the lowest joint below `floor` over all frames, in metres; 0 if nothing is below."""
     return float((floor - motion.joints[..., 2].amin(dim=-1)).clamp(min=0).mean())
 
 
 def diversity(motions: list[Motion]) -> float:
-    """Mean distance of a joint between two of the motions, in metres, over all pairs, frames and joints.
+    """Return the mean distance of a joint between two motions, in metres, over all pairs, frames and joints.
 
-    Joints are relative to the pelvis of the same frame and turned to heading zero; motions are compared up to the end
-    of the shorter. How different samples of one timeline are.
+    It measures how different samples of one timeline are. Joints are relative to the pelvis of the same frame and
+    rotated to heading zero; motions are compared up to the end of the shorter one. Raises `ValueError` for fewer than
+    two motions.
     """
     local = [local_joints(motion) for motion in motions]
     distances = [
@@ -113,7 +127,7 @@ def diversity(motions: list[Motion]) -> float:
 
 
 def local_joints(motion: Motion) -> Float[Tensor, "frames joints 3"]:
-    """Positions relative to the pelvis, turned to heading zero in every frame: the pose alone, z up."""
+    """Return positions relative to the pelvis, rotated to heading zero in every frame: the pose alone, z up."""
     forward, up = motion.facing, torch.tensor([0.0, 0.0, 1.0], dtype=motion.joints.dtype)
     frame = torch.stack([forward, torch.linalg.cross(up.expand_as(forward), forward), up.expand_as(forward)], dim=-1)
     return (motion.joints - motion.joints[:, :1]) @ frame

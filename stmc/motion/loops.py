@@ -1,6 +1,6 @@
-"""Motions that go round: the part of a motion whose end leads into its beginning, and the rest bent to close the gap.
+"""Loops: the part of a motion whose end leads into its beginning, bent to close the gap.
 
-Knows poses and their speeds; knows no text and no features.
+Depends on poses and their velocities; independent of texts and features.
 """
 
 from __future__ import annotations
@@ -13,73 +13,77 @@ from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle, rotation_z
 from stmc.motion.motion import Motion
 
-_SHORTEST = 0.8
-"""Seconds of the shortest loop: two steps of a runner take 0.7 s."""
+_MIN_SECONDS = 0.8
+"""Minimum duration of a loop in seconds: two steps of a runner take 0.7 s."""
 _AHEAD = 0.2
-"""Seconds: two frames are alike where their poses are, and where these would be so much later at their speeds."""
+"""Seconds of extrapolation: similar frames have similar poses now and at their velocities this much later."""
 _STILL = 0.5
-"""Metres, of all joints together: less movement than that hardly counts as any."""
-_MOST = 4096
-"""Frames that are compared with each other; of longer motions, the first."""
+"""Metres, of all joints together, below which movement hardly counts."""
+_MAX_FRAMES = 4096
+"""Maximum number of frames that are compared with each other; the first frames of longer motions."""
 
 
 def looped(motion: Motion, seconds: float | int | None = None) -> Motion:
-    """The part of a motion that repeats best, closed: its last frame leads into its first.
+    """Extract the part of a motion that repeats best, and close it: its last frame leads into its first.
 
-    Every frame is compared with every other, as poses in their own headings, with their speeds. Between the two that
-    are most alike, for all that happens between them, the motion is kept, and what they differ by is taken away little
-    by little over the whole of it. Where the body goes and turns is kept: a walk walks on, so the next round begins
-    where this one ends, in the direction of then.
+    All pairs of frames are compared as poses in their own headings, with their velocities. The loop lies between the
+    most similar pair, relative to the movement between them, and the difference of the pair is removed gradually over
+    the whole loop. The path and the turns of the body are preserved: a walk walks on, so that the next repetition
+    begins at the end of this one, in the direction of its end.
 
-    `seconds`: how long the loop is, by default whatever closes best, at least 0.8 s. Raises `ValueError` for a motion
-    that is too short for it.
+    `seconds` is the duration of the loop; by default the loop that closes best, at least 0.8 s. Raises `ValueError` if
+    the motion is too short.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 3", steps=1)
         >>> stmc.looped(motion, seconds=1)
         Motion(20 frames at 20 fps, 1.00 s)
     """
-    least = max(2, round(motion.fps * (_SHORTEST if seconds is None else seconds)))
+    least = max(2, round(motion.fps * (_MIN_SECONDS if seconds is None else seconds)))
     if motion.frames <= least:
-        raise ValueError(f"{motion.frames} frames are too short for a loop of {least} and the one after it")
-    start, end = _alike(motion.trimmed(0, min(motion.frames, max(_MOST, least + 1))), least, seconds is not None)
-    return _closed(motion, start, end)
+        raise ValueError(f"{motion.frames} frames are too short for a loop of {least} frames, which needs one more")
+    start, end = _most_similar_frames(
+        motion.trimmed(0, min(motion.frames, max(_MAX_FRAMES, least + 1))), least, seconds is not None
+    )
+    return _close(motion, start, end)
 
 
-def _alike(motion: Motion, least: int, exactly: bool) -> tuple[int, int]:
-    """The two frames, `least` or more apart, that are most alike."""
-    local, frame = _local(motion)
+def _most_similar_frames(motion: Motion, least: int, exactly: bool) -> tuple[int, int]:
+    """Find the two most similar frames that are at least (or exactly) `least` frames apart."""
+    local, frame = _local_joints(motion)
     steps = motion.joints.diff(dim=0)
     speed = torch.cat([steps, steps[-1:]]) @ frame * motion.fps
-    alike = torch.cat([local, local + _AHEAD * speed], dim=1).flatten(start_dim=1).double()
-    busy = torch.cat([alike.new_zeros(1), local.diff(dim=0).flatten(start_dim=1).norm(dim=-1).double().cumsum(dim=0)])
-    far = torch.cdist(alike, alike) / ((busy[None] - busy[:, None]).clamp(min=0) + _STILL).sqrt()
-    apart = torch.arange(len(far), device=far.device)
-    apart = apart[None] - apart[:, None]
-    far = far.masked_fill(apart != least if exactly else apart < least, torch.inf)
-    start, end = divmod(int(far.argmin()), len(far))
+    poses = torch.cat([local, local + _AHEAD * speed], dim=1).flatten(start_dim=1).double()
+    movement = torch.cat(
+        [poses.new_zeros(1), local.diff(dim=0).flatten(start_dim=1).norm(dim=-1).double().cumsum(dim=0)]
+    )
+    cost = torch.cdist(poses, poses) / ((movement[None] - movement[:, None]).clamp(min=0) + _STILL).sqrt()
+    index = torch.arange(len(cost), device=cost.device)
+    gap = index[None] - index[:, None]
+    cost = cost.masked_fill(gap != least if exactly else gap < least, torch.inf)
+    start, end = divmod(int(cost.argmin()), len(cost))
     return start, end
 
 
-def _local(motion: Motion) -> tuple[Float[Tensor, "frames 24 3"], Float[Tensor, "frames 3 3"]]:
-    """Joints as seen from the floor under the pelvis, turned to heading zero, and those frames' axes."""
+def _local_joints(motion: Motion) -> tuple[Float[Tensor, "frames 24 3"], Float[Tensor, "frames 3 3"]]:
+    """Return joints relative to the floor below the pelvis, rotated to heading zero, and the axes of those frames."""
     frame = rotation_z(motion.heading)
     under = motion.translation * motion.translation.new_tensor([1.0, 1.0, 0.0])
     return (motion.joints - under[:, None]) @ frame, frame
 
 
-def _closed(motion: Motion, start: int, end: int) -> Motion:
-    """Frames [start, end), bent so that the pose of the frame `end` would be that of the frame `start`."""
-    kept = motion.trimmed(start, end + 1)
-    share = torch.linspace(0, 1, kept.frames).to(kept.translation)
-    share = share**2 * (3 - 2 * share)
-    frame = rotation_z(kept.heading)
-    local = torch.cat([(frame.mT @ kept.rotations[:, 0])[:, None], kept.rotations[:, 1:]], dim=1)
+def _close(motion: Motion, start: int, end: int) -> Motion:
+    """Bend frames [start, end) so that the pose of frame `end` becomes that of frame `start`."""
+    part = motion.trimmed(start, end + 1)
+    weight = torch.linspace(0, 1, part.frames).to(part.translation)
+    weight = weight**2 * (3 - 2 * weight)
+    frame = rotation_z(part.heading)
+    local = torch.cat([(frame.mT @ part.rotations[:, 0])[:, None], part.rotations[:, 1:]], dim=1)
     gap = matrix_to_axis_angle(local[-1].mT @ local[0])
-    local = local @ axis_angle_to_matrix(share[:, None, None] * gap)
+    local = local @ axis_angle_to_matrix(weight[:, None, None] * gap)
     rotations = torch.cat([(frame @ local[:, 0])[:, None], local[:, 1:]], dim=1)
-    translation = kept.translation.clone()
-    translation[:, 2] += share * (translation[0, 2] - translation[-1, 2])
-    skeleton = Skeleton.measured(kept.rotations, kept.joints)
+    translation = part.translation.clone()
+    translation[:, 2] += weight * (translation[0, 2] - translation[-1, 2])
+    skeleton = Skeleton.measured(part.rotations, part.joints)
     joints = skeleton.pose(rotations, translation)
     return Motion(rotations, translation, joints, motion.fps, motion.overlap).trimmed(0, end - start)

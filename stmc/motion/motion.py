@@ -1,7 +1,7 @@
-"""A person moving: the rotations, root and joints of a body over time.
+"""A moving person: the rotations, root and joints of a body over time.
 
-Knows SMPL's joint order and the world's axes (metres, radians, z up). Knows no body's proportions (see `body_model`)
-and no feature vector (see `representation`).
+Uses SMPL's joint order and the world's axes (metres, radians, z up). Independent of body proportions (see `body_model`)
+and feature vectors (see `representation`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from stmc.motion.geometry import (
 
 @runtime_checkable
 class Posable(Protocol):
-    """Whatever turns local rotations and pelvis positions into joint positions, as `Skeleton` does."""
+    """An object that converts local rotations and pelvis positions to joint positions, as `Skeleton` does."""
 
     def pose(
         self, rotations: Float[Tensor, "*batch 22 3 3"], translation: Float[Tensor, "*batch 3"]
@@ -39,14 +39,21 @@ class Posable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A body moving through a z-up world, frame by frame.
+    """A body moving through a z-up world, frame by frame. All three tensors share dtype and device.
 
-    `rotations` are local (relative to the parent joint); the root's, which carries the heading, turns SMPL's rest pose
-    (x left, y up, z forward) into the world. `translation` is the position of the pelvis: SMPL's own translation is
-    this minus the pelvis of the rest pose (`Skeleton.smpl_translation`). All three tensors share dtype and device.
+    Args:
+        rotations: Local rotations of SMPL's first 22 joints, relative to the parent joint, [frames, 22, 3, 3]. The
+            root's rotation, which contains the heading, rotates SMPL's rest pose (x left, y up, z forward) into the
+            world.
+        translation: Positions of the pelvis in metres, [frames, 3]. SMPL's own translation is this minus the pelvis of
+            the rest pose (`Skeleton.smpl_translation`).
+        joints: Positions of all 24 joints in metres, in the order of `body.JOINTS`, [frames, 24, 3].
+        fps: Frames per second.
+        overlap: Duration in seconds of the transitions between the prompts of a sampled motion; None if there are none.
 
-    Raises `ValueError` for wrong shapes, no frames, values that are not finite, matrices that are not rotations, and
-    for frames, seconds or a frame rate beyond `bounds`.
+    Raises:
+        ValueError: If a shape is wrong, there are no frames, a value is not finite, a matrix is not a rotation, or the
+            frames, seconds or frame rate exceed `bounds`.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -65,7 +72,7 @@ class Motion:
     fps: float | int
     """Frames per second."""
     overlap: float | int | None = None
-    """Seconds of the transitions between the prompts it was sampled for; None: it was not sampled, or has none."""
+    """Seconds of the transitions between the prompts of a sampled motion; None if there are none."""
 
     def __post_init__(self) -> None:
         _check(self.rotations, self.translation, self.joints, self.fps)
@@ -78,7 +85,13 @@ class Motion:
         fps: float | int,
         skeleton: Posable,
     ) -> Motion:
-        """The motion of `skeleton` with these local rotations and pelvis positions.
+        """Pose `skeleton` with local rotations and pelvis positions.
+
+        Args:
+            rotations: Local rotations, [frames, 22, 3, 3].
+            translation: Pelvis positions in metres, [frames, 3].
+            fps: Frames per second.
+            skeleton: Skeleton to pose.
 
         Examples:
             >>> rotations, translation = torch.eye(3).repeat(20, 22, 1, 1), torch.zeros(20, 3)
@@ -91,7 +104,7 @@ class Motion:
         return f"Motion({self.frames} frames at {self.fps:g} fps, {self.duration:.2f} s)"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: up to eight moments as stick figures. `stmc.view` shows the moving body."""
+        """Draw up to eight moments as stick figures for notebooks. `stmc.view` shows the moving body."""
         return f"<div>{self}</div>{_film_strip(self.joints.double().cpu(), self.facing[0].double().cpu(), self.fps)}"
 
     def __len__(self) -> int:
@@ -104,7 +117,7 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Seconds: frames over frame rate."""
+        """Duration in seconds: frames divided by frame rate."""
         return self.frames / self.fps
 
     @property
@@ -114,12 +127,12 @@ class Motion:
 
     @property
     def facing(self) -> Float[Tensor, "frames 3"]:
-        """Horizontal unit vectors, the direction the pelvis faces: -y turned by the heading."""
+        """Horizontal unit vectors in the direction that the pelvis faces: -y rotated by the heading."""
         angle = self.heading
         return torch.stack([torch.sin(angle), -torch.cos(angle), torch.zeros_like(angle)], dim=-1)
 
     def mirrored(self) -> Motion:
-        """The mirror image in the plane x = 0: left and right change places. Twice is the motion itself.
+        """Mirror the motion in the plane x = 0, which swaps left and right. Mirroring twice restores the motion.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -135,10 +148,11 @@ class Motion:
         )
 
     def resampled(self, fps: float | int) -> Motion:
-        """The same movement at another frame rate: rotations on the sphere, the pelvis on straight lines, and bones
-        with the rotations that turn them, so that they keep their lengths. At its own rate it is the motion itself.
+        """Resample the motion to another frame rate.
 
-        Raises `ValueError` where not one frame remains, or more than `bounds` allows.
+        Rotations are interpolated on the sphere and the pelvis linearly. Bones are interpolated in their parents'
+        frames, so that they keep their lengths. At its own frame rate the result is the motion itself. Raises
+        `ValueError` if no frame remains, or more frames than `bounds` allows.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -161,7 +175,7 @@ class Motion:
         )
 
     def trimmed(self, start: int, end: int) -> Motion:
-        """Frames `[start, end)`, in place in the world. Raises `ValueError` unless `0 <= start < end <= frames`.
+        """Return frames `[start, end)`, unmoved in the world. Raises `ValueError` unless `0 <= start < end <= frames`.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -169,12 +183,14 @@ class Motion:
             Motion(10 frames at 20 fps, 0.50 s)
         """
         if not 0 <= start < end <= self.frames:
-            raise ValueError(f"cannot trim {self.frames} frames to [{start}, {end}): need 0 <= start < end <= frames")
+            raise ValueError(
+                f"cannot trim {self.frames} frames to [{start}, {end}); choose 0 <= start < end <= {self.frames}"
+            )
         values = (self.rotations, self.translation, self.joints)
         return Motion(*(value[start:end] for value in values), self.fps, self.overlap)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Motion:
-        """The motion on another device or in another floating dtype.
+        """Return the motion on another device or in another floating-point dtype.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -190,20 +206,20 @@ def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float | 
     if frames == 0:
         raise ValueError("a motion needs at least one frame")
     check_frames(frames, fps)
-    wanted = {
+    expected = {
         "rotations": (rotations, (frames, NUM_ROTATIONS, 3, 3)),
         "translation": (translation, (frames, 3)),
         "joints": (joints, (frames, len(JOINTS), 3)),
     }
-    for name, (value, shape) in wanted.items():
+    for name, (value, shape) in expected.items():
         if tuple(value.shape) != shape:
             raise ValueError(f"{name} must have shape {shape}, not {tuple(value.shape)}")
         if value.dtype != joints.dtype or value.device != joints.device or not value.is_floating_point():
             raise ValueError(f"{name} is {value.dtype} on {value.device}, joints are {joints.dtype} on {joints.device}")
         chunks = (torch.isfinite(chunk).flatten(start_dim=1).all(dim=1) for chunk in value.split(_FRAMES_AT_ONCE))
-        bad = ~torch.cat(list(chunks))
-        if bad.any():
-            raise ValueError(f"{name} has values that are not finite, first in frame {int(bad.nonzero()[0])}")
+        invalid = ~torch.cat(list(chunks))
+        if invalid.any():
+            raise ValueError(f"{name} has values that are not finite, first in frame {int(invalid.nonzero()[0])}")
     _check_rotations(rotations)
 
 
@@ -211,9 +227,9 @@ _FRAMES_AT_ONCE = 2**14
 
 
 def _check_rotations(rotations: Tensor) -> None:
-    bad = torch.cat([_is_no_rotation(frames) for frames in rotations.split(_FRAMES_AT_ONCE)])
-    if bad.any():
-        frame, joint = (int(index) for index in bad.nonzero()[0])
+    invalid = torch.cat([_is_no_rotation(frames) for frames in rotations.split(_FRAMES_AT_ONCE)])
+    if invalid.any():
+        frame, joint = (int(index) for index in invalid.nonzero()[0])
         raise ValueError(f"rotations[{frame}, {joint}] ({JOINTS[joint]}) is not a rotation matrix")
 
 
@@ -223,20 +239,20 @@ def _is_no_rotation(rotations: Float[Tensor, "frames 22 3 3"]) -> Bool[Tensor, "
 
 
 _PIXELS = 100
-"""Of a film strip: pixels a metre, and from one figure to the next."""
+"""Scale of a film strip: pixels per metre, and between neighbouring figures."""
 
 _COLOURS = {"left": "#ea580c", "midline": "#555", "right": "#2563eb"}
 
 
 def _film_strip(joints: Float[Tensor, "frames 24 3"], facing: Float[Tensor, " 3"], fps: float | int) -> str:
-    """Stick figures as SVG, side by side on one floor, as seen from 40 degrees to the right of `facing`."""
+    """Draw stick figures as SVG, side by side on one floor, seen from 40 degrees to the right of `facing`."""
     moments = torch.linspace(0, len(joints) - 1, min(8, len(joints))).round().long().tolist()
     across = (joints - joints[:, :1]) @ (rotation_z(torch.tensor(math.radians(50.0)).to(facing)) @ facing)
     height = joints[..., 2] - joints[..., 2].min()
     width, floor = _PIXELS * len(moments), _PIXELS * float(height.max()) + 10
     figures = []
-    for place, frame in enumerate(moments):
-        x, y = _PIXELS * (across[frame] + place + 0.5), floor - _PIXELS * height[frame]
+    for index, frame in enumerate(moments):
+        x, y = _PIXELS * (across[frame] + index + 0.5), floor - _PIXELS * height[frame]
         for side, colour in _COLOURS.items():
             path = "".join(
                 f"M{x[parent]:.1f} {y[parent]:.1f}L{x[joint]:.1f} {y[joint]:.1f}"

@@ -1,4 +1,4 @@
-"""Run directories: a model or an evaluator as files, and back. Nothing of a file is run; see `directories`."""
+"""Run directories: a model or an evaluator as files, and back. No code of a file is executed; see `directories`."""
 
 from stmc.run.configs import RunError
 from stmc.run.construction import Part, construct, signature_of

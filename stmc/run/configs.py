@@ -1,6 +1,6 @@
-"""`config.yaml` as plain data: numbers, texts, lists and mappings, whatever a file would like to be more.
+"""`config.yaml` as plain data: numbers, texts, lists and mappings only.
 
-Knows YAML and what hostile files do with it; knows no part of a model.
+Depends on YAML and rejects hostile files; independent of the parts of a model.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ import yaml
 from stmc.settings.records import shown
 
 LARGEST, DEEPEST = 2**16, 16
-"""Bytes of a config, and collections within one another. Real ones have a thousand and four."""
+"""Maximum size of a config in bytes, and maximum depth of nested collections. Real configs have a thousand bytes and
+four levels."""
 LONGEST_TEXT, LARGEST_NUMBER = 1000, 2**31
 TARGET, PARTIAL = "_target_", "_partial_"
 
 
 class RunError(ValueError):
-    """A folder that is no run directory, or a damaged one; the message names the file and what is wrong with it."""
+    """A folder that is not a run directory, or a damaged one; the message names the file and the problem."""
 
 
 class _Loader(yaml.SafeLoader):
-    """Keys are texts, each of them once; `1e-5` is a number, as in YAML 1.2, and a date is a text."""
+    """A loader with unique text keys; `1e-5` is a number, as in YAML 1.2, and a date is a text."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
         mapping: dict[str, Any] = {}
@@ -39,20 +40,20 @@ class _Loader(yaml.SafeLoader):
         return mapping
 
 
-_OTHERS = ("tag:yaml.org,2002:float", "tag:yaml.org,2002:timestamp")
+_REPLACED_TAGS = ("tag:yaml.org,2002:float", "tag:yaml.org,2002:timestamp")
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _OTHERS]
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _REPLACED_TAGS]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _FLOAT = re.compile(
     r"[-+]?(?:\d[\d_]*\.[\d_]*(?:[eE][-+]?\d+)?|\d[\d_]*[eE][-+]?\d+|\.\d[\d_]*(?:[eE][-+]?\d+)?|\.(?:inf|Inf|INF))$"
     r"|\.(?:nan|NaN|NAN)$"
 )
-_Loader.add_implicit_resolver(_OTHERS[0], _FLOAT, list("-+0123456789."))
+_Loader.add_implicit_resolver(_REPLACED_TAGS[0], _FLOAT, list("-+0123456789."))
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes what `_Loader` reads: with quotes where that would take a text for a number, and never with an alias."""
+    """A dumper for `_Loader`: it quotes texts that look like numbers, and never writes an alias."""
 
     yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
 
@@ -61,8 +62,12 @@ class _Dumper(yaml.SafeDumper):
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """The plain data of a YAML file. Raises `RunError` for a file that is damaged, too large or too deep, or asks for
-    more: anchors and aliases, tags, interpolations, keys twice, keys with `_` but `_target_`, values left out."""
+    """Read the plain data of a YAML file.
+
+    Raises:
+        RunError: If the file is damaged, too large or too deep, or has anchors, aliases, tags, interpolations,
+            duplicate keys, keys with a leading `_` other than `_target_`, or missing values.
+    """
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST + 1)
@@ -72,7 +77,7 @@ def read_config(path: Path) -> dict[str, Any]:
         _check_syntax(text)
         config = yaml.load(text, _Loader)
         if not isinstance(config, dict):
-            raise RunError(f"settings by name needed, not {shown(config)}")
+            raise RunError(f"it must hold settings by name, not {shown(config)}")
         check_plain(config)
     except RunError as error:
         raise RunError(f"{path}: {error}") from error
@@ -82,7 +87,7 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def config_text(config: Mapping[str, Any]) -> str:
-    """Plain data as YAML. Raises `RunError` for what `read_config` would refuse."""
+    """Format plain data as YAML. Raises `RunError` if `read_config` would reject it."""
     check_plain(config)
     text = yaml.dump(config, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
     if len(text.encode()) > LARGEST:
@@ -91,9 +96,15 @@ def config_text(config: Mapping[str, Any]) -> str:
 
 
 def check_plain(value: Any, place: str = "", depth: int = 0) -> None:
-    """Raises `RunError` unless a value is numbers, texts, booleans and null, in lists and mappings of few levels."""
+    """Raise `RunError` unless a value consists of numbers, texts, booleans, null and nested lists and mappings.
+
+    Args:
+        value: The value.
+        place: Path of the value, for messages.
+        depth: Depth of the value, at most `DEEPEST`.
+    """
     if depth > DEEPEST:
-        raise RunError(f"{shown(place)}: more than {DEEPEST} collections within one another")
+        raise RunError(f"{shown(place)}: more than {DEEPEST} levels of nested collections")
     if isinstance(value, Mapping):
         for key, inner in value.items():
             _check_key(key, place)
@@ -104,32 +115,36 @@ def check_plain(value: Any, place: str = "", depth: int = 0) -> None:
     elif isinstance(value, str):
         _check_text(value, place)
     elif isinstance(value, (int, float)):
-        if not abs(value) <= LARGEST_NUMBER:  # nor is it where it is NaN
-            raise RunError(f"{place}={shown(value)}: a finite number needed, at most {LARGEST_NUMBER}")
+        if not abs(value) <= LARGEST_NUMBER:  # also true for NaN
+            raise RunError(
+                f"{place}={shown(value)}: must be a finite number with absolute value at most {LARGEST_NUMBER}"
+            )
     elif value is not None:
-        raise RunError(f"{place}: a number, a text or a list needed, not a {type(value).__name__}")
+        raise RunError(f"{place} must be a number, a text or a list, not a {type(value).__name__}")
 
 
 def _check_key(key: Any, place: str) -> None:
-    where = f"{place}: " if place else ""
+    prefix = f"{place}: " if place else ""
     if not isinstance(key, str):
-        raise RunError(f"{where}the key {shown(key)} is not a text")
+        raise RunError(f"{prefix}the key {shown(key)} is not a text")
     _check_text(key, place)
     if key.startswith("_") and key != TARGET:
-        raise RunError(f"{where}the key {shown(key)} is invalid: only {TARGET} may begin with an underscore")
+        raise RunError(f"{prefix}the key {shown(key)} is invalid: only {TARGET} may begin with an underscore")
 
 
 def _check_text(text: str, place: str) -> None:
     if "${" in text:
-        raise RunError(f"{place}={shown(text)}: interpolations are not resolved in a run directory; write the value")
+        raise RunError(
+            f"{place}={shown(text)}: a run directory does not resolve interpolations; write the value itself"
+        )
     if text == "???":
         raise RunError(f"{place} has no value (???)")
     if len(text) > LONGEST_TEXT or not text.isprintable():
-        raise RunError(f"{place}={shown(text)}: at most {LONGEST_TEXT} printable characters needed")
+        raise RunError(f"{place}={shown(text)}: must have at most {LONGEST_TEXT} characters, all of them printable")
 
 
 def _check_syntax(text: str) -> None:
-    """Before anything is built: aliases multiply, tags name types, and deep nesting exhausts the stack."""
+    """Reject aliases, which multiply, tags, which name types, and deep nesting, which exhausts the stack."""
     depth = 0
     for event in yaml.parse(text, _Loader):
         line = event.start_mark.line + 1
@@ -139,10 +154,10 @@ def _check_syntax(text: str) -> None:
             raise RunError(f"line {line}: the tag {shown(event.tag)} is not allowed")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
-            raise RunError(f"line {line}: more than {DEEPEST} collections within one another")
+            raise RunError(f"line {line}: more than {DEEPEST} levels of nested collections")
 
 
 def brief(error: BaseException) -> str:
-    """An error's message in one line of at most 200 characters."""
+    """Shorten the message of an error to one line of at most 200 characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 200 else f"{text[:199]}…"

@@ -43,29 +43,31 @@ from stmc.settings.renamed import with_new_names
 from stmc.text.vocabulary import Calibration
 
 BUNDLED, BUNDLED_EVALUATOR = "mdm_smpl_wide", "tmr_wide"
-"""What is loaded where no folder is named."""
+"""Defaults if no folder is named."""
 BUNDLED_MODELS = (BUNDLED, "mdm_smpl_wide_fast", "mdm_smpl_cmu", "flow_mdm_wide")
 CONFIG, STATISTICS, CARD = "config.yaml", "statistics.safetensors", "README.md"
 LARGEST, SMALLEST_STD = 1e6, 1e-13
-"""Bounds of statistics: no feature is a kilometre wide, and what varies less than this does not vary."""
+"""Bounds of statistics: no feature is a kilometre wide, and a feature below this std is constant."""
 
 
 def bundled(name: str = BUNDLED) -> Path:
-    """Where the model, or the evaluator, lies that comes with the library."""
+    """Return the folder of a model or evaluator that comes with the library."""
     return Path(str(files("stmc") / "assets" / name))
 
 
 def _run_directory(folder: str | Path | None, default: str = BUNDLED) -> Path:
-    """The folder or, where there is none, what comes with the library under that name; for None, the `default`."""
+    """Resolve a folder, the name of a bundled run directory, or None for the `default`."""
     if folder is None:
         return bundled(default)
-    ours = str(folder) in (*BUNDLED_MODELS, BUNDLED_EVALUATOR) and not Path(folder).exists()
-    return bundled(str(folder)) if ours else Path(folder).expanduser()
+    is_bundled = str(folder) in (*BUNDLED_MODELS, BUNDLED_EVALUATOR) and not Path(folder).exists()
+    return bundled(str(folder)) if is_bundled else Path(folder).expanduser()
 
 
 def fingerprint(folder: str | Path | None = None) -> str:
-    """Tells what run directories hold apart, wherever they lie: a digest of the files ("" where some are missing);
-    without `folder`, of the bundled model."""
+    """Compute a digest that identifies the content of a run directory, wherever it is.
+
+    The result is "" if files are missing. Without `folder`, the digest is that of the bundled model.
+    """
     folder = _run_directory(folder)
     files = [folder / name for name in (CONFIG, WEIGHTS, STATISTICS)]
     if not all(path.is_file() for path in files):
@@ -82,17 +84,24 @@ def load(
     precision: Precision = "fp32",
     trusted: Sequence[str] = (),
 ) -> Model:
-    """The model of a run directory, wherever it was moved to, or of a name that comes with the library:
-    "mdm_smpl_wide", also without `folder`; "mdm_smpl_wide_fast", the same distilled, in half the time; "mdm_smpl_cmu",
-    smaller, of data that is free for all uses; and "flow_mdm_wide", a FlowMDM, for `method="flow_mdm"`.
+    """Load a model from a run directory, or a bundled model by its name.
 
-    `device`: "auto" is the GPU if there is one. `precision` is the denoiser's at sampling (see `Model`). `trusted`
-    names packages of your own, such as "mylab", whose classes the config may name beside this library's: their modules
-    are then imported, which runs them, and their classes called with the config's numbers and texts. So name none for
-    a directory from somebody whose code you would not run.
+    Bundled models are "mdm_smpl_wide", the default; "mdm_smpl_wide_fast", a distilled version that takes half the time;
+    "mdm_smpl_cmu", a smaller model trained on data that is free for all uses; and "flow_mdm_wide", a FlowMDM for
+    `method="flow_mdm"`.
 
-    Raises `RunError` for a missing or damaged file, for weights that do not fit, for parts that do not fit each other,
-    and for a config that asks for anything but this library's classes; `ValueError` for an unknown device or precision.
+    Args:
+        folder: Run directory or name; None loads the default.
+        device: Device of the model; "auto" is the GPU if there is one.
+        precision: Precision of the denoiser in sampling; see `Model`.
+        trusted: Packages of your own, such as "mylab", whose classes the config may name. Their modules are imported,
+            which executes them, and their classes are called with the numbers and texts of the config. Name none for a
+            directory from somebody whose code you would not run.
+
+    Raises:
+        RunError: If a file is missing or damaged, weights do not fit, parts do not fit each other, or the config names
+            anything but classes of this library and of trusted packages.
+        ValueError: If the device or precision is unknown.
 
     Examples:
         >>> model = stmc.load()
@@ -101,12 +110,12 @@ def load(
     """
     if precision not in get_args(Precision):
         raise ValueError(f"unknown precision {shown(precision)}; choose from {', '.join(get_args(Precision))}")
-    place = found_device(device)
+    resolved_device = found_device(device)
     folder = _run_directory(folder)
     config = _config(folder, PARTS)
     settings = settings_of(ModelSettings, config, folder / CONFIG)
     sampling = settings_of(Sampling, config, folder / CONFIG)
-    parts, statistics, offsets = _restored(folder, config, PARTS, trusted)
+    parts, statistics, offsets = _restore(folder, config, PARTS, trusted)
     model = Model(
         **parts,
         **statistics,
@@ -117,25 +126,29 @@ def load(
         sampling=sampling,
         vocabulary=read_model_vocabulary(folder, config),
     )
-    return model.to(place)
+    return model.to(resolved_device)
 
 
 def load_evaluator(
     folder: str | Path | None = None, device: torch.device | str = "cpu", trusted: Sequence[str] = ()
 ) -> Evaluator:
-    """The evaluator of a run directory that `save_evaluator` wrote, wherever it was moved to; without `folder`, the
-    bundled one, whose name is "tmr_wide". `trusted` and errors are those of `load`.
+    """Load an evaluator from a run directory that `save_evaluator` wrote, or the bundled one, "tmr_wide".
+
+    Args:
+        folder: Run directory or name; None loads the bundled evaluator.
+        device: Device of the evaluator; "auto" is the GPU if there is one.
+        trusted: Trusted packages; see `load`, which raises the same errors.
 
     Examples:
         >>> stmc.load_evaluator().texts(["walk", "jump"]).shape
         torch.Size([2, 128])
     """
-    place = found_device(device)
+    resolved_device = found_device(device)
     folder = _run_directory(folder, BUNDLED_EVALUATOR)
     config = _config(folder, EVALUATOR_PARTS)
     settings = settings_of(EvaluatorSettings, config, folder / CONFIG)
-    parts, statistics, _ = _restored(folder, config, EVALUATOR_PARTS, trusted)
-    return Evaluator(**parts, **statistics, config=config, **vars(settings)).to(place)
+    parts, statistics, _ = _restore(folder, config, EVALUATOR_PARTS, trusted)
+    return Evaluator(**parts, **statistics, config=config, **vars(settings)).to(resolved_device)
 
 
 def save(
@@ -145,19 +158,28 @@ def save(
     dtype: torch.dtype = torch.float32,
     trusted: Sequence[str] = (),
 ) -> Path:
-    """Writes the model as a run directory, weights in `dtype`; returns the folder. torch.float16 halves the file,
-    torch.float8_e4m3fn quarters it: of eight bits are the matrices alone, vectors stay in half precision.
+    """Write a model as a run directory, and return the folder.
 
-    Every file is complete or absent: each is written under a temporary name first, the config last. Raises `RunError`,
-    and writes nothing, for what `load` would refuse (see `check`), and for weights that `dtype` cannot hold. `trusted`
-    names the packages of your own that `model.config` names classes of; whoever loads the model has to name them too.
+    Every file is complete or absent: each is written under a temporary name first, the config last.
+
+    Args:
+        model: The model.
+        folder: The run directory.
+        card: Text of `README.md`.
+        dtype: Data type of the weights. torch.float16 halves the file and torch.float8_e4m3fn quarters it; with eight
+            bits, only matrices are rounded to it, and vectors to half precision.
+        trusted: Packages of your own whose classes `model.config` names; `load` needs them too.
+
+    Raises:
+        RunError: Before anything is written, if `load` would reject the result (see `check`), or if `dtype` cannot
+            represent the weights.
 
     Examples:
         >>> folder = stmc.save(stmc.load(), "my_model", card="What it was trained on.")
         >>> sorted(path.name for path in folder.glob("*.safetensors"))
         ['statistics.safetensors', 'vocabulary.safetensors', 'weights.safetensors']
     """
-    return _written(Path(folder).expanduser(), model, check(model, trusted), card, dtype)
+    return _write(Path(folder).expanduser(), model, check(model, trusted), card, dtype)
 
 
 def save_evaluator(
@@ -167,8 +189,16 @@ def save_evaluator(
     dtype: torch.dtype = torch.float32,
     trusted: Sequence[str] = (),
 ) -> Path:
-    """Writes the evaluator as a run directory; returns the folder. Otherwise as `save`."""
-    return _written(Path(folder).expanduser(), evaluator, check(evaluator, trusted), card, dtype)
+    """Write an evaluator as a run directory, and return the folder.
+
+    Args:
+        evaluator: The evaluator.
+        folder: The run directory.
+        card: Text of `README.md`.
+        dtype: Data type of the weights; see `save`.
+        trusted: Trusted packages; see `save`.
+    """
+    return _write(Path(folder).expanduser(), evaluator, check(evaluator, trusted), card, dtype)
 
 
 def calibrate(folder: str | Path | None, calibration: Calibration) -> Path:
@@ -188,33 +218,36 @@ def calibrate(folder: str | Path | None, calibration: Calibration) -> Path:
 
 
 def check(record: Model | Evaluator, trusted: Sequence[str] = ()) -> dict[str, Any]:
-    """The config that `save` writes for a model or an evaluator.
+    """Return the config that `save` writes for a model or an evaluator.
 
-    Raises `RunError` where `load` would refuse it, or give something else: a part that `config` does not describe, a
-    class that is neither ours nor `trusted`, another network than `config` says, settings or statistics out of range.
+    Raises `RunError` if `load` would reject it or build something else: `config` lacks a part, names a class that is
+    neither of this library nor `trusted`, or describes another network, or settings or statistics are out of range.
     """
     parts, kind = (PARTS, ModelSettings) if isinstance(record, Model) else (EVALUATOR_PARTS, EvaluatorSettings)
     name, network = next(iter(parts)), _network(record)
     absent = [part for part in parts if part not in record.config]
     if absent:
-        raise RunError(f"model.config does not say how to build {', '.join(absent)}")
-    config, own = {part: record.config[part] for part in parts}, type(network)
+        raise RunError(f"model.config does not describe {', '.join(absent)}")
+    config, network_type = {part: record.config[part] for part in parts}, type(network)
     named = config[name].get(TARGET) if isinstance(config[name], Mapping) else None
-    if isinstance(named, str) and named.rpartition(".")[2] != own.__name__:
+    if isinstance(named, str) and named.rpartition(".")[2] != network_type.__name__:
+        full_name = f"{network_type.__module__}.{network_type.__name__}"
         raise RunError(
-            f"the {name} is a {own.__name__}, but its config says {named.rpartition('.')[2]}: give the model "
-            f"config=model.config | {{'{name}': {{'_target_': '{own.__module__}.{own.__name__}', …}}}}"
+            f"the {name} is a {network_type.__name__}, but its config says {named.rpartition('.')[2]}; set "
+            f"config=model.config | {{'{name}': {{'_target_': '{full_name}', …}}}}"
         )
     sketched = sketch_fitting(config, specs_of(network.state_dict()), "the network", name, parts[name], trusted)
-    if type(sketched) is not own:
-        raise RunError(f"the {name} is a {own.__name__} of {own.__module__}, but its config says {named}")
-    built = build(config, {part: each for part, each in parts.items() if part != name}, trusted)
+    if type(sketched) is not network_type:
+        raise RunError(
+            f"the {name} is a {network_type.__name__} of {network_type.__module__}, but its config says {named}"
+        )
+    built = build(config, {other: part for other, part in parts.items() if other != name}, trusted)
     check_widths(config[name], built)
     for statistic, shape in _shapes(built, parts).items():
         _check_numbers(_numbers(record)[statistic], shape, f"the model: {statistic}")
-    named = {setting: getattr(record, setting) for setting in kind.__dataclass_fields__}
+    settings = {setting: getattr(record, setting) for setting in kind.__dataclass_fields__}
     sampling = record.sampling.given if isinstance(record, Model) else {}
-    return config | vars(settings_of(kind, named, "the model")) | dict(sampling)
+    return config | vars(settings_of(kind, settings, "the model")) | dict(sampling)
 
 
 def _network(record: Model | Evaluator) -> torch.nn.Module:
@@ -222,7 +255,7 @@ def _network(record: Model | Evaluator) -> torch.nn.Module:
 
 
 def _numbers(record: Model | Evaluator) -> dict[str, torch.Tensor]:
-    """What `statistics.safetensors` holds."""
+    """Return the content of `statistics.safetensors`."""
     numbers = {
         f"{side}_{moment}": getattr(getattr(record, f"{side}_statistics"), moment)
         for side in ("motion", "text")
@@ -232,7 +265,7 @@ def _numbers(record: Model | Evaluator) -> dict[str, torch.Tensor]:
 
 
 def _shapes(built: Mapping[str, Any], parts: Mapping[str, Part]) -> dict[str, tuple[int, ...]]:
-    """Of the statistics that fit the parts."""
+    """Return the shapes of the statistics that fit the parts."""
     widths = {"motion": built["representation"].width, "text": built["text_encoder"].width}
     shapes: dict[str, tuple[int, ...]] = {
         f"{side}_{moment}": (width,) for side, width in widths.items() for moment in ("mean", "std")
@@ -240,20 +273,20 @@ def _shapes(built: Mapping[str, Any], parts: Mapping[str, Part]) -> dict[str, tu
     return shapes | ({"skeleton": (len(JOINTS), 3)} if parts is PARTS else {})
 
 
-def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype) -> Path:
-    held = {name: value.detach().cpu() for name, value in _network(record).state_dict().items()}
-    weights = {name: value.to(_dtype_in_file(value, dtype)).contiguous() for name, value in held.items()}
-    if wrong := misfit(specs_of(held), specs_of(weights)):
-        raise RunError(f"weights as {dtype} could not be read back: {wrong}")
-    overflown = [name for name, value in held.items() if not _holds(weights[name].dtype, value)]
-    if overflown:
-        raise RunError(f"weights that {dtype} cannot hold, or that are not finite: {', '.join(overflown)}")
+def _write(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype) -> Path:
+    originals = {name: value.detach().cpu() for name, value in _network(record).state_dict().items()}
+    weights = {name: value.to(_dtype_in_file(value, dtype)).contiguous() for name, value in originals.items()}
+    if wrong := misfit(specs_of(originals), specs_of(weights)):
+        raise RunError(f"weights stored as {dtype} could not be loaded: {wrong}")
+    overflowing = [name for name, value in originals.items() if not _fits_range(weights[name].dtype, value)]
+    if overflowing:
+        raise RunError(f"weights that are not finite or exceed the range of {dtype}: {', '.join(overflowing)}")
     numbers = {name: value.detach().cpu().contiguous() for name, value in _numbers(record).items()}
     without_digest = config_text(config)
 
     def write_weights(path: Path) -> None:
         save_file(weights, path)
-        if (folder / CONFIG).exists():  # killed between old and new files, the folder must still load
+        if (folder / CONFIG).exists():  # the folder must load even if the process is killed between old and new files
             write_text(folder / CONFIG, without_digest)
 
     write_whole(folder / WEIGHTS, write_weights)
@@ -265,14 +298,14 @@ def _written(folder: Path, record: Model | Evaluator, config: Mapping[str, Any],
 
 
 def _dtype_in_file(value: torch.Tensor, dtype: torch.dtype) -> torch.dtype:
-    """What a weight is in its file. A vector's numbers count for many: a norm's gain, rounded by 6 %, would tell."""
+    """Choose the dtype of a weight in its file. Vectors stay precise: a norm's gain, rounded by 6 %, would matter."""
     if not value.is_floating_point():
         return value.dtype
     return torch.float16 if dtype.itemsize == 1 and value.ndim < 2 else dtype
 
 
-def _holds(dtype: torch.dtype, value: torch.Tensor) -> bool:
-    """Whether nothing is lost but digits. Asked before rounding: some versions of PyTorch cut what is too large."""
+def _fits_range(dtype: torch.dtype, value: torch.Tensor) -> bool:
+    """Return whether `dtype` has the range of `value`, before rounding: some versions of PyTorch saturate."""
     return not dtype.is_floating_point or bool((value.abs() <= torch.finfo(dtype).max).all())
 
 
@@ -281,7 +314,7 @@ _NEEDED = {"weights", "statistics"}
 
 
 def _digest(folder: Path) -> dict[str, str]:
-    """SHA-256 of the files with numbers that there are."""
+    """Compute the SHA-256 of each existing file of numbers."""
     digests = {}
     for name, file_name in _DIGESTED.items():
         if (folder / file_name).exists():
@@ -290,15 +323,17 @@ def _digest(folder: Path) -> dict[str, str]:
 
 
 def _check_digest(folder: Path, config: Mapping[str, Any]) -> None:
-    """Files older than the digest have none."""
-    told = config.get("digest")
-    if told is None:
+    """Check the digests in a config; files from before the digest have none."""
+    expected = config.get("digest")
+    if expected is None:
         return
-    if not isinstance(told, Mapping) or not _NEEDED <= set(told) <= set(_DIGESTED):
-        raise RunError(f"{folder / CONFIG}: digest={shown(told)}: must give weights, statistics and perhaps vocabulary")
-    found = _digest(folder)
-    for name, digest in told.items():
-        if found.get(name) != digest:
+    if not isinstance(expected, Mapping) or not _NEEDED <= set(expected) <= set(_DIGESTED):
+        raise RunError(
+            f"{folder / CONFIG}: digest={shown(expected)} must give weights and statistics, and may give vocabulary"
+        )
+    actual = _digest(folder)
+    for name, digest in expected.items():
+        if actual.get(name) != digest:
             raise RunError(f"{folder / _DIGESTED[name]} is damaged: its SHA-256 is not the digest in {CONFIG}")
 
 
@@ -313,10 +348,10 @@ def _config(folder: Path, parts: Mapping[str, Part]) -> dict[str, Any]:
     return config
 
 
-def _restored(
+def _restore(
     folder: Path, config: Mapping[str, Any], parts: Mapping[str, Part], trusted: Sequence[str]
 ) -> tuple[dict[str, Any], dict[str, Statistics], torch.Tensor | None]:
-    """The parts with their weights, the statistics, and the offsets of a model's skeleton."""
+    """Return the parts with their weights, the statistics, and the offsets of a model's skeleton."""
     try:
         built = build_fitting(config, read_specs(folder / WEIGHTS), str(folder / WEIGHTS), parts, trusted)
     except RunError as error:
@@ -331,17 +366,19 @@ def _restored(
 
 
 def _read_numbers(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
-    """Statistics and whatever else is needed, with the shapes that the other parts need."""
+    """Read statistics with the shapes that the other parts need."""
     specs = read_specs(path)
     for name, shape in shapes.items():
         if name not in specs:
             raise RunError(f"{path}: {name} missing")
         if specs[name].shape != shape or specs[name].dtype not in (torch.float32, torch.float64):
-            found = f"{specs[name].dtype} {specs[name].shape}"
-            raise RunError(f"{path}: {name} must be {shape} finite numbers, not {found}")
+            actual = f"{specs[name].dtype} {specs[name].shape}"
+            raise RunError(f"{path}: {name} must be {shape} finite numbers, not {actual}")
     try:
         with safe_open(path, "pt") as file:
-            numbers = {name: file.get_tensor(name).clone() for name in shapes}  # not mapped: the file may be replaced
+            numbers = {
+                name: file.get_tensor(name).clone() for name in shapes
+            }  # copied, because the file may be replaced
     except (SafetensorError, OSError) as error:
         raise RunError(f"{path} cannot be read: {brief(error)}") from error
     for name, shape in shapes.items():
@@ -363,8 +400,8 @@ def _fill(network: torch.nn.Module, path: Path) -> None:
         }
     except (SafetensorError, OSError) as error:
         raise RunError(f"{path} cannot be read: {brief(error)}") from error
-    broken = [name for name, value in weights.items() if not value.isfinite().all()]
-    if broken:
-        raise RunError(f"{path} holds weights that are not finite: {', '.join(broken[:3])}")
+    invalid = [name for name, value in weights.items() if not value.isfinite().all()]
+    if invalid:
+        raise RunError(f"{path} holds weights that are not finite: {', '.join(invalid[:3])}")
     network.load_state_dict(weights)
     network.eval().requires_grad_(False)

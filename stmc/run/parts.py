@@ -1,6 +1,6 @@
-"""The parts of a model and of an evaluator, built from what a config says of them, with weights that fit or none.
+"""The parts of a model and of an evaluator, built from the descriptions in a config, with weights that fit.
 
-Knows descriptions and the headers of weights; knows no folder and no numbers.
+Depends on descriptions and the headers of weights; independent of folders and numbers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from stmc.diffusion import Schedule
 from stmc.evaluators import Tmr
 from stmc.motion.representation import Representation
 from stmc.run.configs import RunError, check_plain
-from stmc.run.construction import Part, construct, is_ours
+from stmc.run.construction import Part, construct, is_from_library
 from stmc.run.weights import Spec, misfit, sketch, specs_of
 from stmc.text import TextEncoder
 
@@ -31,18 +31,23 @@ EVALUATOR_PARTS = {
     "text_encoder": PARTS["text_encoder"],
     "representation": PARTS["representation"],
 }
-"""The same of an evaluator."""
+"""The parts of an evaluator that a config describes; the first is the network with the weights."""
 
 
 def build(config: Mapping[str, Any], parts: Mapping[str, Part] = PARTS, trusted: Sequence[str] = ()) -> dict[str, Any]:
-    """These parts from their descriptions (`_target_` and arguments), a network with fresh weights.
+    """Build parts from their descriptions (`_target_` and arguments); a network has fresh weights.
 
-    Raises `RunError` for arguments that do not fit, and for a class that is neither this library's nor of a `trusted`
-    package (see `load`).
+    Args:
+        config: Description of each part.
+        parts: Legal values of each part.
+        trusted: Trusted packages; see `load`.
+
+    Raises:
+        RunError: If arguments do not fit, or a class is neither of this library nor of a trusted package.
     """
     absent = [name for name in parts if name not in config]
     if absent:
-        raise RunError(f"the config does not say how to build {', '.join(absent)}")
+        raise RunError(f"the config does not describe {', '.join(absent)}")
     check_plain({name: config[name] for name in parts})
     return {name: construct(config[name], name, part, trusted) for name, part in parts.items()}
 
@@ -54,8 +59,18 @@ def build_fitting(
     parts: Mapping[str, Part] = PARTS,
     trusted: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """As `build`, but for a network that these `weights`, which are at `place`, do not fit raises `RunError` before it
-    asks for memory."""
+    """Build parts, and check before allocating memory that the weights fit the network.
+
+    Args:
+        config: Description of each part.
+        weights: Shapes and dtypes of the weights.
+        place: File of the weights, for messages.
+        parts: Legal values of each part.
+        trusted: Trusted packages; see `load`.
+
+    Raises:
+        RunError: As `build`, and if the weights do not fit.
+    """
     (name, part), *others = parts.items()
     sketch_fitting(config, weights, place, name, part, trusted)
     built = build(config, dict(others), trusted)
@@ -67,12 +82,23 @@ def build_fitting(
 def sketch_fitting(
     config: Mapping[str, Any], weights: Mapping[str, Spec], place: str, name: str, part: Part, trusted: Sequence[str]
 ) -> torch.nn.Module:
-    """The network without memory. One of somebody's own may look at numbers as it is made, and gets them.
+    """Build the network without memory, and check that the weights fit.
 
-    Raises `RunError` where these `weights`, which are at `place`, do not fit.
+    A network of a trusted package may read numbers while it is built, and is built in memory.
+
+    Args:
+        config: Description of each part.
+        weights: Shapes and dtypes of the weights.
+        place: File of the weights, for messages.
+        name: Name of the network's part.
+        part: Legal values of the part.
+        trusted: Trusted packages; see `load`.
+
+    Raises:
+        RunError: If the network cannot be built, or the weights do not fit.
     """
     check_plain(config[name], name)
-    meta = isinstance(config[name], Mapping) and is_ours(config[name], part)
+    meta = isinstance(config[name], Mapping) and is_from_library(config[name], part)
     network = sketch(lambda: construct(config[name], name, part, trusted), len(weights), meta)
     wrong = misfit(specs_of(network.state_dict()), weights)
     if wrong:
@@ -81,7 +107,9 @@ def sketch_fitting(
 
 
 def check_widths(described: Mapping[str, Any], parts: Mapping[str, Any]) -> None:
-    """Raises `RunError` where a network is `described` with other widths than the built `parts` have."""
+    """Raise `RunError` if the described widths of a network differ from those of the built `parts`."""
     for argument, part in (("features", "representation"), ("text_width", "text_encoder")):
         if argument in described and described[argument] != parts[part].width:
-            raise RunError(f"the network has {argument} {described[argument]}, the {part} {parts[part].width}")
+            raise RunError(
+                f"the network has {argument} {described[argument]}, but the {part} has width {parts[part].width}"
+            )

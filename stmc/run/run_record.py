@@ -1,4 +1,4 @@
-"""What a config says beside the parts: the settings of a model and of an evaluator, and what fits each."""
+"""Settings of a model and of an evaluator in a config, and their legal values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluatorSettings:
-    """Of an evaluator."""
+    """Settings of an evaluator."""
 
     fps: float | int = setting(dataclasses.MISSING, "frame rate of the features", unit="Hz", above=0, at_most=1000)
 
@@ -27,14 +27,23 @@ class EvaluatorSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSettings(EvaluatorSettings):
-    """Of a model; how it is sampled unless told otherwise stands beside them: see `Sampling`."""
+    """Settings of a model. The defaults of its sampling are stored next to them: see `Sampling`."""
 
     longest: int = setting(dataclasses.MISSING, "longest crop", unit="frames", at_least=1, at_most=10_000)
     prediction: Prediction = setting(dataclasses.MISSING, "what the denoiser predicts")
 
 
 def settings_of(kind: type[Record], config: Mapping[str, Any], place: str | Path) -> Record:
-    """The settings in a config, others at their defaults. Raises `RunError` for one that is missing or does not fit."""
+    """Read the settings in a config; missing ones take their defaults.
+
+    Args:
+        kind: Class of the settings.
+        config: The config.
+        place: File of the config, for messages.
+
+    Raises:
+        RunError: If a setting without a default is missing, or a value is invalid.
+    """
     fields = dataclasses.fields(kind)
     absent = [field.name for field in fields if field.default is dataclasses.MISSING and field.name not in config]
     if absent:

@@ -1,6 +1,6 @@
-"""Body parts suggested for prompts by the sentences that the bundled model was trained with.
+"""Suggested body parts for prompts, from the sentences that the bundled model was trained with.
 
-Only the model's vocabulary is read, and MiniLM, which sentences are compared with.
+Only the model's vocabulary is read, and MiniLM, which compares sentences.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from stmc.text.vocabulary import Suggestion, read_vocabulary, sentence_encoder, 
 from stmc.timeline import Timeline
 
 Suggest = Callable[[Sequence[str]], Sequence[Suggestion]]
-"""Texts → what body parts each seems to be about."""
+"""Texts → the body parts that each text probably describes."""
 
 
 def suggest_parts(text: str) -> Suggestion:
-    """The body parts that a prompt seems to be about, and how sure that is.
+    """Suggest the body parts that a prompt describes, with a confidence.
 
-    A guess to start from: of MTT's 60 atomic prompts, which nothing was chosen by, 44 are given exactly their parts.
+    The suggestion is a starting point: 44 of MTT's 60 atomic prompts, which influenced no choice, get exactly their
+    parts.
 
     Examples:
         >>> suggestion = stmc.suggest_parts("wave with the left hand")
@@ -32,42 +33,42 @@ def suggest_parts(text: str) -> Suggestion:
         >>> sorted(stmc.suggest_parts("walk backwards").parts)
         [<BodyPart.LEGS: 'legs'>]
     """
-    return _own()([text])[0]
+    return _bundled_suggest()([text])[0]
 
 
 def with_suggested_parts(timeline: Timeline) -> Timeline:
-    """The timeline with suggested body parts for every prompt that lists none; the others stay as they are.
+    r"""Add suggested body parts to every prompt that lists none; other prompts stay unchanged.
 
-    Whatever concerns the whole body goes on listing none, and so yields to prompts that list some.
+    Prompts about the whole body still list none, and so yield to prompts that list some.
 
     Examples:
-        >>> timeline = stmc.Timeline.parse("walk forwards # 0 # 4\\nwave with the right hand # 1 # 3")
+        >>> timeline = stmc.Timeline.parse("walk forwards # 0 # 4\nwave with the right hand # 1 # 3")
         >>> for prompt in stmc.with_suggested_parts(timeline).prompts:
         ...     print(prompt.text, *prompt.parts)
         walk forwards legs
         wave with the right hand right arm
     """
-    return with_suggestions(timeline, _own())[0]
+    return with_suggestions(timeline, _bundled_suggest())[0]
 
 
 def with_suggestions(timeline: Timeline, suggest: Suggest) -> tuple[Timeline, dict[str, Suggestion]]:
-    """The same with any suggestions, and what was suggested for each text that lists no body parts."""
+    """Add suggested body parts with any `Suggest` function; also return the suggestion for each text without parts."""
     texts = list(dict.fromkeys(prompt.text for prompt in timeline.prompts if not prompt.parts))
-    found = dict(zip(texts, suggest(texts), strict=True)) if texts else {}
+    suggestions = dict(zip(texts, suggest(texts), strict=True)) if texts else {}
     prompts = tuple(
         prompt
-        if prompt.parts or found[prompt.text].parts == frozenset(BodyPart)
-        else replace(prompt, parts=found[prompt.text].parts)
+        if prompt.parts or suggestions[prompt.text].parts == frozenset(BodyPart)
+        else replace(prompt, parts=suggestions[prompt.text].parts)
         for prompt in timeline.prompts
     )
-    return (replace(timeline, prompts=prompts) if texts else timeline), found
+    return (replace(timeline, prompts=prompts) if texts else timeline), suggestions
 
 
 def suggester(encoder: TextEncoder) -> Suggest:
-    """Suggestions by the bundled model's sentences, compared with what `encoder` makes of the texts."""
+    """Create a `Suggest` function that compares texts, encoded by `encoder`, with the bundled model's sentences."""
     return partial(suggest, examples=read_vocabulary(bundled() / VOCABULARY), encoder=encoder)
 
 
 @cache
-def _own() -> Suggest:
+def _bundled_suggest() -> Suggest:
     return suggester(sentence_encoder())

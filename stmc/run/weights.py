@@ -1,6 +1,6 @@
-"""Whether weights fit a network, told from names, shapes and types alone, before memory is asked for.
+"""Comparison of weights with a network by names, shapes and types alone, before memory is allocated.
 
-Knows safetensors' headers and how modules are constructed; knows no network by name.
+Depends on safetensors' headers and on the construction of modules; independent of particular networks.
 """
 
 from __future__ import annotations
@@ -21,89 +21,97 @@ Network = TypeVar("Network", bound=nn.Module)
 
 _FLOATING = {"F64": torch.float64, "F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16,
              "F8_E4M3": torch.float8_e4m3fn}  # fmt: skip
-_OTHERS = {"I64": torch.int64, "I32": torch.int32, "I16": torch.int16, "I8": torch.int8, "U8": torch.uint8,
+_INTEGER = {"I64": torch.int64, "I32": torch.int32, "I16": torch.int16, "I8": torch.int8, "U8": torch.uint8,
            "BOOL": torch.bool}  # fmt: skip
-_NAMED = 3
-"""Tensors of each kind that a message names."""
+_MAX_NAMES = 3
+"""Number of tensors of each kind that a message names."""
 
 
 class Spec(NamedTuple):
-    """A tensor without its numbers; no type for one that no network has."""
+    """Shape and dtype of a tensor; the dtype is None for a type that no network has."""
 
     shape: tuple[int, ...]
     dtype: torch.dtype | None
 
 
 def specs_of(tensors: Mapping[str, Tensor]) -> dict[str, Spec]:
-    """Of tensors in memory, or on the meta device."""
+    """Return the specs of tensors in memory, or on the meta device."""
     return {name: Spec(tuple(value.shape), value.dtype) for name, value in tensors.items()}
 
 
 def read_specs(path: Path) -> dict[str, Spec]:
-    """Of the tensors in a safetensors file; its numbers are not read. Raises `RunError` for a damaged one."""
+    """Read the specs of the tensors in a safetensors file without its numbers. Raises `RunError` if it is damaged."""
     try:
         with safe_open(path, "pt") as file:
             slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118
-            types = _FLOATING | _OTHERS
-            return {name: Spec(tuple(each.get_shape()), types.get(each.get_dtype())) for name, each in slices.items()}
+            types = _FLOATING | _INTEGER
+            return {name: Spec(tuple(view.get_shape()), types.get(view.get_dtype())) for name, view in slices.items()}
     except (SafetensorError, OSError, ValueError) as error:
         raise RunError(f"{path} cannot be read: {brief(error)}") from error
 
 
 def misfit(expected: Mapping[str, Spec], found: Mapping[str, Spec]) -> str:
-    """In what tensors are not those expected, naming the first few; "" where they fit.
+    """Describe the differences between tensors and the expected ones, naming the first few; "" if they fit.
 
-    Floating-point tensors of any precision fit one another; others have to be of the same type.
+    Floating-point tensors of any precision fit each other; other tensors must have the same type.
     """
-    both = [name for name in expected if name in found]
+    common = [name for name in expected if name in found]
     wrong = {
         "missing": [name for name in expected if name not in found],
-        "not known": [name for name in found if name not in expected],
+        "unknown": [name for name in found if name not in expected],
         "of another shape": [
             f"{name} {list(found[name].shape)} instead of {list(expected[name].shape)}"
-            for name in both
+            for name in common
             if found[name].shape != expected[name].shape
         ],
-        "of another type": [name for name in both if not _alike(found[name].dtype, expected[name].dtype)],
+        "of another type": [name for name in common if not _same_type(found[name].dtype, expected[name].dtype)],
     }
     return listed(wrong)
 
 
 def listed(wrong: Mapping[str, list[str]]) -> str:
-    """What is wrong with which tensors, the first few of each kind."""
+    """Format problems and the first few tensors that have each."""
     return "; ".join(f"{kind}: {_few(names)}" for kind, names in wrong.items() if names)
 
 
 def sketch(build: Callable[[], Network], tensors: int, meta: bool = True) -> Network:
-    """The network that `build` makes, without memory; with `meta` off in memory.
+    """Build a network without memory, or in memory if `meta` is False.
 
-    Raises `RunError` as soon as it has asked PyTorch for far more than a network of so many `tensors` needs: a
-    billion layers would take an hour even without memory. The global generator stays as it is.
+    The global random state is preserved.
+
+    Args:
+        build: Function that builds the network.
+        tensors: Number of its tensors.
+        meta: Whether to build on the meta device.
+
+    Raises:
+        RunError: As soon as the construction calls PyTorch far more often than a network of that many tensors needs: a
+            billion layers would take an hour even without memory.
     """
-    with torch.random.fork_rng(devices=[]), torch.device("meta" if meta else "cpu"), _Sparing(tensors):
+    with torch.random.fork_rng(devices=[]), torch.device("meta" if meta else "cpu"), _CallLimit(tensors):
         return build()
 
 
-class _Sparing(TorchFunctionMode):
-    """Stops a construction that calls PyTorch more often than a network of so many tensors does."""
+class _CallLimit(TorchFunctionMode):
+    """Stop a construction that calls PyTorch more often than a network of that many tensors does."""
 
     def __init__(self, tensors: int) -> None:
         super().__init__()
-        self._tensors, self._left = tensors, 1000 + 50 * tensors
+        self._tensors, self._remaining = tensors, 1000 + 50 * tensors
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        self._left -= 1
-        if self._left < 0:
-            raise RunError(f"it has more layers than the {self._tensors} tensors of its weights are enough for")
+        self._remaining -= 1
+        if self._remaining < 0:
+            raise RunError(f"it has more layers than the {self._tensors} tensors of its weights can fill")
         return func(*args, **(kwargs or {}))
 
 
-def _alike(found: torch.dtype | None, expected: torch.dtype | None) -> bool:
+def _same_type(found: torch.dtype | None, expected: torch.dtype | None) -> bool:
     if found is None or expected is None:
         return False
     return found == expected or (found in _FLOATING.values() and expected in _FLOATING.values())
 
 
 def _few(names: list[str]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(shown(name)[1:-1] if not name.isprintable() else name[:120] for name in names[:_NAMED]) + more
+    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    return ", ".join(shown(name)[1:-1] if not name.isprintable() else name[:120] for name in names[:_MAX_NAMES]) + more

@@ -1,7 +1,7 @@
-"""Texts as numbers: the encoders a network can be conditioned on, and their embeddings cached on disk.
+"""Text encoders that condition a network, and their embeddings cached on disk.
 
-Knows pre-trained language models (through transformers) and files; knows nothing of motion, timelines or denoisers.
-Weights are loaded when they are first needed, so an encoder costs nothing to construct.
+Depends on pre-trained language models (through transformers) and files; independent of motion, timelines and denoisers.
+Weights are loaded at first use, so that an encoder costs nothing to construct.
 """
 
 from stmc.text.cached import Cached

@@ -1,4 +1,4 @@
-"""Embeddings on disk: each text is encoded once. Knows one file per encoder; see `protocol` for what an encoder is."""
+"""Embeddings on disk: each text is encoded once. One file per encoder; `text_encoder` defines the interface."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from stmc.text.text_encoder import TextEncoder, check
 logger = logging.getLogger(__name__)
 
 AT_ONCE = 512
-"""Texts encoded between two visits to the disk: what a kill can lose."""
+"""Number of texts encoded between two writes to disk: the most that a kill can lose."""
 
 _DAMAGED = (sqlite3.Error, UnicodeDecodeError)
-"""What SQLite raises for a damaged file; its own message may be of damaged bytes."""
+"""Exceptions of SQLite for a damaged file; its own message may consist of damaged bytes."""
 
-_OF_THE_PLACE = (
+_LOCATION_ERRORS = (
     sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_LOCKED,
     sqlite3.SQLITE_PERM,
 )  # fmt: skip
-"""Codes of a full disk, no permission, or too long a wait: the file itself may be whole."""
+"""Codes of a full disk, a missing permission, or too long a wait: the file itself may be intact."""
 
-_PATIENCE = 300.0
-"""Seconds for which a process waits until another has written."""
+_TIMEOUT = 300.0
+"""Seconds for which a process waits for another process to finish writing."""
 
 
 class Cached:
-    """Another encoder, with every text's words kept in `folder`, in one file per encoder, so that each is encoded once.
+    """Wrap an encoder so that each text is encoded once and its words are stored in `folder`, in one file per encoder.
 
-    Safe with several processes on one folder, and with kills: the file is an SQLite database. Words that are damaged,
-    or those of another text, are made anew, and so is a file that is no database. The weights are loaded only if a text
-    is missing.
+    The file is an SQLite database, safe with several processes on one folder and with kills. Words that are damaged or
+    belong to another text are encoded again; a file that is not a database is rebuilt. The weights are loaded only if a
+    text is missing.
     """
 
     def __init__(self, encoder: TextEncoder, folder: str | Path) -> None:
@@ -50,27 +50,27 @@ class Cached:
 
     @property
     def name(self) -> str:
-        """The encoder's."""
+        """The name of the wrapped encoder."""
         return self.encoder.name
 
     @property
     def width(self) -> int:
-        """The encoder's."""
+        """The width of the wrapped encoder."""
         return self.encoder.width
 
     @property
     def file(self) -> Path:
-        """Where the encoder's words are kept."""
-        digest = hashlib.sha256(self.name.encode()).hexdigest()[:8]  # not every file system tells all names apart
+        """The file with the words of the encoder."""
+        digest = hashlib.sha256(self.name.encode()).hexdigest()[:8]  # names may differ in case only
         return self.folder / f"{re.sub(r'[^A-Za-z0-9-]+', '_', self.name)[:60]}_{digest}.sqlite"
 
     def encode(self, texts: Sequence[str]) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
-        """See `TextEncoder`; always on the CPU."""
+        """Encode texts, always to the CPU; see `TextEncoder`."""
         check(texts)
         words = self._read(texts)
         missing = [text for text in dict.fromkeys(texts) if text not in words]
         if missing:
-            logger.info("encoding %d texts with %s; %d are known", len(missing), self.name, len(words))
+            logger.info("encoding %d texts with %s; %d are in the cache", len(missing), self.name, len(words))
         for start in range(0, len(missing), AT_ONCE):
             chunk = missing[start : start + AT_ONCE]
             rows, lengths = self.encoder.encode(chunk)
@@ -81,24 +81,24 @@ class Cached:
         return pad([words[text] for text in texts])
 
     def missing(self, texts: Sequence[str]) -> list[str]:
-        """Those of the texts, each once, whose words are not kept yet."""
+        """Return the texts, without duplicates, whose words are not stored yet."""
         words = self._read(texts)
         return [text for text in dict.fromkeys(texts) if text not in words]
 
     def _read(self, texts: Sequence[str]) -> dict[str, Float[Tensor, "_ width"]]:
-        """The words of those texts that are there and whole."""
+        """Read the words of the texts that are stored and intact."""
         if not self.file.exists():
             return {}
         words = {}
         try:
-            with self._opened("rw") as database:
+            with self._open("rw") as database:
                 for text in dict.fromkeys(texts):
                     row = database.execute("SELECT words, sha256 FROM texts WHERE text = ?", (_key(text),)).fetchone()
                     if row and row[1] == self._digest(text, row[0]):
                         words[text] = load(row[0])["words"]
         except (*_DAMAGED, SafetensorError, TypeError) as error:
-            logger.warning("%s cannot be read (%s); what is missing is encoded again", self.file, error)
-        return {text: found for text, found in words.items() if found.shape[-1] == self.width}
+            logger.warning("%s cannot be read (%s); missing texts are encoded again", self.file, error)
+        return {text: row for text, row in words.items() if row.shape[-1] == self.width}
 
     def _write(self, words: dict[str, Float[Tensor, "_ width"]]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -106,24 +106,24 @@ class Cached:
             self._insert(words)
             damaged = not self._read(list(words)[:1])
         except _DAMAGED as error:
-            if self._is_kept_away(error):
+            if self._is_location_error(error):
                 raise OSError(f"{self.file} cannot be written: {error}") from error
             damaged = True
         if damaged:
-            logger.warning("%s is damaged, and made anew", self.file)
+            logger.warning("%s is damaged and is rebuilt", self.file)
             for path in (self.file, self.file.with_name(f"{self.file.name}-journal")):
                 path.unlink(missing_ok=True)
             self._insert(words)
 
-    def _is_kept_away(self, error: Exception) -> bool:
-        """Whether the place refuses to be written, not the file; a damaged file may say that it is read-only."""
+    def _is_location_error(self, error: Exception) -> bool:
+        """Return whether the location refuses the write, not the file; a damaged file may claim to be read-only."""
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-        return code in _OF_THE_PLACE or (code == sqlite3.SQLITE_READONLY and not os.access(self.file, os.W_OK))
+        return code in _LOCATION_ERRORS or (code == sqlite3.SQLITE_READONLY and not os.access(self.file, os.W_OK))
 
     def _insert(self, words: dict[str, Float[Tensor, "_ width"]]) -> None:
-        rows = [(_key(text), save({"words": found.contiguous()})) for text, found in words.items()]
+        rows = [(_key(text), save({"words": row.contiguous()})) for text, row in words.items()]
         digests = [self._digest(text, content) for text, (_, content) in zip(words, rows, strict=True)]
-        with self._opened("rwc") as database:
+        with self._open("rwc") as database:
             database.execute("CREATE TABLE IF NOT EXISTS texts (text BLOB PRIMARY KEY, words BLOB, sha256 BLOB)")
             database.executemany(
                 "INSERT OR REPLACE INTO texts VALUES (?, ?, ?)",
@@ -131,10 +131,12 @@ class Cached:
             )
 
     @contextmanager
-    def _opened(self, mode: str) -> Iterator[sqlite3.Connection]:
-        """The database, for one transaction. After a kill also a reader has to write: it undoes what was half done."""
-        place = f"{self.file.absolute().as_uri()}?mode={mode}"
-        database = sqlite3.connect(place, timeout=_PATIENCE, uri=True)
+    def _open(self, mode: str) -> Iterator[sqlite3.Connection]:
+        """Open the database for one transaction. A reader needs write access too: it rolls back what a kill left
+        behind.
+        """
+        uri = f"{self.file.absolute().as_uri()}?mode={mode}"
+        database = sqlite3.connect(uri, timeout=_TIMEOUT, uri=True)
         try:
             with database:
                 yield database
@@ -142,7 +144,7 @@ class Cached:
             database.close()
 
     def _digest(self, text: str, content: bytes) -> bytes:
-        # SQLite notices much that is damaged, but not a flipped bit within the numbers.
+        # SQLite detects most damage, but not a flipped bit within the numbers.
         return hashlib.sha256(f"{self.name}\0{len(text)}\0{text}".encode(errors="surrogatepass") + content).digest()
 
 

@@ -1,6 +1,6 @@
-"""Captions as the evaluator of Guo et al. (2022) reads them: a GloVe vector and a part of speech for each word.
+"""Captions for the evaluator of Guo et al. (2022): a GloVe vector and a part of speech for each word.
 
-Knows HumanML3D's tagged captions, and the folder of vectors that is published with the evaluator; knows no network.
+Depends on HumanML3D's tagged captions and the folder of vectors published with the evaluator; independent of networks.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from torch import Tensor
 from stmc.io.arrays import ArraysError, read_npy, read_places
 
 MOST_WORDS = 20
-"""Of a caption; what follows is left out. A start and an end are put around them."""
+"""Maximum number of words of a caption, without the start and end that are added; the rest is ignored."""
 
 PARTS_OF_SPEECH = (
     "VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV",
     "Loc_VIP", "Body_VIP", "Obj_VIP", "Act_VIP", "Desc_VIP", "OTHER",
 )  # fmt: skip
-"""In the order of the numbers that say which it is; the last one is whatever the others are not."""
+"""Parts of speech in the order of their one-hot indices; the last one covers all others."""
 
 _SPECIAL: Mapping[str, str] = MappingProxyType({
     "Loc_VIP": "left right clockwise counterclockwise anticlockwise forward back backward up down straight curve",
@@ -34,12 +34,12 @@ _SPECIAL: Mapping[str, str] = MappingProxyType({
     "Desc_VIP": "slowly carefully fast careful slow quickly happy angry sad happily angrily sadly",
 })  # fmt: skip
 _SPECIAL_OF = {word: kind for kind, words in _SPECIAL.items() for word in words.split()}
-"""Words whose kind is theirs whatever the tagger says."""
+"""Words with a fixed part of speech, whatever the tagger says."""
 
 
 @dataclass(frozen=True, eq=False)
 class Glove:
-    """Word vectors and the place of each word's among them; a word that is not there is "unk"."""
+    """Word vectors, and the index of each word's vector in `places`; a missing word is "unk"."""
 
     vectors: Float[Tensor, "words width"]
     places: Mapping[str, int]
@@ -52,8 +52,11 @@ class Glove:
 
     @classmethod
     def read(cls, folder: str | Path) -> Glove:
-        """From the published folder `glove/` with `our_vab_data.npy` and `our_vab_idx.pkl` (`our_vab_words.pkl` says
-        the same words again). Raises `ArraysError` for what is missing or damaged; no pickle is run."""
+        """Read the published folder `glove/` with `our_vab_data.npy` and `our_vab_idx.pkl`.
+
+        `our_vab_words.pkl` is redundant and is not read. Raises `ArraysError` if a file is missing or damaged; no
+        pickle is executed.
+        """
         vectors, places = (Path(folder).expanduser() / f"our_vab_{name}" for name in ("data.npy", "idx.pkl"))
         if absent := [path.name for path in (vectors, places) if not path.is_file()]:
             raise ArraysError(f"{folder} has no {' and no '.join(absent)}: it is not the evaluator's glove folder")
@@ -65,18 +68,24 @@ class Glove:
     def encode(
         self, tagged: Sequence[str]
     ) -> tuple[Float[Tensor, "batch words width"], Float[Tensor, "batch words kinds"], Int[Tensor, " batch"]]:
-        """The vectors of captions in HumanML3D's form (`a/DET person/NOUN walk/VERB`), their parts of speech one-hot,
-        and how many words each has, start and end included. What follows a caption's end is "unk"."""
+        """Encode captions in HumanML3D's form (`a/DET person/NOUN walk/VERB`).
+
+        Words after the end of a caption are "unk".
+
+        Returns:
+            The word vectors [batch, words, width], the one-hot parts of speech [batch, words, kinds], and the number of
+                words of each caption [batch], including start and end.
+        """
         rows = [["sos/OTHER", *caption.split()[:MOST_WORDS], "eos/OTHER"] for caption in tagged]
         lengths = torch.tensor([len(row) for row in rows])
         rows = [[*row, *["unk/OTHER"] * (MOST_WORDS + 2 - len(row))] for row in rows]
-        known = [[self._known(word) for word in row] for row in rows]
-        places = torch.tensor([[place for place, _ in row] for row in known])
-        kinds = torch.tensor([[kind for _, kind in row] for row in known])
+        indices = [[self._look_up(word) for word in row] for row in rows]
+        places = torch.tensor([[place for place, _ in row] for row in indices])
+        kinds = torch.tensor([[kind for _, kind in row] for row in indices])
         return self.vectors[places], torch.nn.functional.one_hot(kinds, len(PARTS_OF_SPEECH)).float(), lengths
 
-    def _known(self, token: str) -> tuple[int, int]:
-        """Of a word with its tag: its vector's place, and its kind's number."""
+    def _look_up(self, token: str) -> tuple[int, int]:
+        """Return the index of the vector and of the part of speech of a tagged word."""
         word, _, tag = token.rpartition("/")
         kind = _SPECIAL_OF.get(word, tag) if word in self.places else "OTHER"
         number = PARTS_OF_SPEECH.index(kind if kind in PARTS_OF_SPEECH else "OTHER")

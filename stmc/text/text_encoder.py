@@ -1,4 +1,4 @@
-"""What every text encoder is. Knows no model."""
+"""The interface of every text encoder. Independent of models."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from torch import Tensor
 
 @runtime_checkable
 class TextEncoder(Protocol):
-    """Anything that turns texts into words of `width` numbers; a text's words do not depend on the others' beyond float
-    error. `name` tells encoders apart whose outputs differ."""
+    """A function from texts to words of `width` numbers.
+
+    The words of a text do not depend on the other texts, up to float error. Encoders with different outputs have
+    different values of `name`.
+    """
 
     @property
     def name(self) -> str: ...
@@ -21,15 +24,15 @@ class TextEncoder(Protocol):
     def width(self) -> int: ...
 
     def encode(self, texts: Sequence[str]) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
-        """The words of each text, zeros after its last, and how many each has (at least one, also for ""); float32.
+        """Encode texts: return float32 words, zero after the last word of each text, and the number of words of each.
 
-        Raises `ValueError` for no text at all.
+        Every text, even "", has at least one word. Raises `ValueError` if there is no text.
         """
         ...
 
 
 def check(texts: Sequence[str]) -> None:
-    """Raises the `ValueError` of `TextEncoder.encode`."""
+    """Raise the `ValueError` of `TextEncoder.encode`."""
     if isinstance(texts, str):
         raise ValueError(f"expected several texts, got the single text {texts!r}; put it in a list")
     if not texts:

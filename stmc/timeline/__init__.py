@@ -1,4 +1,4 @@
-"""Timelines: `Prompt`, `Timeline`, their two file formats, and the baselines that are another timeline."""
+"""Timelines: `Prompt`, `Timeline`, their two file formats, and the baselines that transform a timeline."""
 
 from stmc.timeline.advice import PromptWarning, RarelyShownWarning, TimelineWarning, UnknownPromptWarning, advise
 from stmc.timeline.baseline_timelines import one_text, single_track

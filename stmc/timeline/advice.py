@@ -1,4 +1,4 @@
-"""Warnings about timelines, shown at the line of whoever uses the library and not at one of the library's own."""
+"""Warnings about timelines, reported at the line of the caller and not at a line of the library."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import warnings
 from types import FrameType
 
 _INSIDE = {"stmc", "jaxtyping", "beartype", "torch"}
-"""Packages whose lines are nobody's to mend: ours, those that check our signatures under test, and PyTorch's, whose
-decorators stand between."""
+"""Packages whose lines a user cannot fix: this library, the type checkers that wrap it under test, and PyTorch, whose
+decorators add frames."""
 
 
 class TimelineWarning(UserWarning):
-    """Something a timeline can mean but hardly wants, such as one body part claimed by two prompts at once."""
+    """A legal but probably unintended timeline, such as one body part claimed by two prompts at once."""
 
 
 class PromptWarning(UserWarning):
@@ -20,7 +20,7 @@ class PromptWarning(UserWarning):
 
 
 class UnknownPromptWarning(PromptWarning):
-    """A prompt that is far from all that a model was trained with: it will do something else."""
+    """A prompt that is far from all training texts: the model will probably generate another action."""
 
 
 class RarelyShownWarning(PromptWarning):
@@ -28,7 +28,7 @@ class RarelyShownWarning(PromptWarning):
 
 
 def advise(message: str, category: type[UserWarning] = TimelineWarning) -> None:
-    """A warning at the innermost line outside of this library."""
+    """Issue a warning at the innermost line outside of this library."""
     depth, frame = 1, sys._getframe()
     while frame.f_back is not None and _inside(frame):
         depth, frame = depth + 1, frame.f_back
@@ -36,5 +36,5 @@ def advise(message: str, category: type[UserWarning] = TimelineWarning) -> None:
 
 
 def _inside(frame: FrameType) -> bool:
-    package = frame.f_globals.get("__name__", "").partition(".")[0]  # also of methods that `dataclass` writes
+    package = frame.f_globals.get("__name__", "").partition(".")[0]  # also correct for methods that `dataclass` writes
     return package in _INSIDE or frame.f_code.co_filename.startswith("<@beartype")

@@ -1,4 +1,4 @@
-"""The baselines that are another timeline: *one text* and *single track* (STMC, section 4.3)."""
+"""The baselines that transform a timeline: *one text* and *single track* (STMC, section 4.3)."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from stmc.timeline.prompts import Prompt, Timeline
 from stmc.timeline.timeline_files import TimelineError
 
 MOST_CHARACTERS = 10_000_000
-"""Of all texts of a single track together, where as many prompts may hold at once as there are."""
+"""Maximum total length of the texts of a single track, whose size may grow with the square of the number of prompts."""
 
 
 def one_text(timeline: Timeline, longest_seconds: int | float) -> Timeline:
-    """The *one text* baseline: the whole timeline as a single prompt, "A and then B while C".
+    r"""Build the *one text* baseline: the whole timeline as a single prompt, "A and then B while C".
 
-    The prompts of a track are joined by " and then ", tracks by " while ". It lasts from 0 to the timeline's end, but
-    no longer than the model's longest motion, `longest_seconds`.
+    The prompts of a track are joined by " and then ", tracks by " while ". The prompt lasts from 0 to the end of the
+    timeline, but no longer than `longest_seconds`, the longest motion of the model.
 
     Examples:
-        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\nwave # 1 # 3 # right arm")
         >>> [prompt.text for prompt in stmc.one_text(timeline, longest_seconds=10).prompts]
         ['walk while wave']
     """
@@ -30,22 +30,22 @@ def one_text(timeline: Timeline, longest_seconds: int | float) -> Timeline:
 
 
 def single_track(timeline: Timeline, fps: int | float) -> Timeline:
-    """The *single track* baseline (DiffCollage): cut where any prompt starts or ends.
+    r"""Build the *single track* baseline (DiffCollage): cut the timeline wherever a prompt starts or ends.
 
-    Texts that hold at once are joined by " while " in the file's order; gaps stay gaps. Cuts that fall into the same
-    frame are one cut, at the earliest of their times, so that every piece has at least one frame (R12).
+    Texts that hold at once are joined by " while " in the file's order; gaps stay gaps. Cuts within the same frame
+    become one cut, at the earliest of their times, so that every piece has at least one frame (R12).
 
     Raises:
         TimelineError: If no prompt lasts a frame, or the texts together are longer than `MOST_CHARACTERS`.
 
     Examples:
-        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\nwave # 1 # 3 # right arm")
         >>> [prompt.text for prompt in stmc.single_track(timeline, fps=20).prompts]
         ['walk', 'walk while wave', 'walk']
     """
     spans = timeline.spans(fps)
     seconds = _seconds_of_frames(timeline, spans)
-    pieces, characters = [], 0
+    joined, characters = [], 0
     for start, end, active in elementary(spans):
         prompts = [timeline.prompts[index] for index in active]
         if prompts:
@@ -53,10 +53,10 @@ def single_track(timeline: Timeline, fps: int | float) -> Timeline:
             characters += len(text)
             if characters > MOST_CHARACTERS:
                 raise TimelineError(f"{timeline.place}: more than {MOST_CHARACTERS:,} characters as a single track")
-            pieces.append(Prompt(text, seconds[start], seconds[end], _union(prompts)))
-    if not pieces:
+            joined.append(Prompt(text, seconds[start], seconds[end], _union(prompts)))
+    if not joined:
         raise TimelineError(f"no prompt lasts a frame at {fps:g} fps; make one longer than {1 / fps:g} seconds")
-    return Timeline(pieces, timeline.name)
+    return Timeline(joined, timeline.name)
 
 
 def _seconds_of_frames(timeline: Timeline, spans: Iterable[tuple[int, int]]) -> dict[int, float]:

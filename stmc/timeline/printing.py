@@ -10,7 +10,7 @@ COLUMNS = 76
 
 
 def draw(draft: Draft) -> str:
-    """The drawing of one timeline, whose entries all have a track. A prompt's bar bears its number in the list."""
+    """Draw one timeline whose entries all have a track. The bar of a prompt shows its number in the list."""
     duration = max(entry.end for entry in draft.entries)
     count = len(draft.entries)
     title = f"{draft.name or 'timeline'}: {duration:g} s, {count} prompt{'s' if count > 1 else ''}"
@@ -38,7 +38,7 @@ def _bar(label: str, width: int) -> str:
 
 
 def _ruler(duration: float) -> str:
-    """Seconds at round distances, such that neighbours stay legible."""
+    """Draw seconds at round distances, far enough apart to stay legible."""
     steps = (base * 10.0**power for power in range(-3, 9) for base in (1, 2, 5))
     step = next((step for step in steps if step / duration * COLUMNS >= 8), duration)
     cells = [" "] * (COLUMNS + 12)
@@ -58,6 +58,6 @@ def _list(entries: Sequence[Entry]) -> list[str]:
 
 
 def typed(text: str, start: float, end: float, parts: list[str]) -> str:
-    """A prompt as one would type it in Python: 4 and not 4.0."""
-    seconds = [str(int(each)) if each.is_integer() else repr(each) for each in (start, end)]
+    """Format a prompt as a user would type it in Python: 4 instead of 4.0."""
+    seconds = [str(int(time)) if time.is_integer() else repr(time) for time in (start, end)]
     return f"Prompt({', '.join([repr(text), *seconds, *([repr(parts)] if parts else [])])})"

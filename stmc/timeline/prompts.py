@@ -1,8 +1,7 @@
 """Timelines: short texts, each with a start and an end in seconds and the body parts it claims (STMC, section 3.1).
 
-Knows seconds and what a timeline may ask for; `overlaps` knows who holds when, `rows` the tracks, `files` and `drawing`
-what they look like. Frames appear only as `int(fps * seconds)`; who owns what, and what a denoiser is asked, are
-decided elsewhere.
+This module checks seconds and limits. `overlaps` finds the prompts that hold at each time, `rows` the tracks;
+`timeline_files` and `printing` read, write and draw. Frames appear only as `int(fps * seconds)`.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ from stmc.timeline.rows import crowded, first_fit, renumbered
 from stmc.timeline.timeline_files import Draft, Entry, TimelineError
 
 LATEST = MOST_SECONDS
-"""Seconds: no prompt ends after four hours, for which a model's features alone take 0.25 GB at 20 fps."""
+"""Maximum end of a prompt in seconds (four hours): the features of a model alone then take 0.25 GB at 20 fps."""
 
 MOST_FRAMES, MOST_PROMPTS = 10_000_000, 10_000
-"""Limits of a timeline, at any frame rate. Ten thousand prompts take a second to read and to plan."""
+"""Maximum frames (at any frame rate) and prompts of a timeline; 10,000 prompts take a second to read and plan."""
 
 LONGEST_TEXT = 1_000_000
-"""Characters; text encoders read some hundred words."""
+"""Maximum number of characters of a text; text encoders read some hundred words."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +38,16 @@ class Prompt:
     """A text that holds from `start` to `end`.
 
     Args:
-        text: What to do, in at most `LONGEST_TEXT` characters. Runs of white space become one space.
-        start: Seconds, 0 or later; kept as a float.
-        end: Seconds, later than `start` and not after `LATEST`; kept as a float.
-        parts: The body parts the text is about, as `BodyPart` or by name; kept as a frozenset of `BodyPart`. None
-            listed means the whole body: the prompt claims all five parts and yields to any prompt that lists some.
+        text: Description of the action, with at most `LONGEST_TEXT` characters. Runs of white space become one space.
+        start: Start in seconds, 0 or later; stored as a float.
+        end: End in seconds, later than `start` and not after `LATEST`; stored as a float.
+        parts: Body parts that the text describes, as `BodyPart` or by name; stored as a frozenset of `BodyPart`. An
+            empty collection means the whole body: the prompt claims all five parts and yields to any prompt that lists
+            some.
 
     Raises:
-        TimelineError: For an empty or too long text, one with a lone surrogate, times that are not finite, negative,
-            too late or not in order, or an unknown part.
+        TimelineError: If the text is empty, too long or has a lone surrogate, if a time is not finite, negative or too
+            late, if `end` is not later than `start`, or if a part is unknown.
 
     Examples:
         >>> prompt = stmc.Prompt("wave", 0, 2.5, ["right arm"])
@@ -62,13 +62,13 @@ class Prompt:
 
     def __post_init__(self) -> None:
         if not isinstance(self.text, str) or not isinstance(self.parts, Collection):
-            raise TimelineError(f"a prompt is a text and a list of body parts, not {shown([self.text, self.parts])}")
+            raise TimelineError(f"a prompt needs a text and a list of body parts; got {shown([self.text, self.parts])}")
         object.__setattr__(self, "text", " ".join(self.text.split()))
         if not self.text:
             raise TimelineError('the text is empty; say what to do, such as "walk forwards"')
         if len(self.text) > LONGEST_TEXT:
             raise TimelineError(f"the text {shown(self.text)} is longer than {LONGEST_TEXT:,} characters, the limit")
-        _refuse_surrogates("text", self.text)
+        _check_surrogates("text", self.text)
         for name in ("start", "end"):
             object.__setattr__(self, name, _seconds(name, getattr(self, name)))
         if self.end <= self.start:
@@ -87,21 +87,21 @@ class Prompt:
 
     @property
     def claims(self) -> frozenset[BodyPart]:
-        """The listed body parts, or all five where none is listed."""
+        """The listed body parts, or all five if none is listed."""
         return self.parts or frozenset(BodyPart)
 
 
 def _seconds(name: str, value: int | float) -> float:
     try:
         seconds = float(value)
-    except (OverflowError, TypeError, ValueError):  # an integer beyond the floats, a text, a list
+    except (OverflowError, TypeError, ValueError):  # an integer beyond the float range, a text, a list
         seconds = math.inf
     if not math.isfinite(seconds) or seconds < 0:
         raise TimelineError(f"{name} {shown(value)} must be a finite number of seconds, 0 or later")
     return seconds
 
 
-def _refuse_surrogates(name: str, text: str) -> None:
+def _check_surrogates(name: str, text: str) -> None:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError as error:
@@ -110,23 +110,22 @@ def _refuse_surrogates(name: str, text: str) -> None:
 
 @dataclass(frozen=True)
 class Timeline:
-    """An ordered tuple of prompts. The order is the file's and breaks all ties; two prompts may hold at once.
+    """An ordered tuple of prompts. The order is that of the file and breaks all ties; prompts may overlap in time.
 
-    Times count from 0, whenever the first prompt starts: a moment without a prompt, also the first one, is a gap.
+    Times count from 0, whenever the first prompt starts: a time without a prompt, also at the beginning, is a gap.
 
     Args:
-        prompts: One or more, at most `MOST_PROMPTS`.
-        name: What files made from this timeline are called; may be empty.
-        rows: The track of each prompt, for drawing; by default each prompt goes to the first track that is free
-            during its span. Not part of equality.
-        places: How messages name each prompt, such as "line 3"; by default "prompt 3". Not part of equality.
+        prompts: One to `MOST_PROMPTS` prompts.
+        name: Name of the files made from this timeline; may be empty.
+        rows: Track of each prompt, for drawing; by default the first free track. Ignored by equality.
+        places: Name of each prompt in messages, such as "line 3"; by default "prompt 3". Ignored by equality.
 
     Raises:
-        TimelineError: For no prompt, too many prompts, two prompts of one track at the same time, or a name with a lone
+        TimelineError: If there are no or too many prompts, two prompts of a track overlap, or the name has a lone
             surrogate.
 
     Warns:
-        TimelineWarning: One, for body parts that two prompts claim at once, saying who gets them in SINC's order.
+        TimelineWarning: Once, if two prompts claim a body part at the same time; names the prompt that gets the part.
 
     Examples:
         >>> print(stmc.Timeline([stmc.Prompt("walk", 0, 4), stmc.Prompt("wave", 1, 3, ["right arm"])]))
@@ -151,28 +150,27 @@ class Timeline:
         places = tuple(self.places) or tuple(f"prompt {number}" for number in range(1, count + 1))
         if count > MOST_PROMPTS:
             raise TimelineError(f"{places[MOST_PROMPTS]}: a timeline of {count} prompts; the limit is {MOST_PROMPTS}")
-        for name, given in (("rows", self.rows), ("places", places)):
-            if given and len(given) != count:
-                raise TimelineError(f"{len(given)} {name} for {count} prompts; give each prompt one, or none")
-        _refuse_surrogates("name", self.name)
+        for name, values in (("rows", self.rows), ("places", places)):
+            if values and len(values) != count:
+                raise TimelineError(f"{len(values)} {name} for {count} prompts; pass one per prompt, or none")
+        _check_surrogates("name", self.name)
         spans = [(prompt.start, prompt.end) for prompt in self.prompts]
         object.__setattr__(self, "places", places)
         object.__setattr__(self, "rows", renumbered(self.rows) or first_fit(spans))
-        if together := crowded(spans, self.rows):
-            raise TimelineError(_crowded_track(self, *together))
+        if overlap := crowded(spans, self.rows):
+            raise TimelineError(_crowded_track(self, *overlap))
         if message := _shared_claims(self.prompts, places):
             advise(message)
 
     @classmethod
     def parse(cls, text: str, suffix: str = ".txt") -> Timeline:
-        """The one timeline of a text: a prompt a line, `text # start # end # part # part`, times in seconds; or of
-        JSON, with the suffix that its file would have.
+        r"""Parse one timeline: text with one prompt per line, `text # start # end # part # part` (seconds), or JSON.
 
-        Raises `TimelineError` naming the place for what it cannot mean, and for more than one timeline (in text, a
-        blank line starts the next): see `parse_all`.
+        `suffix` is that of a file in the same format. Raises `TimelineError` if the document is invalid (the message
+        names the place) or holds several timelines (in text, a blank line starts the next one); see `parse_all`.
 
         Examples:
-            >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+            >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\nwave # 1 # 3 # right arm")
             >>> [prompt.text for prompt in timeline.prompts]
             ['walk', 'wave']
             >>> stmc.Timeline.parse(timeline.to_json(), ".json") == timeline
@@ -182,17 +180,17 @@ class Timeline:
 
     @classmethod
     def parse_all(cls, text: str, suffix: str = ".txt") -> list[Timeline]:
-        """All timelines of what a file with that suffix holds, as `read_all` reads it. Errors as `read_all`.
+        r"""Parse all timelines of a document in the format of files with that suffix; errors as for `read_all`.
 
         Examples:
-            >>> len(stmc.Timeline.parse_all("walk # 0 # 4\\n\\nwave # 0 # 2\\nnod # 2 # 3"))
+            >>> len(stmc.Timeline.parse_all("walk # 0 # 4\n\nwave # 0 # 2\nnod # 2 # 3"))
             2
         """
         return [_from_draft(draft) for draft in files.parse(text, suffix)]
 
     @classmethod
     def read(cls, path: str | Path) -> Timeline:
-        """The one timeline of a `.json` or `.txt` file. Errors as `read_all`, and for more than one timeline.
+        """Read a `.json` or `.txt` file that holds one timeline; errors as for `read_all`, and for several timelines.
 
         Examples:
             >>> stmc.Timeline.parse("walk # 0 # 4").write("walk.txt")
@@ -203,16 +201,15 @@ class Timeline:
 
     @classmethod
     def read_all(cls, path: str | Path) -> list[Timeline]:
-        """All timelines of a `.json` or `.txt` file, in order.
+        r"""Read all timelines of a `.json` or `.txt` file, in order.
 
         JSON is one object or a list of `{"name": "…", "tracks": [[{"text": "…", "start": 0, "end": 4.2, "body_parts":
-        ["legs"]}, …], …]}`; name and body_parts may be absent. Text is a prompt a line, as of `parse`, with blank lines
-        between timelines.
-
-        Raises `TimelineError` naming the line (text) or the path within the document (JSON), the value and the choices.
+        ["legs"]}, …], …]}`; name and body_parts are optional. Text has one prompt per line, as in `parse`, with blank
+        lines between timelines. Raises `TimelineError` with the line (text) or the path within the document (JSON), the
+        value and the legal values.
 
         Examples:
-            >>> stmc.Timeline.write_all(stmc.Timeline.parse_all("walk # 0 # 4\\n\\nwave # 0 # 2"), "two.json")
+            >>> stmc.Timeline.write_all(stmc.Timeline.parse_all("walk # 0 # 4\n\nwave # 0 # 2"), "two.json")
             >>> [timeline.duration for timeline in stmc.Timeline.read_all("two.json")]
             [4.0, 2.0]
         """
@@ -220,10 +217,10 @@ class Timeline:
 
     @staticmethod
     def write_all(timelines: Sequence[Timeline], path: str | Path) -> None:
-        """Write timelines to a `.json` or `.txt` file, which appears whole or not at all.
+        """Write timelines to a `.json` or `.txt` file, which appears complete or not at all.
 
-        JSON keeps names, tracks and order, text the order only. Raises `TimelineError` where text cannot hold a prompt
-        (a `#` in it), before anything is written.
+        JSON preserves names, tracks and order; text preserves the order only. Raises `TimelineError`, before anything
+        is written, if text cannot represent a prompt (because it contains a `#`).
 
         Examples:
             >>> stmc.Timeline.write_all([stmc.Timeline.parse("walk # 0 # 4")], "walk.txt")
@@ -233,7 +230,7 @@ class Timeline:
         files.write([_draft(timeline) for timeline in timelines], Path(path))
 
     def write(self, path: str | Path) -> None:
-        """Write this timeline alone: see `write_all`.
+        """Write this timeline alone; see `write_all`.
 
         Examples:
             >>> stmc.Timeline.parse("walk # 0 # 4").write("walk.json")
@@ -241,7 +238,7 @@ class Timeline:
         self.write_all([self], path)
 
     def to_json(self) -> str:
-        """What `write` puts into a `.json` file.
+        """Return the JSON that `write` puts into a `.json` file.
 
         Examples:
             >>> print(stmc.Timeline.parse("walk # 0 # 4 # legs").to_json())
@@ -252,11 +249,11 @@ class Timeline:
         return files.to_json([_draft(self)])
 
     def to_text(self) -> str:
-        """What `write` puts into a `.txt` file. Raises `TimelineError` for a text with a `#`.
+        r"""Return the text that `write` puts into a `.txt` file. Raises `TimelineError` if a prompt contains a `#`.
 
         Examples:
             >>> stmc.Timeline.parse("walk # 0 # 4 # legs").to_text()
-            'walk # 0.0 # 4.0 # legs\\n'
+            'walk # 0.0 # 4.0 # legs\n'
         """
         return files.to_text([_draft(self)])
 
@@ -267,36 +264,37 @@ class Timeline:
 
     @cached_property
     def tracks(self) -> tuple[tuple[Prompt, ...], ...]:
-        """The prompts by track, each track in the file's order; `rows` holds each prompt's place in this tuple."""
+        """The prompts by track, each track in the file's order; `rows` holds each prompt's index in this tuple."""
         tracks: list[list[Prompt]] = [[] for _ in range(max(self.rows) + 1)]
         for row, prompt in zip(self.rows, self.prompts, strict=True):
             tracks[row].append(prompt)
         return tuple(map(tuple, tracks))
 
     def spans(self, fps: int | float) -> tuple[tuple[int, int], ...]:
-        """Each prompt's (start, end) in frames, half-open: `int(fps * seconds)`. A very short prompt may have none.
+        r"""Convert each prompt to frames: half-open (start, end), computed as `int(fps * seconds)`.
 
-        Raises `TimelineError` for a timeline of more than `MOST_FRAMES`.
+        The span of a very short prompt may be empty. Raises `TimelineError` if the timeline has more than `MOST_FRAMES`
+        frames, and `ValueError` if `fps` is not positive and finite.
 
         Examples:
-            >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+            >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\nwave # 1 # 3 # right arm")
             >>> timeline.spans(fps=20)
             ((0, 80), (20, 60))
         """
         if not (fps > 0 and fps < math.inf):
             raise ValueError(f"fps {fps} must be a positive number of frames per second")
         if fps > MOST_FRAMES / self.duration:
-            asked = f"{self.duration:g} s at {shown(fps)} fps are more than {MOST_FRAMES:,} frames, the limit"
-            raise TimelineError(f"{self.place}: {asked}")
+            length = f"{self.duration:g} s at {shown(fps)} fps are more than {MOST_FRAMES:,} frames, the limit"
+            raise TimelineError(f"{self.place}: {length}")
         return tuple((int(fps * prompt.start), int(fps * prompt.end)) for prompt in self.prompts)
 
     @property
     def place(self) -> str:
-        """How messages name the timeline: its name where it has one, and where its first prompt stands."""
+        """The timeline's name in messages: its own name, if any, and the place of its first prompt."""
         return f"timeline {shown(self.name)}, {self.places[0]}" if self.name else self.places[0]
 
     def frames(self, fps: int | float) -> int:
-        """How many frames the timeline lasts, from second 0 on.
+        """Count the frames of the timeline, from second 0 on.
 
         Examples:
             >>> stmc.Timeline.parse("walk # 0 # 4").frames(fps=20)
@@ -305,30 +303,30 @@ class Timeline:
         return max(end for _, end in self.spans(fps))
 
     def shifted(self) -> Timeline:
-        """The same timeline with its first start at 0, as the published code reads every file.
+        """Return the same timeline with its first start at 0, as the published code reads every file.
 
         Examples:
             >>> stmc.Timeline.parse("walk # 1 # 4").shifted().duration
             3.0
         """
         first = min(prompt.start for prompt in self.prompts)
-        moved = [replace(prompt, start=prompt.start - first, end=prompt.end - first) for prompt in self.prompts]
-        return replace(self, prompts=tuple(moved)) if first else self
+        prompts = [replace(prompt, start=prompt.start - first, end=prompt.end - first) for prompt in self.prompts]
+        return replace(self, prompts=tuple(prompts)) if first else self
 
     def __str__(self) -> str:
-        """The tracks drawn to scale, then every prompt with its times and body parts."""
+        """Draw the tracks to scale, then list every prompt with its times and body parts."""
         return draw(_draft(self))
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"
 
 
-PAIRS_TOLD, PAIRS_COUNTED = 3, 50
-"""Of the pairs of prompts that claim a part at once: how many a warning names, and to how many it counts."""
+MAX_PAIRS_NAMED, MAX_PAIRS_COUNTED = 3, 50
+"""Pairs of prompts with a shared part: the number that a warning names, and the number up to which it counts."""
 
 
 def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
-    """Which prompts claim a part at once, when first, and who gets it; one that lists none yields without a word."""
+    """Describe the prompts that claim a part at once; a prompt that lists no part yields silently."""
     shared: dict[tuple[int, int], tuple[float, set[BodyPart]]] = {}
     precedence = Precedence([prompt.parts for prompt in prompts])
     for start, _, ended, started in sweep((prompt.start, prompt.end) for prompt in prompts):
@@ -336,17 +334,17 @@ def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
         for part in BodyPart:
             for rival in precedence.rivals(part):
                 shared.setdefault((rival, precedence.owner(part)), (start, set()))[1].add(part)
-        if len(shared) > PAIRS_COUNTED:
+        if len(shared) > MAX_PAIRS_COUNTED:
             break
     names = [f"{shown(prompt.text)} ({place})" for prompt, place in zip(prompts, places, strict=True)]
-    told = [
+    conflicts = [
         f"{names[loser]} and {names[winner]} both claim {_listed(parts)} at {start:g} s; {names[winner]} gets it"
-        for (loser, winner), (start, parts) in list(shared.items())[:PAIRS_TOLD]
+        for (loser, winner), (start, parts) in list(shared.items())[:MAX_PAIRS_NAMED]
     ]
-    if len(shared) > PAIRS_TOLD:
-        most = f"more than {PAIRS_COUNTED}" if len(shared) > PAIRS_COUNTED else str(len(shared))
-        told.append(f"these are {PAIRS_TOLD} of {most} such pairs")
-    return "\n".join(told)
+    if len(shared) > MAX_PAIRS_NAMED:
+        most = f"more than {MAX_PAIRS_COUNTED}" if len(shared) > MAX_PAIRS_COUNTED else str(len(shared))
+        conflicts.append(f"these are {MAX_PAIRS_NAMED} of {most} such pairs")
+    return "\n".join(conflicts)
 
 
 def _crowded_track(timeline: Timeline, later: int, earlier: int) -> str:

@@ -1,6 +1,7 @@
-"""The two file formats of timelines, as plain entries: text (as MTT is published) and JSON (which keeps the tracks).
+"""The two file formats of timelines, as plain entries: text (as MTT is published) and JSON (which keeps tracks).
 
-Knows syntax: lines, fields, keys, and where in a document each prompt stands. What may be meant is `prompts`' matter.
+This module handles syntax: lines, fields, keys, and the place of each prompt in a document. `prompts` checks the
+meaning.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ from stmc.io.untrusted import UnreadableError, cut, load_json, read_text, shown
 from stmc.motion.body import BodyPart
 
 MOST_BYTES = 8 * 2**20
-"""Of a timeline file; a hundred bytes a prompt make five hundred timelines 0.1 MB."""
+"""Maximum size of a timeline file; 500 timelines take 0.1 MB at a hundred bytes per prompt."""
 
 MOST_PROMPTS_IN_FILE = 50_000
-"""In all timelines of a document together."""
+"""Maximum number of prompts in all timelines of a document together."""
 
 
 class TimelineError(ValueError):
-    """Something a timeline cannot mean. The message names the place, the value and the legal choices."""
+    """An invalid timeline. The message names the place, the value and the legal values."""
 
 
 class Entry(NamedTuple):
-    """One prompt of a document: where it stands, its track (None where the format has none) and its fields."""
+    """One prompt of a document: its place, its track (None if the format has no tracks) and its fields."""
 
     place: str
     track: int | None
@@ -39,7 +40,7 @@ class Entry(NamedTuple):
 
 
 class Draft(NamedTuple):
-    """One timeline of a document, its prompts in the document's order."""
+    """One timeline of a document, with its prompts in the document's order."""
 
     place: str
     name: str
@@ -47,17 +48,17 @@ class Draft(NamedTuple):
 
 
 MOST_FIELDS = 32
-"""Of a line: beyond, the rest counts as one, which is no body part."""
+"""Maximum number of separators of a line; the rest counts as one field, which is no body part."""
 
 LINE = "text # start # end # part # part"
 KEYS = {"text": str, "start": float, "end": float, "body_parts": list}
 
 COMPOSITION, COMPOSITION_FPS = ("text", "lengths", "id", "scenario", "fps"), 20
-"""Keys of FlowMDM's form of a timeline, and the frames a second of its lengths unless it says so: HumanML3D's."""
+"""Keys of FlowMDM's format, and the default frame rate of its lengths, that of HumanML3D."""
 
 
 def parse_text(document: str) -> list[Draft]:
-    """The timelines of a text: a prompt a line, blank lines between timelines. Errors name the line."""
+    """Parse the timelines of a text: one prompt per line, blank lines between timelines. Errors name the line."""
     drafts: list[Draft] = []
     after_blank, count = True, 0
     for number, line in enumerate(document.removeprefix("\ufeff").splitlines(), start=1):
@@ -65,7 +66,7 @@ def parse_text(document: str) -> list[Draft]:
             if after_blank:
                 drafts.append(Draft(f"line {number}", "", []))
             count += 1
-            _refuse_too_many(count, f"line {number}")
+            _check_prompt_count(count, f"line {number}")
             drafts[-1].entries.append(_entry_of_line(line, f"line {number}"))
         after_blank = not line.strip()
     if not drafts:
@@ -87,13 +88,13 @@ def _entry_of_line(line: str, place: str) -> Entry:
     return Entry(place, None, text, *times, tuple(rest[2:]))
 
 
-def _refuse_too_many(count: int, place: str) -> None:
+def _check_prompt_count(count: int, place: str) -> None:
     if count > MOST_PROMPTS_IN_FILE:
         raise TimelineError(f"{place}: more than {MOST_PROMPTS_IN_FILE:,} prompts in one document, the limit")
 
 
 def parse_json(document: str) -> list[Draft]:
-    """The timelines of a JSON document: one object or a list. Errors name the path, such as "tracks[0][1]"."""
+    """Parse the timelines of a JSON document: one object or a list. Errors name the path, such as "tracks[0][1]"."""
     try:
         data = load_json(document.removeprefix("\ufeff"))
     except UnreadableError as error:
@@ -106,7 +107,7 @@ def parse_json(document: str) -> list[Draft]:
     for index, item in enumerate(data):
         drafts.append(_draft(item, f"[{index}]"))
         count += len(drafts[-1].entries)
-        _refuse_too_many(count, f"[{index}]")
+        _check_prompt_count(count, f"[{index}]")
     return drafts
 
 
@@ -115,7 +116,7 @@ def _draft(data: Any, path: str) -> Draft:
     _expect(data, dict, path or "the document", 'a timeline, {"name": "…", "tracks": [[…], …]}')
     if "lengths" in data:
         return _composition(data, path, inside)
-    _refuse_others(data, ("name", "tracks"), path or "the document")
+    _check_keys(data, ("name", "tracks"), path or "the document")
     name = _expect(data.get("name", ""), str, f"{inside}name", "a string")
     if "tracks" not in data:
         raise TimelineError(f'{path or "the document"}: no "tracks"; a timeline is {{"name": "…", "tracks": [[…], …]}}')
@@ -129,14 +130,14 @@ def _draft(data: Any, path: str) -> Draft:
 
 
 def moment(frame: int, fps: float | int) -> float:
-    """The second of a frame: `int(fps * second)` is the frame, also where a quotient falls just below it."""
+    """Convert a frame to a second such that `int(fps * second)` is the frame, whatever the rounding of the quotient."""
     second = frame / fps
     return second if int(fps * second) == frame else math.nextafter(second, math.inf)
 
 
 def _composition(data: dict[str, Any], path: str, inside: str) -> Draft:
-    """FlowMDM's form: texts one after the other on one track, and how many frames each lasts."""
-    _refuse_others(data, COMPOSITION, path or "the document")
+    """Parse FlowMDM's format: consecutive texts on one track, and the length of each in frames."""
+    _check_keys(data, COMPOSITION, path or "the document")
     fps = _expect(data.get("fps", COMPOSITION_FPS), float, f"{inside}fps", "frames a second")
     if not 0 < fps <= 1000:
         raise TimelineError(f"{inside}fps: {shown(fps)} is not above 0 and at most 1000 frames a second")
@@ -156,7 +157,7 @@ def _composition(data: dict[str, Any], path: str, inside: str) -> Draft:
 
 def _entry_of_object(data: Any, path: str, track: int) -> Entry:
     _expect(data, dict, path, 'a prompt, {"text": "…", "start": 0, "end": 4.2, "body_parts": ["legs"]}')
-    _refuse_others(data, tuple(KEYS), path)
+    _check_keys(data, tuple(KEYS), path)
     for key in ("text", "start", "end"):
         if key not in data:
             raise TimelineError(f'{path}: no "{key}"; a prompt needs text, start and end, and may have body_parts')
@@ -175,16 +176,16 @@ def _expect(value: Any, kind: type, path: str, meaning: str) -> Any:
     return value
 
 
-def _refuse_others(data: dict[str, Any], keys: Sequence[str], path: str) -> None:
+def _check_keys(data: dict[str, Any], keys: Sequence[str], path: str) -> None:
     for key in data:
         if key not in keys:
             raise TimelineError(f"{path}: unknown key {shown(key)}; choose from {', '.join(keys)}")
 
 
 def to_text(drafts: Sequence[Draft]) -> str:
-    """The text form. Raises `TimelineError` for a prompt that it cannot hold."""
+    """Format timelines as text. Raises `TimelineError` if text cannot represent a prompt."""
     text = "\n".join("".join(f"{_line(entry)}\n" for entry in draft.entries) for draft in drafts)
-    return f"\ufeff{text}" if text.startswith("\ufeff") else text  # readers take the first one for a byte order mark
+    return f"\ufeff{text}" if text.startswith("\ufeff") else text  # readers strip the first one as a byte order mark
 
 
 def _line(entry: Entry) -> str:
@@ -195,13 +196,16 @@ def _line(entry: Entry) -> str:
 
 
 def to_json(drafts: Sequence[Draft]) -> str:
-    """The JSON form: one object for one timeline, else a list. Reading gives the same prompts in the same order."""
+    """Format timelines as JSON: one object for one timeline, otherwise a list.
+
+    Reading the result gives the same prompts in the same order.
+    """
     objects = [_object(draft) for draft in drafts]
     return f"{objects[0]}\n" if len(objects) == 1 else "[" + ",\n".join(objects) + "]\n"
 
 
 def _object(draft: Draft) -> str:
-    """One timeline with a line for every prompt, as a person would write it."""
+    """Format one timeline with one line per prompt, as a person would write it."""
     tracks = [",\n   ".join(map(_json, prompts)) for prompts in _tracks(draft.entries)]
     return f'{{"name": {_json(draft.name)}, "tracks": [\n  [' + "],\n  [".join(tracks) + "]]}"
 
@@ -212,8 +216,8 @@ def _json(data: Any) -> str:
 
 def _tracks(entries: Sequence[Entry]) -> list[list[dict[str, Any]]]:
     rows = [entry.track for entry in entries]
-    if rows != sorted(rows):  # the order breaks ties, so it outranks a layout that was only laid out for drawing
-        rows = _in_order(entries)
+    if rows != sorted(rows):  # the order breaks ties, so it takes precedence over the tracks, which serve drawing only
+        rows = _rows_in_order(entries)
     tracks: list[list[dict[str, Any]]] = [[] for _ in set(rows)]
     for row, entry in zip(rows, entries, strict=True):
         prompt = {"text": entry.text, "start": entry.start, "end": entry.end}
@@ -221,7 +225,7 @@ def _tracks(entries: Sequence[Entry]) -> list[list[dict[str, Any]]]:
     return tracks
 
 
-def _in_order(entries: Sequence[Entry]) -> list[int]:
+def _rows_in_order(entries: Sequence[Entry]) -> list[int]:
     rows = [0]
     for before, entry in pairwise(entries):
         rows.append(rows[-1] + (entry.start < before.end))
@@ -229,12 +233,22 @@ def _in_order(entries: Sequence[Entry]) -> list[int]:
 
 
 def named(path: str | Path) -> str:
-    """A path as messages name it."""
+    """Format a path for messages."""
     return cut(str(path), 200)
 
 
 def choose(suffix: str, json_form: Callable, text_form: Callable, place: str = "") -> Callable:
-    """The function for a file's suffix, or a `TimelineError` with the legal ones, and the place where it has one."""
+    """Select the function for a file's suffix.
+
+    Args:
+        suffix: Suffix of the file, with its dot.
+        json_form: Function for ".json".
+        text_form: Function for ".txt".
+        place: Prefix of the error message.
+
+    Raises:
+        TimelineError: If the suffix is neither; the message lists the legal suffixes.
+    """
     forms = {".json": json_form, ".txt": text_form}
     if suffix.lower() not in forms:
         raise TimelineError(f"{place}unknown kind of timeline file {shown(suffix)}; choose from {', '.join(forms)}")
@@ -242,12 +256,18 @@ def choose(suffix: str, json_form: Callable, text_form: Callable, place: str = "
 
 
 def parse(document: str, suffix: str) -> list[Draft]:
-    """The timelines of what a file with that suffix holds. Raises `TimelineError` naming the place in it."""
+    """Parse the timelines of a document in the format of files with that suffix.
+
+    Raises `TimelineError` with the place in the document.
+    """
     return choose(suffix, parse_json, parse_text)(document)
 
 
 def read(path: Path) -> list[Draft]:
-    """The timelines of a file, by its suffix. Raises `TimelineError` naming the file and the place in it."""
+    """Read the timelines of a file, in the format of its suffix.
+
+    Raises `TimelineError` with the name of the file and the place in it.
+    """
     parse = choose(path.suffix, parse_json, parse_text, f"{named(path)}: ")
     try:
         return parse(read_text(path, MOST_BYTES))
@@ -258,6 +278,6 @@ def read(path: Path) -> list[Draft]:
 
 
 def write(drafts: Sequence[Draft], path: Path) -> None:
-    """Write by the suffix, under a temporary name first, so that the file appears whole or not at all."""
-    content = choose(path.suffix, to_json, to_text, f"{named(path)}: ")(drafts)
-    write_text(path, content)
+    """Write timelines in the format of the suffix, so that the file appears complete or not at all."""
+    text = choose(path.suffix, to_json, to_text, f"{named(path)}: ")(drafts)
+    write_text(path, text)

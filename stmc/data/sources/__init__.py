@@ -1,1 +1,1 @@
-"""The data sets that `stmc prepare` knows: one file a source, and the formats that several share."""
+"""The data sets that `stmc prepare` supports, one package each, and the formats that several share."""

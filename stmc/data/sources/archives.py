@@ -1,6 +1,6 @@
-"""Text files of a data set, from the `.tar.xz` it is published as (never unpacked to disk) or from a folder.
+"""Text files of a data set, from its published `.tar.xz` (never unpacked to disk) or from a folder.
 
-Reads regular files of bounded size, whatever an archive's headers promise; knows no format.
+Reads regular files of bounded size, whatever the headers of an archive claim; independent of formats.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from pathlib import Path, PurePosixPath
 from stmc.io.untrusted import UnreadableError, cut, read_bytes
 
 MOST_BYTES = 32 * 2**20
-"""Of one file; the largest of Bandai's is below 1 MB, and of CMU's, three minutes at 120 frames per second, 20 MB."""
+"""Maximum size of one file; Bandai's are below 1 MB, and CMU's, three minutes at 120 fps, below 20 MB."""
 
 MOST_MEMBERS = 100_000
-"""Of an archive or a folder; Bandai's data set has some 3,100, CMU's some 2,500 in each of its formats."""
+"""Maximum number of files in an archive or a folder; Bandai's data set has some 3,100, CMU's some 2,500 per format."""
 
 MOST_ARCHIVE = 16 * 2**30
-"""Bytes of all that an archive unpacks to; Bandai's has some 1 GB, CMU's whole database some 4 GB in each format."""
+"""Maximum unpacked size of an archive in bytes; Bandai's has some 1 GB, CMU's whole database some 4 GB per format."""
 
 
 def read_texts(source: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath, str | UnreadableError]]:
-    """The place and the text of every file whose suffix is one of `kinds`, one at a time; of what is no regular file,
-    or one of more than `MOST_BYTES`, the error in place of a text.
+    """Yield the path and text of every file with a suffix in `kinds`, one at a time.
 
-    Raises `FileNotFoundError` where there is neither folder nor file, and `ValueError` for an archive that is damaged
-    or breaks off, and for more than `MOST_MEMBERS` or `MOST_ARCHIVE`.
+    For files that are not regular or exceed `MOST_BYTES`, an error replaces the text. Raises `FileNotFoundError` if the
+    source does not exist, and `ValueError` if an archive is damaged or truncated, or exceeds `MOST_MEMBERS` or
+    `MOST_ARCHIVE`.
     """
     if not source.exists():
         raise FileNotFoundError(f"{source} does not exist; it should be the dataset's .tar.xz or its unpacked folder")
@@ -38,7 +38,7 @@ def read_texts(source: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosix
 def _archive(path: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath, str | UnreadableError]]:
     name, left = "its beginning", MOST_ARCHIVE
     try:
-        with lzma.open(path) as file:  # unlike tarfile's own stream, it notices an end that comes too early
+        with lzma.open(path) as file:  # unlike tarfile's own stream, it detects truncation
             unpacked = _Metered(file)
             with tarfile.open(fileobj=unpacked, mode="r|") as archive:
                 for number, member in enumerate(archive):
@@ -46,17 +46,17 @@ def _archive(path: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath
                     if number >= MOST_MEMBERS or left < 0:
                         limits = f"{MOST_MEMBERS:,} members or {MOST_ARCHIVE / 2**30:g} GiB"
                         raise ValueError(f"{path} unpacks to more than {limits} (read up to {name})")
-                    archive.members.clear()  # tarfile keeps all it has seen
+                    archive.members.clear()  # tarfile would keep all members
                     unpacked.left = member.size + _HEADERS
-                    place = PurePosixPath(member.name)
-                    if place.suffix in kinds:
-                        name = cut(place.stem)
-                        yield place, _member(archive, member)
+                    inner = PurePosixPath(member.name)
+                    if inner.suffix in kinds:
+                        name = cut(inner.stem)
+                        yield inner, _member(archive, member)
             unpacked.left = MOST_BYTES
             while unpacked.read(2**20):
                 pass
     except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
-        raise ValueError(f"{path} is not a .tar.xz, or a half or damaged one (read up to {name}): {error}") from error
+        raise ValueError(f"{path} is not a .tar.xz, or is truncated or damaged (read up to {name}): {error}") from error
 
 
 def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> str | UnreadableError:
@@ -68,22 +68,22 @@ def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> str | Unreadab
 
 
 _HEADERS = 2**20
-"""Bytes that may stand between two members; tarfile reads them at once."""
+"""Maximum number of bytes between two members, which tarfile reads at once."""
 
 
 class _Metered:
-    """A file from which only so many bytes are `left` to be read, whatever its headers promise."""
+    """A file with a limited number of bytes `left` to read, whatever its headers claim."""
 
     def __init__(self, file: lzma.LZMAFile) -> None:
         self._file = file
         self.left = _HEADERS
 
     def read(self, size: int) -> bytes:
-        content = self._file.read(size)
-        self.left -= len(content)
+        data = self._file.read(size)
+        self.left -= len(data)
         if self.left < 0:
             raise tarfile.ReadError(f"headers of more than {_HEADERS / 2**20:g} MiB")
-        return content
+        return data
 
 
 def _folder(path: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath, str | UnreadableError]]:
@@ -91,10 +91,10 @@ def _folder(path: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath,
     if len(files) > MOST_MEMBERS:
         raise ValueError(f"{path} holds more than {MOST_MEMBERS:,} {' and '.join(sorted(kinds))} files, the limit")
     for file in files:
-        place = PurePosixPath(file.relative_to(path).as_posix())
+        inner = PurePosixPath(file.relative_to(path).as_posix())
         try:
-            yield place, read_bytes(file, MOST_BYTES).decode("ascii", errors="replace")
+            yield inner, read_bytes(file, MOST_BYTES).decode("ascii", errors="replace")
         except UnreadableError as error:
-            yield place, error
+            yield inner, error
         except OSError as error:  # a dangling link, no permission
-            yield place, UnreadableError(f"cannot be read ({error.strerror})")
+            yield inner, UnreadableError(f"cannot be read ({error.strerror})")

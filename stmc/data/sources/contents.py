@@ -1,9 +1,8 @@
-"""What clips show and what people would write about it: contents, styles and their mirror images.
+"""Actions of clips, sentences that describe them, styles, and their mirror images.
 
-Our own sentences, in `assets/contents.json`, for the Bandai Namco dataset's labels and for the segments of recordings;
-knows the labels, their styles and English; knows no recordings, no motion and no text encoder.
-Sentences that name a side are written once, for the left; those of the right are their mirror images, so that a
-mirrored clip always has a sentence of its own.
+`assets/contents.json` holds our own sentences for the labels of the Bandai Namco dataset and for segments of
+recordings. Sentences that name a side are written once, for the left; those for the right are mirrored, so that a
+mirrored clip always has its own sentences. Independent of recordings, motions and text encoders.
 """
 
 from __future__ import annotations
@@ -18,25 +17,33 @@ from stmc.motion.body import BodyPart
 from stmc.text.vocabulary.qualifiers import mirrored
 
 PLAIN_SHARE = 0.5
-"""Share of the draws in which a styled clip is described without its style, so that plain texts reach every style."""
+"""Probability that a styled clip is described without its style, so that plain texts reach every style."""
 
 STYLED = 12
-"""Sentences of a content, its first, that phrases of a style may follow: all of them would be twenty thousand."""
+"""Number of sentences of an action, the first ones, that take phrases of a style: all of them would give 20,000."""
 
 ALWAYS_STYLED = frozenset((f"raise-up-{side}", "feminine") for side in ("left-hand", "right-hand", "both-hands"))
 """Clips that no plain sentence describes: these raises end at the shoulder, lower than "raise the arm" would mean."""
 
 FORWARD_WALKS = ("walk", "walk-left", "walk-right")
-"""Where the actor goes in the room is not seen from his own frame: all of these say the same."""
+"""Labels with the same meaning, because the direction in the room is not visible in the actor's own frame."""
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a clip shows. `parts` are those a prompt would claim for it; `cyclic` means that any trim of the clip still
-    shows the content, whereas of the others the middle has to stay in; `sentences`
-    are plain descriptions; `unseen` are three that no training sees, to ask models with, or none. `title` is the plain
-    name to show to people, `topic` the group that it is listed in. `gerunds` pairs some sentences, imperatives, with
-    their gerunds, for sentences about two contents (see `joined`); contents that claim the whole body have none."""
+    """The action of a clip.
+
+    Args:
+        name: Label of the action.
+        parts: Body parts that a prompt for the action would claim.
+        cyclic: Whether any part of a clip still shows the action; otherwise the middle must stay in.
+        sentences: Plain descriptions.
+        unseen: Three descriptions that are held out from training, for tests of models, or none.
+        title: Plain name for people.
+        topic: Group in lists.
+        gerunds: Some imperative sentences with their gerunds, for sentences about two actions (see `joined`); none for
+            actions of the whole body.
+    """
 
     name: str
     parts: frozenset[BodyPart]
@@ -48,7 +55,7 @@ class Content:
     gerunds: tuple[tuple[str, str], ...] = ()
 
     def mirrored(self) -> Content:
-        """The content of the mirror image."""
+        """Return the action of the mirror image."""
         return Content(
             mirrored(self.name),
             frozenset(BodyPart(mirrored(part)) for part in self.parts),
@@ -66,14 +73,14 @@ def _read() -> Iterator[Content]:
     for name, row in table.items():
         parts, gerunds = frozenset(map(BodyPart, row["parts"])), tuple(row.get("gerunds", {}).items())
         texts = tuple(row["sentences"]), tuple(row["unseen"])
-        for each in FORWARD_WALKS if name in FORWARD_WALKS else (name,):
-            yield Content(each, parts, row["cyclic"], *texts, row["title"], row["topic"], gerunds)
+        for label in FORWARD_WALKS if name in FORWARD_WALKS else (name,):
+            yield Content(label, parts, row["cyclic"], *texts, row["title"], row["topic"], gerunds)
         if mirrored(name) != name:
             yield Content(name, parts, row["cyclic"], *texts, row["title"], row["topic"], gerunds).mirrored()
 
 
 CONTENTS: Mapping[str, Content] = MappingProxyType({content.name: content for content in _read()})
-"""Every content by its name: the Bandai dataset's labels, and what else segments of recordings show."""
+"""Actions by name: the labels of the Bandai dataset, and further actions in segments of recordings."""
 
 _MASCULINE = ("like a man", "in a masculine way", "in a manly manner", "with a masculine manner")
 _OLD = ("like an old person", "like an elderly person", "in an elderly way", "as if very old", "like a grandparent")
@@ -102,21 +109,22 @@ STYLES: Mapping[str, tuple[str, ...]] = MappingProxyType({
 })  # fmt: skip
 """Phrases that can follow a sentence, by the dataset's style label; "normal" has none. "chimpira" is a Japanese
 small-time gangster. The two halves of the dataset label some styles differently (masculinity, masculine; old, elderly).
-Whatever they do, the active are 1.3 to 2.5 times as fast as the normal and the elderly half as fast."""
+In every action, active people are 1.3 to 2.5 times as fast as normal ones, and elderly people half as fast."""
 
 
 def content(name: str) -> Content:
-    """The content with the dataset's label `name`. Raises `ValueError` with the labels there are for any other."""
+    """Return the action with the label `name`. Raises `ValueError` with the legal labels if it is unknown."""
     if name not in CONTENTS:
         raise ValueError(f"unknown content {name!r}; choose from {', '.join(CONTENTS)}")
     return CONTENTS[name]
 
 
 def describe(name: str, style: str) -> tuple[tuple[str, float], ...]:
-    """Every sentence for a clip of the content `name` in `style`, each with its probability (together 1).
+    """Return every sentence for a clip of the action `name` in `style`, with probabilities that sum to 1.
 
-    The plain sentences share `PLAIN_SHARE`, the first `STYLED` followed by a phrase of the style the rest; "normal" is
-    all plain, and what is `ALWAYS_STYLED` is all styled. Raises `ValueError` for an unknown content or style.
+    Plain sentences have the total probability `PLAIN_SHARE`; the first `STYLED` sentences followed by a phrase of the
+    style have the rest. "normal" clips have plain sentences only, clips in `ALWAYS_STYLED` styled ones only. Raises
+    `ValueError` for an unknown action or style.
     """
     sentences = content(name).sentences
     if style not in STYLES:
@@ -133,8 +141,8 @@ def describe(name: str, style: str) -> tuple[tuple[str, float], ...]:
 
 
 def mirrored_content(name: str) -> str:
-    """The label of the content that a mirrored clip of `name` shows: the other side's, or its own where it has no side.
+    """Return the label of a mirrored clip of `name`: that of the other side, or `name` itself if it has no side.
 
-    Raises `ValueError` for an unknown content.
+    Raises `ValueError` if the action is unknown.
     """
     return content(mirrored(content(name).name)).name

@@ -1,7 +1,7 @@
-"""Sentences about two contents at once, for bodies that are composed of the two: "walk forwards while waving".
+"""Sentences about two actions at once, for composed motions: "walk forwards while waving".
 
-Knows contents and English; knows no motion and no text encoder. The order of words tells nothing: either content may
-come first.
+Depends on actions and English; independent of motions and text encoders. The order of words has no meaning: either
+action may come first.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from itertools import combinations
 from stmc.data.sources.contents import CONTENTS, FORWARD_WALKS, Content
 
 PER_PAIR = 2
-"""Joined sentences of each pair of contents: some thousand pairs are to be embedded."""
+"""Number of joined sentences per pair of actions: some thousand pairs have to be embedded."""
 
 Phrase = tuple[str, str]
 """An imperative and its gerund: "walk forwards", "walking forwards"."""
 
 Joined = Mapping[frozenset[str], tuple[str, ...]]
-"""Sentences about two contents at once, by the contents' names."""
+"""Sentences about two actions at once, by the actions' names."""
 
 
 def join(first: Phrase, second: Phrase) -> tuple[str, ...]:
-    """Every sentence that says that `first` and `second` happen at the same time."""
+    """Return every sentence that describes `first` and `second` at the same time."""
     (do, doing), (also_do, also_doing) = first, second
     return (
         f"{do} while {also_doing}",
@@ -38,15 +38,15 @@ def join(first: Phrase, second: Phrase) -> tuple[str, ...]:
 
 
 def joined_sentences(names: Collection[str]) -> Joined:
-    """`PER_PAIR` sentences about each two of the contents `names` that can be shown at once.
+    """Return `PER_PAIR` sentences about each pair of actions that can be shown at once.
 
-    Two contents can be if they claim different body parts and both have gerunds. Names that no content has are skipped.
-    Which phrases and which form a pair gets follows from its names alone, so that all forms occur alike.
+    These are pairs that claim different body parts and both have gerunds. Unknown names are skipped. The phrases and
+    forms of a pair depend on its names alone, so that all forms are equally frequent.
     """
-    known = sorted({CONTENTS[name] for name in names if name in CONTENTS and CONTENTS[name].gerunds}, key=_by_name)
+    actions = sorted({CONTENTS[name] for name in names if name in CONTENTS and CONTENTS[name].gerunds}, key=_by_name)
     return {
-        frozenset((first.name, second.name)): _chosen(first, second)
-        for first, second in combinations(known, 2)
+        frozenset((first.name, second.name)): _choose(first, second)
+        for first, second in combinations(actions, 2)
         if not first.parts & second.parts
     }
 
@@ -55,9 +55,9 @@ def _by_name(content: Content) -> str:
     return content.name
 
 
-def _chosen(first: Content, second: Content) -> tuple[str, ...]:
-    """The sentences of a pair; those of the three forward walks are the same."""
-    names = ["walk" if each.name in FORWARD_WALKS else each.name for each in (first, second)]
+def _choose(first: Content, second: Content) -> tuple[str, ...]:
+    """Choose the sentences of a pair; the three forward walks share theirs."""
+    names = ["walk" if action.name in FORWARD_WALKS else action.name for action in (first, second)]
     number = zlib.crc32(" ".join(names).encode())
-    forms = join(*(each.gerunds[number // 8 % len(each.gerunds)] for each in (first, second)))
-    return tuple(forms[(number + place * 3) % len(forms)] for place in range(PER_PAIR))
+    forms = join(*(action.gerunds[number // 8 % len(action.gerunds)] for action in (first, second)))
+    return tuple(forms[(number + index * 3) % len(forms)] for index in range(PER_PAIR))

@@ -1,7 +1,7 @@
-"""Which seconds of which recordings show what: `assets/segments.json`, found by rules and checked by eye.
+"""Segments of recordings and their actions: `assets/segments.json`, found by rules and checked by eye.
 
-Our own work, so that open motion has texts without anybody's licence. Knows recordings by their names and contents by
-theirs; knows no motion.
+The file is our own work, so that open motion has texts without a third party's licence. Depends on the names of
+recordings and actions; independent of motions.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Segment:
-    """Seconds `[start, end)` of a recording, and the name of the content that they show."""
+    """Seconds `[start, end)` of a recording, and the name of their action."""
 
     recording: str
     start: float
@@ -27,20 +27,20 @@ class Segment:
 
 @cache
 def table() -> Mapping[str, Any]:
-    """The whole file."""
+    """Read the whole file."""
     return json.loads((files("stmc") / "assets" / "segments.json").read_text("utf-8"))
 
 
 @cache
 def read_segments(dataset: str) -> Mapping[str, tuple[Segment, ...]]:
-    """All segments of "cmu" or "bandai", by their recordings, in the order of time."""
-    found: dict[str, list[Segment]] = {}
+    """Read all segments of "cmu" or "bandai", by recording, in time order."""
+    segments: dict[str, list[Segment]] = {}
     for recording, start, end, content in table()[dataset]:
-        found.setdefault(recording, []).append(Segment(recording, float(start), float(end), content))
-    return MappingProxyType({name: tuple(rows) for name, rows in found.items()})
+        segments.setdefault(recording, []).append(Segment(recording, float(start), float(end), content))
+    return MappingProxyType({name: tuple(rows) for name, rows in segments.items()})
 
 
 @cache
 def splits() -> Mapping[str, str]:
-    """CMU's recordings that are kept from training → "val" or "test"; contents with few recordings lend none."""
+    """Read the splits ("val" or "test") of CMU's held-out recordings; actions with few recordings have none."""
     return MappingProxyType({name: split for split, names in table()["held_out"].items() for name in names})

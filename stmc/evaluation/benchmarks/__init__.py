@@ -1,4 +1,4 @@
-"""Benchmarks: what models are asked for, and how good what comes is. See `protocol`."""
+"""Benchmarks: requests to models, and the quality of the results. See `benchmark_protocol`."""
 
 from stmc.evaluation.benchmarks.benchmark_protocol import Benchmark, Scores, TextEvaluator
 from stmc.evaluation.benchmarks.compositions import Compositions

@@ -1,6 +1,7 @@
-"""What a model trained on the Bandai contents can be asked to do, and whether a motion does it.
+"""Abilities of a model trained on the Bandai actions, and tests whether a motion shows them.
 
-Each ability is a timeline and a yes-or-no question about one motion's geometry: no learned evaluator, no text encoder.
+Each ability is a timeline and a yes-or-no question about the geometry of one motion, without a learned evaluator or a
+text encoder.
 """
 
 from __future__ import annotations
@@ -15,18 +16,21 @@ from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 
 WALK, RAISE = (0.0, 8.0), (2.5, 5.5)
-"""When the walk and the raise of "walk and raise" happen, in seconds."""
+"""Spans in seconds of the walk and the raise of "walk and raise"."""
 
 LONG, PACE = (8, 15, 30), 1.8
-"""Seconds for which a run is to keep its pace, and the least pace in metres per second."""
+"""Seconds for which a run must keep its pace, and the minimum pace in m/s."""
 
 SLACK = 0.75
-"""Seconds by which a raised arm may come early or stay late: half a transition and the time an arm takes."""
+"""Seconds by which a raised arm may be early or late: half a transition and the time that an arm takes."""
 
 
 @dataclass(frozen=True)
 class Ability:
-    """`shown(motion)` says whether a motion of `timeline` shows it; `expected` is the share of samples that should."""
+    """An ability: `shown(motion)` tests a motion of `timeline`.
+
+    `expected` is the fraction of samples that should pass.
+    """
 
     name: str
     timeline: Timeline
@@ -35,14 +39,23 @@ class Ability:
 
 
 def raises(motion: Motion, left: bool, right: bool) -> bool:
-    """Whether exactly the named wrists come above their shoulders at some time."""
+    """Return whether exactly the specified wrists come above their shoulders at some time.
+
+    Args:
+        motion: The motion.
+        left: Whether the left wrist should.
+        right: Whether the right wrist should.
+    """
     up = [bool((wrist_height(motion, side, "shoulder") > 0).any()) for side in ("left", "right")]
     return up == [left, right]
 
 
 def raises_while_walking(motion: Motion) -> bool:
-    """Whether the right wrist is above the shoulder during `RAISE` (and `SLACK`) alone, the left one never, and the
-    body walks at 0.5 to 2 m/s before, during and after."""
+    """Return whether the right arm is raised during a walk at the right time.
+
+    The right wrist is above the shoulder during `RAISE` (with `SLACK`) only, the left one never, and the body walks at
+    0.5 to 2 m/s before, during and after.
+    """
     first, last = (int(second * motion.fps) for second in RAISE)
     slack = int(SLACK * motion.fps)
     up = wrist_height(motion, "right", "shoulder") > 0
@@ -54,14 +67,14 @@ def raises_while_walking(motion: Motion) -> bool:
 
 
 def keeps_running(motion: Motion) -> bool:
-    """Whether every two seconds of it are faster than `PACE` on average, after the first, in which it begins."""
+    """Return whether every two seconds, after the first, are faster than `PACE` on average."""
     window = round(2 * motion.fps)
     speeds = [float(part.mean()) for part in forward_speed(motion)[window // 2 :].split(window) if len(part) == window]
     return bool(speeds) and min(speeds) > PACE
 
 
 def abilities() -> tuple[Ability, ...]:
-    """All of them, in the order in which they are reported."""
+    """Return all abilities in the order of reports."""
     both = {"left": (True, False), "right": (False, True), "both": (True, True)}
     arms = {"left": "left arm", "right": "right arm", "both": "left arm # right arm"}
     raised = {"left": "raise the left arm", "right": "raise the right arm", "both": "raise both arms"}

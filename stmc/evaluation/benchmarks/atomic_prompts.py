@@ -1,7 +1,7 @@
-"""Multi-track timeline (MTT) data sets: atomic prompts with their ground truth, and timelines made of them
-(STMC, section 4.1 and appendix C).
+"""Multi-track timeline (MTT) data sets: atomic prompts with their ground truth, and timelines made of them.
 
-Knows texts, body parts, durations and where each ground truth lies; knows no motion, no model and no metric.
+See STMC, section 4.1 and appendix C. Depends on texts, body parts, durations and the places of the ground truth;
+independent of motions, models and metrics.
 """
 
 from __future__ import annotations
@@ -20,30 +20,31 @@ from stmc.motion.body import BodyPart
 from stmc.timeline import Prompt, Timeline, TimelineError
 
 SHORTEST, LONGEST = 2.0, 9.2
-"""Seconds: what prompts last at least and at most, as in the published timelines."""
+"""Minimum and maximum duration of a prompt in seconds, as in the published timelines."""
 
 MEAN, DEVIATION = 6.0, 1.2
-"""Seconds: of prompts' durations. The paper says 1.0 for the deviation; its timelines have 1.2."""
+"""Mean and standard deviation of durations in seconds. The paper gives a standard deviation of 1.0; its timelines have
+1.2."""
 
 LEGS_WEIGHT = 3
-"""How much legs count, where any other body part counts 1, in how often a prompt is drawn for the first track."""
+"""Weight of the legs, relative to 1 for any other body part, in draws for the first track."""
 
 STRADDLES = 1 / 7
-"""The share of the draws in which the third prompt overlaps both of the first track."""
+"""Fraction of the draws in which the third prompt overlaps both prompts of the first track."""
 
 _HUNDREDTH = 100
-"""Of a second: what times are whole numbers of."""
+"""Resolution of times: hundredths of a second."""
 
 _KEYS = ("text", "body_parts", "clip", "start", "end", "shortest", "longest", "cyclic")
-"""Of an atomic prompt in JSON."""
+"""Keys of an atomic prompt in JSON."""
 
 
 @dataclass(frozen=True)
 class AtomicPrompt:
-    """A text, the body parts that it is about, and the motion that shows it: seconds `[start, end)` of `clip`.
+    """A text, the body parts that it describes, and a motion that shows it: seconds `[start, end)` of `clip`.
 
-    A timeline may ask for it for `shortest` to `longest` seconds. Of a `cyclic` one any trim of a motion that shows it
-    still does.
+    A timeline may request it for `shortest` to `longest` seconds. Any part of a motion that shows a `cyclic` prompt
+    shows it too.
     """
 
     text: str
@@ -57,24 +58,31 @@ class AtomicPrompt:
 
 
 def read_atomic_prompts(path: str | Path, motions: str | Path | None = None) -> list[AtomicPrompt]:
-    """Atomic prompts in the published form, a line each: `path` says `text # part # part`, and `motions`, in the same
-    order, `clip # start # end`. Without `motions`, `path` is a JSON list as `assets/open_mtt/prompts.json` is.
+    """Read atomic prompts in the published form, one per line, or from JSON.
 
-    Raises `TimelineError` with the file and the line (or the entry) for what is invalid, and for a text that
-    is duplicated: retrieval could not tell the two apart.
+    Args:
+        path: File with lines `text # part # part` or, without `motions`, a JSON list like
+            `assets/open_mtt/prompts.json`.
+        motions: File with lines `clip # start # end`, in the same order.
+
+    Raises:
+        TimelineError: With the file and the line (or the entry), if the content is invalid or a text is duplicated,
+            because retrieval could not distinguish the two.
     """
     path = Path(path)
     if motions is None:
-        atomic_prompts = _of_json(path)
+        atomic_prompts = _read_json(path)
     else:
-        texts, shown = _fields(path), _fields(Path(motions))
-        if len(texts) != len(shown):
-            raise TimelineError(f"{path} has {len(texts)} texts, {motions} {len(shown)} motions: each needs one")
+        texts, spans = _fields(path), _fields(Path(motions))
+        if len(texts) != len(spans):
+            raise TimelineError(
+                f"{path} has {len(texts)} texts, but {motions} has {len(spans)} motions; each text needs one"
+            )
         atomic_prompts = [
             _atomic_prompt(
                 text, parts, *motion, place=f"{path}, line {number}" if len(motion) == 3 else f"{motions}, line {at}"
             )
-            for (number, (text, *parts)), (at, motion) in zip(texts, shown, strict=True)
+            for (number, (text, *parts)), (at, motion) in zip(texts, spans, strict=True)
         ]
     return _unique(atomic_prompts, path)
 
@@ -89,8 +97,10 @@ def _unique(atomic_prompts: list[AtomicPrompt], path: Path) -> list[AtomicPrompt
 
 
 def read_texts(path: str | Path) -> list[AtomicPrompt]:
-    """The texts and body parts of a file in the published form, `text # part # part`, without a motion that shows them
-    (`clip` is empty). Raises `TimelineError` as `read_atomic_prompts` does."""
+    """Read the texts and body parts of a file in the published form, `text # part # part`, without motions.
+
+    `clip` is empty. Raises `TimelineError` as `read_atomic_prompts` does.
+    """
     return _unique(
         [
             replace(_atomic_prompt(text, parts, "", 0.0, SHORTEST, place=f"{path}, line {number}"), end=0.0)
@@ -101,9 +111,10 @@ def read_texts(path: str | Path) -> list[AtomicPrompt]:
 
 
 def write_atomic_prompts(atomic_prompts: Sequence[AtomicPrompt], path: str | Path) -> None:
-    """The atomic prompts as a JSON list, a line each; the file appears whole or not at all."""
+    """Write atomic prompts as a JSON list, one per line; the file appears complete or not at all."""
     rows = [
-        dict(zip(_KEYS, (each.text, sorted(each.parts), *astuple(each)[2:]), strict=True)) for each in atomic_prompts
+        dict(zip(_KEYS, (prompt.text, sorted(prompt.parts), *astuple(prompt)[2:]), strict=True))
+        for prompt in atomic_prompts
     ]
     lines = ",\n".join(map(json.dumps, rows))
     write_text(Path(path), f"[\n{lines}\n]\n")
@@ -114,7 +125,7 @@ def _fields(path: Path) -> list[tuple[int, list[str]]]:
     return [(number, [field.strip() for field in line.split("#")]) for number, line in lines if line.strip()]
 
 
-def _of_json(path: Path) -> list[AtomicPrompt]:
+def _read_json(path: Path) -> list[AtomicPrompt]:
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -124,16 +135,16 @@ def _of_json(path: Path) -> list[AtomicPrompt]:
     for index, row in enumerate(rows):
         if not isinstance(row, dict) or set(row) != set(_KEYS):
             raise TimelineError(f"{path}, [{index}]: {json.dumps(row)[:60]} is not a prompt with {', '.join(_KEYS)}")
-    return [_of_row(row, f"{path}, [{index}]") for index, row in enumerate(rows)]
+    return [_parse_row(row, f"{path}, [{index}]") for index, row in enumerate(rows)]
 
 
-def _of_row(row: dict, place: str) -> AtomicPrompt:
-    *described, shortest, longest, cyclic = (row[key] for key in _KEYS)
-    if not (isinstance(cyclic, bool) and all(type(each) in (int, float) for each in (shortest, longest))):
-        raise TimelineError(f"{place}: shortest and longest are seconds, cyclic is true or false")
+def _parse_row(row: dict, place: str) -> AtomicPrompt:
+    *fields, shortest, longest, cyclic = (row[key] for key in _KEYS)
+    if not (isinstance(cyclic, bool) and all(type(seconds) in (int, float) for seconds in (shortest, longest))):
+        raise TimelineError(f"{place}: shortest and longest must be seconds, cyclic must be true or false")
     if not 0 < shortest <= longest:
         raise TimelineError(f"{place}: shortest ({shortest}) must be above 0 and at most longest ({longest})")
-    return replace(_atomic_prompt(*described, place=place), shortest=shortest, longest=longest, cyclic=cyclic)
+    return replace(_atomic_prompt(*fields, place=place), shortest=shortest, longest=longest, cyclic=cyclic)
 
 
 def _atomic_prompt(text: str, parts: Sequence[str], *motion: str | float, place: str) -> AtomicPrompt:
@@ -148,20 +159,31 @@ def _atomic_prompt(text: str, parts: Sequence[str], *motion: str | float, place:
 
 
 def sample_timelines(prompts: Sequence[AtomicPrompt], count: int, rng: np.random.Generator) -> list[Timeline]:
-    """`count` timelines of three prompts on two tracks, drawn as MTT's are (STMC, section 4.1 and appendices C and E):
-    two that follow each other, and on the second track a third on body parts that those it overlaps leave free.
+    """Draw timelines of three prompts on two tracks with the distribution of MTT.
 
-    In 6 of 7 draws the third lies within one of the two that lasts longer; in 1 of 7 it straddles both. The two are
-    drawn by their number of parts, of which the legs count `LEGS_WEIGHT`; the third evenly among those whose parts are
-    free. Durations are normal (`MEAN`, `DEVIATION`), cut to the prompt's own range; places are uniform.
-    What does not fit is drawn again as a whole, so that some 18 % of the timelines straddle and a text overlaps another
-    with probability 0.73. The paper does not say all of this: it is what the 500 published timelines have.
+    See STMC, section 4.1 and appendices C and E. Two prompts follow each other; a third one, on the second track, uses
+    body parts that the prompts it overlaps leave free. In 6 of 7 draws the third lies within one of the two that lasts
+    longer; in 1 of 7 it straddles both. The two are drawn with weights equal to their number of parts, where the legs
+    count `LEGS_WEIGHT`; the third is drawn uniformly among those whose parts are free. Durations are normal (`MEAN`,
+    `DEVIATION`), clipped to the range of the prompt; positions are uniform. A draw that does not fit is repeated as a
+    whole, so that about 18 % of the timelines straddle and a text overlaps another one with probability 0.73. The paper
+    does not specify all of this; the 500 published timelines do.
 
-    A function of its arguments alone. Raises `TimelineError` where no two of the prompts can overlap.
+    The result depends on the arguments alone.
+
+    Args:
+        prompts: Atomic prompts.
+        count: Number of timelines.
+        rng: Random generator.
+
+    Raises:
+        TimelineError: If no two of the prompts can overlap.
     """
     pairs = product(prompts, repeat=2)
     if not any(_complementary(third, base.parts) and third.shortest <= base.longest for base, third in pairs):
-        raise TimelineError(f"no two of the {len(prompts)} atomic prompts go together: one needs body parts of its own")
+        raise TimelineError(
+            f"no two of the {len(prompts)} atomic prompts can overlap; add prompts with disjoint body parts"
+        )
     weights = np.array([len(prompt.parts) + (LEGS_WEIGHT - 1) * (BodyPart.LEGS in prompt.parts) for prompt in prompts])
     timelines: list[Timeline] = []
     while len(timelines) < count:
@@ -171,33 +193,32 @@ def sample_timelines(prompts: Sequence[AtomicPrompt], count: int, rng: np.random
 
 
 def _draw(
-    prompts: Sequence[AtomicPrompt], shares: np.ndarray, rng: np.random.Generator
+    prompts: Sequence[AtomicPrompt], weights: np.ndarray, rng: np.random.Generator
 ) -> tuple[Prompt, Prompt, Prompt] | None:
-    """The prompts of one timeline; None where they do not fit."""
+    """Draw the prompts of one timeline; return None if they do not fit."""
     straddles = rng.random() < STRADDLES
-    pair = [prompts[index] for index in rng.choice(len(prompts), size=2, p=shares)]
-    *lasting, length = rng.normal(MEAN, DEVIATION, size=3)
-    lasting = [_hundredths(prompt, seconds) for prompt, seconds in zip(pair, lasting, strict=True)]
-    fitting = [place for place in (0, 1) if length * _HUNDREDTH <= lasting[place]]
+    pair = [prompts[index] for index in rng.choice(len(prompts), size=2, p=weights)]
+    *durations, length = rng.normal(MEAN, DEVIATION, size=3)
+    durations = [_hundredths(prompt, seconds) for prompt, seconds in zip(pair, durations, strict=True)]
+    fitting = [index for index in (0, 1) if length * _HUNDREDTH <= durations[index]]
     if not (straddles or fitting):
         return None
     overlapped = [0, 1] if straddles else [fitting[rng.integers(len(fitting))]]
-    claimed = frozenset().union(*(pair[place].parts for place in overlapped))
+    claimed = frozenset().union(*(pair[index].parts for index in overlapped))
     free = [prompt for prompt in prompts if _complementary(prompt, claimed)]
     if not free:
         return None
     third = free[rng.integers(len(free))]
-    bounds = [0, lasting[0], sum(lasting)]
-    span = _placed(_hundredths(third, length), bounds, overlapped, rng)
-    asked = [_asked(each, *within) for each, within in zip(pair, pairwise(bounds), strict=True)]
-    return None if span is None else (*asked, _asked(third, *span))
+    bounds = [0, durations[0], sum(durations)]
+    span = _place(_hundredths(third, length), bounds, overlapped, rng)
+    consecutive = [_to_prompt(prompt, *edges) for prompt, edges in zip(pair, pairwise(bounds), strict=True)]
+    return None if span is None else (*consecutive, _to_prompt(third, *span))
 
 
-def _placed(
+def _place(
     lasts: int, bounds: Sequence[int], overlapped: Sequence[int], rng: np.random.Generator
 ) -> tuple[int, int] | None:
-    """Where so many hundredths lie, uniformly, within those of the pair that they overlap; None where there is no room.
-    Both are overlapped by a hundredth at least."""
+    """Place a span of a given length in hundredths uniformly within those it overlaps; None if there is no room."""
     first, last = bounds[overlapped[0]], bounds[overlapped[-1] + 1] - lasts
     if len(overlapped) > 1:
         first, last = max(first, bounds[1] - lasts + 1), min(last, bounds[1] - 1)
@@ -208,11 +229,11 @@ def _placed(
 
 
 def _hundredths(prompt: AtomicPrompt, seconds: float) -> int:
-    """`seconds` within the prompt's range, as a whole number of hundredths."""
+    """Clip `seconds` to the prompt's range, and convert them to whole hundredths."""
     return round(_HUNDREDTH * min(max(seconds, prompt.shortest), prompt.longest))
 
 
-def _asked(prompt: AtomicPrompt, start: int, end: int) -> Prompt:
+def _to_prompt(prompt: AtomicPrompt, start: int, end: int) -> Prompt:
     return Prompt(prompt.text, start / _HUNDREDTH, end / _HUNDREDTH, prompt.parts)
 
 

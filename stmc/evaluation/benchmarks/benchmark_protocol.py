@@ -1,4 +1,4 @@
-"""What every benchmark offers, whatever it measures: timelines to make motions of, and what to make of the motions."""
+"""The interface of every benchmark: timelines to generate motions for, and scores of the motions."""
 
 from __future__ import annotations
 
@@ -17,46 +17,58 @@ from stmc.timeline import Timeline
 
 
 class Scores(NamedTuple):
-    """What was measured: numbers by the keys of `results.naming.MEASURES`, curves over frames by their names, and of
-    some numbers what they are on draws of the timelines (see `resampling`)."""
+    """The results of a measurement.
+
+    Args:
+        metrics: Values by the keys of `results.naming.MEASURES`.
+        curves: Curves over frames by name.
+        resampled: Values of some metrics on draws of the timelines; see `resampling`.
+    """
 
     metrics: dict[str, float]
     curves: Mapping[str, list[float]] = MappingProxyType({})
     resampled: Mapping[str, list[float]] = MappingProxyType({})
 
     def with_jerk(self, jerks: Float[Tensor, "windows frames"], average: float | int) -> Scores:
-        """These, and of the jerk in windows around transitions, in m/frame³, the peak, the area between it and the
-        `average` of real motion, and the curve "jerk"."""
+        """Add the jerk of windows around transitions: its peak, its area above the average, and the curve "jerk".
+
+        `jerks` and `average`, the jerk of real motion, are in m/frame³.
+        """
         curve = jerk_curve(jerks)
-        jerky = {"peak_jerk": peak_jerk(curve), "area_under_jerk": area_under_jerk(curve, average)}
-        return Scores({**self.metrics, **jerky}, {**self.curves, "jerk": curve.tolist()}, self.resampled)
+        jerk_metrics = {"peak_jerk": peak_jerk(curve), "area_under_jerk": area_under_jerk(curve, average)}
+        return Scores({**self.metrics, **jerk_metrics}, {**self.curves, "jerk": curve.tolist()}, self.resampled)
 
 
 @runtime_checkable
 class TextEvaluator(MotionEvaluator, Protocol):
-    """An evaluator of texts, too, as `evaluators.Evaluator` is: their latents are near those of the motions they tell
-    of."""
+    """An evaluator that also embeds texts, close to the motions that they describe, as `evaluators.Evaluator` does."""
 
     def texts(self, texts: Sequence[str]) -> Float[Tensor, "batch width"]: ...
 
 
 @runtime_checkable
 class Benchmark(Protocol):
-    """Knows what is asked for, and how good what comes is; knows no model."""
+    """Requests to a method and scores of the results; independent of models."""
 
     @property
     def joints_from(self) -> JointsFrom:
-        """Which joints of the features that a model makes are measured (see `Model.decode`)."""
+        """Source of the measured joints; see `Model.decode`."""
         ...
 
     def timelines(self, method: str) -> list[Timeline]:
-        """What a method (a name of `composing.METHODS`) is to make motions of, in order: always the same."""
+        """Return the timelines for a method (a name in `composing.METHODS`), always the same and in the same order."""
         ...
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """The scores of motions, one for each of `timelines(method)`; what is random in measuring follows `seed`."""
+        """Compute the scores of motions.
+
+        Args:
+            method: Name of the method.
+            motions: One motion for each of `timelines(method)`.
+            seed: Seed of random choices in the measurement.
+        """
         ...
 
     def real(self, seed: int) -> Scores:
-        """The same of real motion."""
+        """Compute the scores of real motion."""
         ...

@@ -89,8 +89,10 @@ def calibrated(
 
 
 def threshold_between(known: Sequence[float], unknown: Sequence[float]) -> float:
-    """The threshold with the most unknown scores below it, less the share of the known ones; at most `MOST_LOST` of
-    these lie below. Of equally good ones, the lowest; rounded to thousandths."""
+    """Return the threshold that maximises the fraction of unknown scores below it minus that of known ones.
+
+    At most `MOST_LOST` of the known scores lie below it. Ties give the lowest; rounded to thousandths.
+    """
     scores = sorted({*known, *unknown})
     candidates = [scores[0], *((low + high) / 2 for low, high in pairwise(scores))]
 
@@ -118,7 +120,7 @@ def rates_of_warnings(
 
 
 def working_prompts(calibration: Calibration, known: Mapping[str, str]) -> list[str]:
-    """The known prompts whose own samples and whose action's are not measured to work rarely."""
+    """Return the known prompts whose own samples and whose action's are not measured to work rarely."""
     rates = {text: calibration.rate(text, action) for text, action in known.items()}
     return [text for text, rate in rates.items() if rate is None or rate >= RARELY]
 

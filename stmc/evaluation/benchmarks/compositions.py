@@ -1,8 +1,7 @@
-"""The benchmark of compositions in time (Barquero et al. 2024, section 4.1): many actions one after the other, of which
-every subsequence and every transition is measured by itself.
+"""The benchmark of compositions in time: many consecutive actions, whose subsequences and transitions are measured.
 
-Knows a prepared data set's test clips, their sentences and an evaluator; what is asked is drawn from them, and what
-comes is compared with them. Knows no model.
+See Barquero et al. (2024), section 4.1. Requests are drawn from the test clips of a prepared data set and their
+sentences, and results are compared with the clips by an evaluator. Independent of models.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ from stmc.motion.representation import JointsFrom, Representation
 from stmc.timeline import Prompt, Timeline
 
 ASKED, REFERENCE, REAL = range(3)
-"""What a seed is used for; each has a random stream of its own."""
+"""Uses of a seed; each has its own random stream."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A sentence, and a real clip that it is true of; asked for during `seconds`."""
+    """A sentence and a real clip that it describes, requested for `seconds`."""
 
     text: str
     clip: Clip
@@ -44,8 +43,15 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What is measured of motions, made or real: the latents, of length 1, of the segments' texts and of their
-    subsequences; and of windows of transitions the latents and the jerk of each frame."""
+    """Measurements of generated or real motions.
+
+    Args:
+        segments: The segments.
+        texts: Latents of the segments' texts, of length 1.
+        subsequences: Latents of the subsequences, of length 1.
+        windows: Latents of windows around transitions, of length 1.
+        jerks: Jerk of each frame of the windows.
+    """
 
     segments: tuple[Segment, ...]
     texts: Float[Tensor, "segments width"]
@@ -55,19 +61,30 @@ class Measurements:
 
 
 class Compositions:
-    """A `Benchmark`: `count` compositions of `segments` pairs of a sentence and a duration, drawn with `seed` from the
-    test clips of `cache`, those that are not mirrored.
+    """A `Benchmark` of compositions drawn from the unmirrored test clips of a prepared data set.
 
-    Each content that has `min_clips` such clips is drawn as often as any other, however many there are; a segment lasts
-    as long as its clip, but `shortest` to `longest` seconds. Each action that is drawn stays for `repeats` segments;
-    where that is more than one, only cyclic contents are drawn: `repeats=segments` is FlowMDM's extrapolation. A
-    transition is a `window` of frames, at the evaluator's frame rate, around the first frame of each segment but the
-    first.
+    Every action with enough clips is drawn with the same probability, however many clips it has; a segment lasts as
+    long as its clip, clipped to `shortest` and `longest`. A transition is a window around the first frame of each
+    segment but the first. Latents are compared at length 1, as in TMR.
 
-    `representation` is that of the cache's features. Latents are compared at length 1, as TMR does.
+    Args:
+        cache: Prepared data set.
+        representation: Representation of the features in the cache.
+        evaluator: Evaluator of texts and motions.
+        count: Number of compositions.
+        segments: Number of pairs of a sentence and a duration per composition.
+        repeats: Number of consecutive segments of each drawn action. Above 1, only cyclic actions are drawn;
+            `repeats=segments` is FlowMDM's extrapolation.
+        shortest: Minimum duration of a segment in seconds.
+        longest: Maximum duration of a segment in seconds.
+        min_clips: Minimum number of clips of an action.
+        window: Length of a transition in frames, at the evaluator's frame rate.
+        seed: Seed of the draw.
 
-    Raises `CacheError` for a test split that holds too little, `ImplausibleMotion` where its motions are not people's,
-    and `ValueError` for numbers that are invalid.
+    Raises:
+        CacheError: If the test split holds too little.
+        ImplausibleMotion: If its motions cannot be people's.
+        ValueError: If a number is invalid.
     """
 
     joints_from: JointsFrom = "skeleton"
@@ -98,38 +115,47 @@ class Compositions:
             )
         self.evaluator, self.window, self.longest, self._shortest = evaluator, window, longest, shortest
         self._repeats, self._seed = repeats, seed
-        self._said = {key: dict(rows) for key, rows in cache.texts.items()}
+        self._sentences = {key: dict(rows) for key, rows in cache.texts.items()}
         self._contents = _contents(cache, min_clips, cyclic=repeats > 1)
         self._reference_motions = _reference_motions(cache, representation, evaluator.fps, self._contents)
         self._long = self._long_enough()
-        chance = np.random.default_rng([seed, ASKED])
-        self.compositions = [self._composition(segments, chance) for _ in range(count)]
+        rng = np.random.default_rng([seed, ASKED])
+        self.compositions = [self._composition(segments, rng) for _ in range(count)]
 
     def timelines(self, method: str) -> list[Timeline]:
-        """The same for every method: one track of prompts that claim the whole body."""
+        """Return the timelines, the same for every method: one track of prompts that claim the whole body."""
         return list(self._timelines)
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """The scores of FlowMDM's tables, and the curve "jerk": its mean over the transitions in each frame.
+        """Compute the scores of FlowMDM's tables, and the curve "jerk", its mean over the transitions in each frame.
 
-        R-precision looks for each text's own motion, in batches of 32 drawn with `seed`, among those of other texts;
-        motions of clips that the text is true of, too, are left out (contents repeat, and it is no mistake to find
-        them; that one of them is found is no merit of the motion either). FID compares subsequences with the very clips
-        that were drawn, and each transition has a window of a real clip of its second content to be compared with. The
-        mean jerk of these windows is what the area under the jerk is measured from; each window is turned to begin with
-        heading zero. Raises `ValueError` unless there is a motion for each timeline, about as long.
+        R-precision looks for each text's own motion, in batches of 32 drawn with `seed`, among the motions of other
+        texts. Other motions of clips that the text describes are no candidates: actions repeat, so that finding one of
+        them is neither an error nor a merit. FID compares subsequences with the drawn clips, and each transition with a
+        window of a real clip of its second action. The area under the jerk is measured from the mean jerk of these
+        windows, each rotated to begin with heading zero.
+
+        Args:
+            method: Ignored.
+            motions: One motion per timeline.
+            seed: Seed of the batches.
+
+        Raises:
+            ValueError: Unless there is one motion of about the right length per timeline.
         """
-        return self._scores(self._of_motions(motions), seed)
+        return self._scores(self._measure_motions(motions), seed)
 
     def real(self, seed: int) -> Scores:
-        """Of other clips that the same sentences are true of, and of other windows: the least FID that can be hoped
-        for. Of a sentence that few clips show, some are the same."""
-        chance = np.random.default_rng([seed, REAL])
+        """Compute the scores of other clips with the same sentences, and of other windows: the lowest possible FID.
+
+        If few clips show a sentence, some of them are the same.
+        """
+        rng = np.random.default_rng([seed, REAL])
         drawn = [
-            tuple(replace(segment, clip=_choice(self._shown_by(segment.text), chance)) for segment in composition)
+            tuple(replace(segment, clip=_choice(self._clips_of(segment.text), rng)) for segment in composition)
             for composition in self.compositions
         ]
-        return self._scores(self._of_clips(drawn, chance), seed)
+        return self._scores(self._measure_clips(drawn, rng), seed)
 
     @cached_property
     def _timelines(self) -> list[Timeline]:
@@ -145,51 +171,52 @@ class Compositions:
 
     @cached_property
     def _reference(self) -> Measurements:
-        return self._of_clips(self.compositions, np.random.default_rng([self._seed, REFERENCE]))
+        return self._measure_clips(self.compositions, np.random.default_rng([self._seed, REFERENCE]))
 
-    def _composition(self, segments: int, chance: np.random.Generator) -> tuple[Segment, ...]:
-        """For each action a content, one of its clips and one of the clip's sentences; the other segments of the action
-        have clips of their own, of those that the sentence is true of."""
+    def _composition(self, segments: int, rng: np.random.Generator) -> tuple[Segment, ...]:
+        """Draw an action, one of its clips and one of the clip's sentences, until there are enough segments.
+
+        The other segments of an action have their own clips among those that the sentence describes.
+        """
         drawn: list[Segment] = []
         while len(drawn) < segments:
-            clip = _choice(_choice(list(self._contents.values()), chance), chance)
-            shares = np.array(list(self._said[clip.texts].values()))
-            text = list(self._said[clip.texts])[int(chance.choice(len(shares), p=shares / shares.sum()))]
-            shown = [clip, *(_choice(self._shown_by(text), chance) for _ in range(self._repeats - 1))]
-            drawn += [Segment(text, each, self._lasting(each)) for each in shown[: segments - len(drawn)]]
+            clip = _choice(_choice(list(self._contents.values()), rng), rng)
+            weights = np.array(list(self._sentences[clip.texts].values()))
+            text = list(self._sentences[clip.texts])[int(rng.choice(len(weights), p=weights / weights.sum()))]
+            clips = [clip, *(_choice(self._clips_of(text), rng) for _ in range(self._repeats - 1))]
+            drawn += [Segment(text, shown, self._duration(shown)) for shown in clips[: segments - len(drawn)]]
         return tuple(drawn)
 
-    def _shown_by(self, text: str) -> list[Clip]:
-        return [clip for clips in self._contents.values() for clip in clips if text in self._said[clip.texts]]
+    def _clips_of(self, text: str) -> list[Clip]:
+        return [clip for clips in self._contents.values() for clip in clips if text in self._sentences[clip.texts]]
 
-    def _lasting(self, clip: Clip) -> float:
+    def _duration(self, clip: Clip) -> float:
         duration = self._reference_motions[clip].frames / self.evaluator.fps
         return round(float(min(max(duration, self._shortest), self.longest)), 2)
 
     def _long_enough(self) -> dict[str, list[Clip]]:
-        """For each content the clips that hold a window, of all contents where it has none."""
+        """Return, for each action, the clips that contain a window, or those of all actions if it has none."""
         long = [clip for clip, motion in self._reference_motions.items() if len(motion) >= self.window]
         if not long:
             longest = max(len(motion) for motion in self._reference_motions.values())
             raise CacheError(f"no test clip is as long as a window of {self.window} frames; the longest has {longest}")
         return {content: [clip for clip in long if clip.content == content] or long for content in self._contents}
 
-    def _of_motions(self, motions: Sequence[Motion]) -> Measurements:
+    def _measure_motions(self, motions: Sequence[Motion]) -> Measurements:
         pieces = pieces_of(self._timelines, motions, self.evaluator, self.window)
         segments = tuple(segment for composition in self.compositions for segment in composition)
         return self._measurements(segments, *pieces)
 
-    def _of_clips(self, compositions: Sequence[Sequence[Segment]], chance: np.random.Generator) -> Measurements:
-        """The clips of the segments as subsequences, and for each transition a window from anywhere in a clip of the
-        content that it leads to."""
+    def _measure_clips(self, compositions: Sequence[Sequence[Segment]], rng: np.random.Generator) -> Measurements:
+        """Measure the clips of the segments, and for each transition a random window in a clip of its second action."""
         segments = tuple(segment for composition in compositions for segment in composition)
         longest = int(self.longest * self.evaluator.fps)
         features = {clip: self.evaluator.features(motion) for clip, motion in self._reference_motions.items()}
         crops = [features[segment.clip][:longest] for segment in segments]
         windows, jerks = [], []
         for segment in (segment for composition in compositions for segment in composition[1:]):
-            clip = _choice(self._long[segment.clip.content], chance)
-            start = int(chance.integers(len(self._reference_motions[clip]) - self.window + 1))
+            clip = _choice(self._long[segment.clip.content], rng)
+            start = int(rng.integers(len(self._reference_motions[clip]) - self.window + 1))
             end = start + self.window
             windows.append(features[clip][start:end])
             jerks.append(window_jerk(self._reference_motions[clip].trimmed(start, end), self.window))
@@ -205,25 +232,27 @@ class Compositions:
         distinct = {text: row for row, text in enumerate(dict.fromkeys(segment.text for segment in segments))}
         texts = self.evaluator.texts(list(distinct))[[distinct[segment.text] for segment in segments]]
         latents = (
-            F.normalize(each, dim=-1)
-            for each in (texts, self.evaluator.motions(crops), self.evaluator.motions(windows))
+            F.normalize(embeddings, dim=-1)
+            for embeddings in (texts, self.evaluator.motions(crops), self.evaluator.motions(windows))
         )
         return Measurements(segments, *latents, torch.stack(list(jerks)))
 
     def _scores(self, measurements: Measurements, seed: int) -> Scores:
-        true, everything = self._true(measurements.segments), np.arange(len(self.compositions))
-        again = resampled(len(everything), lambda units: self._of_some(measurements, true, units, seed).metrics)
-        return self._of_some(measurements, true, everything, seed)._replace(resampled=again)
+        true, everything = self._describes(measurements.segments), np.arange(len(self.compositions))
+        draws = resampled(len(everything), lambda units: self._score_some(measurements, true, units, seed).metrics)
+        return self._score_some(measurements, true, everything, seed)._replace(resampled=draws)
 
-    def _of_some(
+    def _score_some(
         self, measurements: Measurements, true: Bool[Tensor, "segments segments"], units: Units, seed: int
     ) -> Scores:
-        """The scores of some of the compositions. `true`: see `_true`."""
+        """Compute the scores of some of the compositions. `true` is the result of `_describes`."""
         real, segments = self._reference, len(self.compositions[0])
-        owners, changes = (np.repeat(np.arange(len(self.compositions)), each) for each in (segments, segments - 1))
-        chosen = Rows(measurements.texts, owners.tolist()).numbers(units)
-        windows, jerks = (Rows(each, changes.tolist()).of(units) for each in (measurements.windows, measurements.jerks))
-        order = chosen[torch.from_numpy(np.random.default_rng(seed).permutation(len(chosen)))]
+        owners, changes = (np.repeat(np.arange(len(self.compositions)), rows) for rows in (segments, segments - 1))
+        rows = Rows(measurements.texts, owners.tolist()).numbers(units)
+        windows, jerks = (
+            Rows(values, changes.tolist()).of(units) for values in (measurements.windows, measurements.jerks)
+        )
+        order = rows[torch.from_numpy(np.random.default_rng(seed).permutation(len(rows)))]
         texts, motions = measurements.texts[order], measurements.subsequences[order]
         metrics = {
             "r_precision": r_precision(texts, motions, true[order][:, order])[2],
@@ -235,25 +264,25 @@ class Compositions:
         }
         return Scores(metrics).with_jerk(jerks, float(real.jerks.mean()))
 
-    def _true(self, segments: Sequence[Segment]) -> Bool[Tensor, "segments segments"]:
-        """Of which segments' clips the text of each segment is true."""
-        return torch.tensor([[one.text in self._said[other.clip.texts] for other in segments] for one in segments])
+    def _describes(self, segments: Sequence[Segment]) -> Bool[Tensor, "segments segments"]:
+        """Return whether each segment's text describes each segment's clip."""
+        return torch.tensor([[one.text in self._sentences[other.clip.texts] for other in segments] for one in segments])
 
 
 def _contents(cache: Cache, min_clips: int, cyclic: bool) -> dict[str, list[Clip]]:
-    """The test clips of each content that has enough, in order of their names."""
+    """Return the test clips of each action with enough clips, sorted by name."""
     test = [clip for clip in cache.clips if clip.split == "test" and not clip.mirrored and any(cache.texts[clip.texts])]
-    found: dict[str, list[Clip]] = {}
+    clips_of: dict[str, list[Clip]] = {}
     for clip in sorted(test, key=lambda clip: (clip.content, clip.name)):
         if clip.cyclic or not cyclic:
-            found.setdefault(clip.content, []).append(clip)
-    enough = {content: clips for content, clips in found.items() if len(clips) >= min_clips}
+            clips_of.setdefault(clip.content, []).append(clip)
+    enough = {content: clips for content, clips in clips_of.items() if len(clips) >= min_clips}
     if len(enough) < 2:
         kind = "cyclic " if cyclic else ""
-        counts = ", ".join(f"{content} ({len(clips)})" for content, clips in found.items()) or "none"
+        counts = ", ".join(f"{content} ({len(clips)})" for content, clips in clips_of.items()) or "none"
         raise CacheError(
-            f"the test split needs two {kind}contents of at least {min_clips} clips with texts, not mirrored; it has "
-            f"{counts}: prepare more data, or lower `min_clips`"
+            f"the test split needs two {kind}actions with at least {min_clips} unmirrored clips with texts; it has "
+            f"{counts}; prepare more data or lower `min_clips`"
         )
     return enough
 
@@ -262,7 +291,9 @@ def _reference_motions(
     cache: Cache, representation: Representation, fps: float | int, contents: dict[str, list[Clip]]
 ) -> dict[Clip, Motion]:
     if cache.features.shape[1] != representation.width:
-        raise CacheError(f"the cache has {cache.features.shape[1]} features, the representation {representation.width}")
+        raise CacheError(
+            f"the cache has {cache.features.shape[1]} features, but the representation has {representation.width}"
+        )
     reference_motions = {}
     for clip in (clip for clips in contents.values() for clip in clips):
         motion = representation.decode(cache.features[clip.start : clip.end], cache.fps, cache.skeleton)
@@ -271,5 +302,5 @@ def _reference_motions(
     return reference_motions
 
 
-def _choice(items: Sequence, chance: np.random.Generator):
-    return items[int(chance.integers(len(items)))]
+def _choice(items: Sequence, rng: np.random.Generator):
+    return items[int(rng.integers(len(items)))]

@@ -1,7 +1,6 @@
-"""Which frames of which motion should show which text, and where its transitions are: what the benchmarks of timelines
-share.
+"""The frames of motions that should show each text, and the windows of transitions, for the benchmarks of timelines.
 
-Knows timelines, motions and methods by name; knows no evaluator and no measure but jerk.
+Depends on timelines, motions and names of methods; independent of evaluators and of metrics other than jerk.
 """
 
 from __future__ import annotations
@@ -18,39 +17,55 @@ from stmc.motion.motion import Motion
 from stmc.timeline import Prompt, Timeline
 
 JERKED_SECONDS = 1
-"""Of a transition whose jerk is measured, as of BABEL's (FlowMDM, section 4.1): prompts follow too soon for more."""
+"""Duration in seconds of a transition whose jerk is measured, as on BABEL (FlowMDM, section 4.1): prompts follow too
+closely for more."""
 
 
 def asked_of(method: str, timelines: Sequence[Timeline]) -> list[Timeline]:
-    """The timelines that a method makes motions of: for "independent" each prompt as a timeline."""
+    """Return the timelines that a method generates motions for: for "independent", one timeline per prompt."""
     if method != INDEPENDENT:
         return list(timelines)
     prompts = [prompt for timeline in timelines for prompt in timeline.prompts]
-    return [Timeline((Prompt(each.text, 0.0, each.end - each.start, each.parts),)) for each in prompts]
+    return [Timeline((Prompt(prompt.text, 0.0, prompt.end - prompt.start, prompt.parts),)) for prompt in prompts]
 
 
 def crop_spans(
     method: str, timelines: Sequence[Timeline], lengths: Sequence[int], fps: float | int, numbers: Mapping[str, int]
 ) -> list[list[Span]]:
-    """For each motion, one per timeline of `asked_of` and of these `lengths` in frames, the frames that should show
-    each text and the text's number. None goes on beyond its motion's end; of "one_text" and "independent" it is the
-    whole motion."""
+    """Return, for each motion, the frames that should show each text, and the index of the text.
+
+    Spans end at the end of the motion; for "one_text" and "independent" they cover the whole motion.
+
+    Args:
+        method: Name of the method.
+        timelines: Timelines of the benchmark.
+        lengths: Length of each motion in frames, in the order of `asked_of`.
+        fps: Frames per second.
+        numbers: Index of each text.
+    """
     spans = []
     for timeline, length in zip(asked_of(method, timelines), lengths, strict=True):
         whole = [(0, length)] * len(timeline.prompts)
-        asked = whole if method in ("one_text", INDEPENDENT) else timeline.spans(fps)
-        named = zip(asked, timeline.prompts, strict=True)
-        spans.append([(start, min(end, length), numbers[prompt.text]) for (start, end), prompt in named])
+        requested = whole if method in ("one_text", INDEPENDENT) else timeline.spans(fps)
+        pairs = zip(requested, timeline.prompts, strict=True)
+        spans.append([(start, min(end, length), numbers[prompt.text]) for (start, end), prompt in pairs])
     return spans
 
 
 def jerk_rows(
     motions: Sequence[Motion], points: Sequence[Sequence[int]], units: Sequence[int], fps: float | int
 ) -> Rows:
-    """Jerk in m/frame³ in the windows around the points of each motion that lie within it, a row each."""
+    """Compute the jerk in m/frame³ in the complete windows around the points of each motion, one row per window.
+
+    Args:
+        motions: The motions.
+        points: Frames of the transitions of each motion.
+        units: Index of the unit of each motion.
+        fps: Frames per second.
+    """
     length, jerks, owners = round(JERKED_SECONDS * fps), [], []
-    for motion, chosen, unit in zip(motions, points, units, strict=True):
-        for point in chosen:
+    for motion, frames, unit in zip(motions, points, units, strict=True):
+        for point in frames:
             start, end = transition_window(point, length)
             if start >= 0 and end <= len(motion):
                 jerks.append(window_jerk(motion.trimmed(start, end), length))

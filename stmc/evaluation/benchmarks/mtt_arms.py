@@ -1,6 +1,6 @@
-"""Whether a motion shows the texts of MTT that are about arms and the head, by geometry; left forms only.
+"""Geometric checks of MTT's texts about arms and the head; left forms only.
 
-A check looks at the body parts that its text claims and at nothing else: on a timeline the others do something else.
+A check looks only at the body parts that its text claims, because the others may do something else on a timeline.
 """
 
 from __future__ import annotations
@@ -34,24 +34,27 @@ from stmc.motion.motion import Motion
 
 
 def raises(motion: Motion) -> bool:
-    """Whether the left arm rises by 32 degrees or more above its shoulder, well stretched, once or twice, not to the
-    head, and does not wave."""
+    """Return whether the left arm is raised, well stretched, by 32 degrees or more above its shoulder, once or twice.
+
+    The hand does not go to the head, and does not wave.
+    """
     up = (elevation(motion, "left_shoulder", "left_wrist") > math.radians(32)) & (extension(motion, "left") > 0.6)
     free = up & ~within(motion, EAR) & ~within(motion, MOUTH) & ~within(motion, NAPE)
     return 1 <= len(visits(free, motion.fps, 0.2, 0.2)) <= 2 and not waves(motion)
 
 
 def waves(motion: Motion) -> bool:
-    """Whether the left forearm swings sideways four times or more while it points up all along, and
-    hands do not clap."""
+    """Return whether the left forearm swings sideways four times or more while it points up, without a clap."""
     steep = elevation(motion, "left_elbow", "left_wrist") > math.radians(20)
     stays = visits(steep, motion.fps, 0.5, 0.15)
     return max((swings(motion.trimmed(*stay), "left", 0.07) for stay in stays), default=0) >= 4 and not claps(motion)
 
 
 def eats(motion: Motion) -> bool:
-    """Whether the left hand visits the mouth twice or more, for 0.25 to 1.2 seconds each, and goes down by 15 cm or
-    more in between."""
+    """Return whether the left hand visits the mouth twice or more, and goes down by 15 cm or more in between.
+
+    Each visit lasts 0.25 to 1.2 seconds.
+    """
     height = seen_from(motion, "left_wrist", "head")[:, 1]
     stays = visits(within(motion, BITE), motion.fps, 0.25, 0.25)
     dips = [float(height[first:last].min()) for (_, first), (last, _) in pairwise(stays)]
@@ -60,8 +63,10 @@ def eats(motion: Motion) -> bool:
 
 
 def drinks(motion: Motion) -> bool:
-    """Whether the left hand is held at the mouth once or twice, 0.6 seconds or more each, the head tipping back
-    meanwhile."""
+    """Return whether the left hand is held at the mouth once or twice while the head tips back.
+
+    Each hold lasts 0.6 seconds or more.
+    """
     near = within(motion, MOUTH)
     holds = visits(near, motion.fps, 0.6, 0.25)
     pitch = gaze(motion)[:, 1]
@@ -71,20 +76,22 @@ def drinks(motion: Motion) -> bool:
 
 
 def phones(motion: Motion) -> bool:
-    """Whether the left hand comes to the ear and stays for a third of the motion and 1.2 seconds at least."""
+    """Return whether the left hand stays at the ear for a third of the motion, and at least 1.2 seconds."""
     return longest(within(motion, EAR), motion.fps) > max(1.2, motion.duration / 3)
 
 
 def touches_back_of_head(motion: Motion) -> bool:
-    """Whether the left hand is behind the head for 0.4 seconds or more."""
+    """Return whether the left hand is behind the head for 0.4 seconds or more."""
     return longest(within(motion, NAPE), motion.fps) > 0.4
 
 
 def points(motion: Motion) -> bool:
-    """Whether the left arm is held out straight, forwards or outwards, about level and still, without the
-    other hand and never overhead."""
-    angle, place = elevation(motion, "left_shoulder", "left_wrist"), seen_from(motion, "left_wrist", "chest")
-    level = (angle > math.radians(-25)) & (angle < math.radians(35)) & (place[:, 2] > 0.1)
+    """Return whether the left arm is held out straight, forwards or outwards, roughly level and still.
+
+    The other hand is not involved, and the arm is never overhead.
+    """
+    angle, position = elevation(motion, "left_shoulder", "left_wrist"), seen_from(motion, "left_wrist", "chest")
+    level = (angle > math.radians(-25)) & (angle < math.radians(35)) & (position[:, 2] > 0.1)
     still = torch.nn.functional.pad(hand_speed(motion, "left") < 0.35, (0, 1))
     level = level & (hand_gap(motion) > 0.25)
     held = longest(level & still & (extension(motion, "left") > 0.9), motion.fps)
@@ -92,33 +99,37 @@ def points(motion: Motion) -> bool:
 
 
 def throws(motion: Motion) -> bool:
-    """Whether the left hand, from behind the shoulders and not below the chest, comes far forward within 0.6 seconds,
-    faster than 2.5 metres per second."""
-    place, few = seen_from(motion, "left_wrist", "chest"), max(1, round(0.6 * motion.fps))
-    behind = (place[:, 2] < 0.02) & (place[:, 1] > -0.15)
+    """Return whether the left hand moves from behind the shoulders far forwards within 0.6 seconds.
+
+    It starts not below the chest, and is faster than 2.5 m/s.
+    """
+    position, frames = seen_from(motion, "left_wrist", "chest"), max(1, round(0.6 * motion.fps))
+    behind = (position[:, 2] < 0.02) & (position[:, 1] > -0.15)
     speed = hand_speed(motion, "left")
     for frame in behind.nonzero()[:, 0].tolist():
-        coming = place[frame : frame + few, 2]
-        if float(coming.max()) > 0.25 and float(speed[frame : frame + few].max()) > 2.5:
+        path = position[frame : frame + frames, 2]
+        if float(path.max()) > 0.25 and float(speed[frame : frame + frames].max()) > 2.5:
             return True
     return False
 
 
 def punches(motion: Motion) -> bool:
-    """Whether the left fist shoots from in front of the chest to an almost straight arm within a quarter second, at the
-    height of the chest or above."""
-    place, few = seen_from(motion, "left_wrist", "chest"), max(1, round(0.25 * motion.fps))
+    """Return whether the left fist shoots from the chest to a nearly straight arm within a quarter second.
+
+    It moves at the height of the chest or above.
+    """
+    position, frames = seen_from(motion, "left_wrist", "chest"), max(1, round(0.25 * motion.fps))
     reach = extension(motion, "left")
-    for frame in range(len(place) - few):
-        thrust = reach[frame + few] - reach[frame] > 0.3 and reach[frame + few] > 0.85
-        guard = place[frame, 2] > 0.05 and place[frame, 1] > -0.3
-        if bool(thrust and guard and place[frame + few, 2] > 0.3 and place[frame + few, 1].abs() < 0.2):
+    for frame in range(len(position) - frames):
+        thrust = reach[frame + frames] - reach[frame] > 0.3 and reach[frame + frames] > 0.85
+        guarded = position[frame, 2] > 0.05 and position[frame, 1] > -0.3
+        if bool(thrust and guarded and position[frame + frames, 2] > 0.3 and position[frame + frames, 1].abs() < 0.2):
             return True
     return False
 
 
 def picks_up(motion: Motion) -> bool:
-    """Whether the left hand goes down near the floor, below the right one, and comes up again."""
+    """Return whether the left hand goes down near the floor, below the right one, and comes up again."""
     left, right = joint(motion, "left_wrist")[:, 2], joint(motion, "right_wrist")[:, 2]
     lowest = int(left.argmin())
     low = float(left[lowest]) < 0.4 and float(right[lowest]) > float(left[lowest]) + 0.08
@@ -126,28 +137,37 @@ def picks_up(motion: Motion) -> bool:
 
 
 def wipes(motion: Motion) -> bool:
-    """Whether the left hand, without the other one, goes to and fro four times or more well in front of the body, the
-    forearm not upright and the trunk not bent down."""
-    place = seen_from(motion, "left_wrist", "chest")
-    ahead = (place[:, 2] > 0.22) & (place[:, 1] < 0.2) & (place[:, 1] > -0.42) & (lean(motion)[:, 0] < math.radians(35))
+    """Return whether the left hand alone moves to and fro four times or more well in front of the body.
+
+    The forearm is not upright, and the trunk is not bent down.
+    """
+    position = seen_from(motion, "left_wrist", "chest")
+    ahead = (
+        (position[:, 2] > 0.22)
+        & (position[:, 1] < 0.2)
+        & (position[:, 1] > -0.42)
+        & (lean(motion)[:, 0] < math.radians(35))
+    )
     level = elevation(motion, "left_elbow", "left_wrist") < math.radians(45)
     alone = level & (hand_gap(motion) > 0.2) & ~within(motion, MOUTH)
     stays = visits(ahead & alone, motion.fps, 0.5, 0.1)
-    return max((reversals(place[a:b, axis], 0.08) for a, b in stays for axis in (0, 1)), default=0) >= 4
+    return max((reversals(position[a:b, axis], 0.08) for a, b in stays for axis in (0, 1)), default=0) >= 4
 
 
 def looks(motion: Motion) -> bool:
-    """Whether the head turns to the left against the chest, to 30 degrees or more for 0.3 seconds, and less than half
-    as far to the right; a head that leads a turn of the whole body does not count."""
-    yaw, few = gaze(motion)[:, 0], max(1, round(motion.fps))
-    heading = torch.nn.functional.pad(turned(motion)[None], (few // 2, few - few // 2), mode="replicate")[0]
-    calm = (heading[few:] - heading[:-few]) < math.radians(25)
+    """Return whether the head turns left relative to the chest by 30 degrees or more for 0.3 seconds.
+
+    It turns less than half as far to the right. A head that leads a turn of the whole body does not count.
+    """
+    yaw, frames = gaze(motion)[:, 0], max(1, round(motion.fps))
+    heading = torch.nn.functional.pad(turned(motion)[None], (frames // 2, frames - frames // 2), mode="replicate")[0]
+    calm = (heading[frames:] - heading[:-frames]) < math.radians(25)
     held = longest((yaw > math.radians(30)) & calm & (looked_left(motion) > math.radians(25)), motion.fps)
     return held > 0.3 and float(yaw.min()) > -0.5 * float(yaw.max())
 
 
 def claps(motion: Motion) -> bool:
-    """Whether the hands come together in front of the chest four times or more, and part in between."""
+    """Return whether the hands come together in front of the chest four times or more, and part in between."""
     gap = hand_gap(motion)
     places = [seen_from(motion, f"{side}_wrist", "chest") for side in ("left", "right")]
     ahead = torch.stack([(place[:, 2] > 0.05) & (place[:, 1].abs() < 0.45) for place in places]).all(dim=0)
@@ -157,8 +177,10 @@ def claps(motion: Motion) -> bool:
 
 
 def plays_guitar(motion: Motion) -> bool:
-    """Whether the left hand holds a neck, out to its side and below the shoulder, and the right one strums at the belly
-    four times or more."""
+    """Return whether the left hand holds a neck and the right hand strums at the belly four times or more.
+
+    The left hand is out to its side and below the shoulder.
+    """
     neck, strum = (seen_from(motion, f"{side}_wrist", "chest") for side in ("left", "right"))
     holds = (neck[:, 0] > 0.15) & (neck[:, 1] < -0.06) & (neck[:, 1] > -0.35) & (neck[:, 2] > 0.08)
     plays = (strum[:, 0].abs() < 0.25) & (strum[:, 1] < -0.12) & (strum[:, 2] > 0.05)
@@ -167,8 +189,7 @@ def plays_guitar(motion: Motion) -> bool:
 
 
 def plays_violin(motion: Motion) -> bool:
-    """Whether the left hand holds a neck at the height of the shoulder and the right one draws a bow to and fro three
-    times or more."""
+    """Return whether the left hand holds a neck at shoulder height and the right hand bows three times or more."""
     neck, bow = (seen_from(motion, f"{side}_wrist", "chest") for side in ("left", "right"))
     holds = (neck[:, 0] > 0.1) & (neck[:, 1] > -0.13) & (neck[:, 1] < 0.2) & (neck[:, 2] > 0.1)
     bent = extension(motion, "left") < 0.95

@@ -1,7 +1,7 @@
-"""One geometric check for each of MTT's 60 texts (STMC, section 4.1): no learned evaluator, no text encoder.
+"""One geometric check for each of MTT's 60 texts (STMC, section 4.1), without a learned evaluator or a text encoder.
 
-Checks are written for the left; the right one is the left one of the mirror image, so both are equally strict. How
-often own motions pass and how often those of other texts do: `confusions`, and docs/evaluation.md.
+Checks are written for the left side; a right check is the left check of the mirror image, so that both are equally
+strict. `confusions` and docs/evaluation.md report how often motions of the text and of other texts pass.
 """
 
 from __future__ import annotations
@@ -22,8 +22,13 @@ _OTHER |= {value: key for key, value in _OTHER.items()}
 
 @dataclass(frozen=True)
 class Check:
-    """`shows(motion)` says whether it shows the text; `actions` are those of the data whose clips show it; motions of
-    the texts `meant` do, too, since they mean more: a slow walk is a walk."""
+    """A check of a text.
+
+    Args:
+        shows: Function that returns whether a motion shows the text.
+        actions: Actions of the data whose clips show the text.
+        meant: Texts whose motions also show the text, because they are more specific: a slow walk is a walk.
+    """
 
     shows: Question
     actions: tuple[str, ...]
@@ -31,11 +36,11 @@ class Check:
 
 
 def mirror_words(words: str) -> str:
-    """The text of the mirror image: left and right, clockwise and counterclockwise exchanged."""
+    """Return the text of the mirror image, with left and right, clockwise and counterclockwise exchanged."""
     return re.sub(r"counterclockwise|clockwise|left|right", lambda match: _OTHER[match.group()], words)
 
 
-def _mirrored(check: Check) -> Check:
+def _mirror(check: Check) -> Check:
     return Check(
         lambda motion: check.shows(motion.mirrored()),
         tuple(map(mirror_words, check.actions)),
@@ -118,20 +123,20 @@ _SYMMETRIC = {
 MTT_CHECKS: Mapping[str, Check] = MappingProxyType({
     **_SYMMETRIC,
     **_SIDED,
-    **{mirror_words(text): _mirrored(check) for text, check in _SIDED.items() if "180" not in text},
+    **{mirror_words(text): _mirror(check) for text, check in _SIDED.items() if "180" not in text},
 })  # fmt: skip
-"""By MTT's text."""
+"""Checks by MTT's text."""
 
 
 def same_meaning(text: str) -> frozenset[str]:
-    """A text, and those whose checks its motions may pass since they mean it, too."""
+    """Return a text, and the texts whose checks its motions may pass because it implies them."""
     return frozenset({text} | {other for other, check in MTT_CHECKS.items() if text in check.meant})
 
 
 def confusions(motions: Mapping[str, Sequence[Motion]]) -> dict[str, dict[str, float]]:
-    """The shares of the motions of each text (the inner keys) that pass the check of each text (the outer keys)."""
+    """Return the fractions of the motions of each text (inner keys) that pass the check of each text (outer keys)."""
     answers: dict[str, dict[str, float]] = {text: {} for text in MTT_CHECKS}
-    for shown, several in motions.items():
+    for shown, samples in motions.items():
         for text, check in MTT_CHECKS.items():
-            answers[text][shown] = sum(check.shows(motion) for motion in several) / len(several)
+            answers[text][shown] = sum(check.shows(motion) for motion in samples) / len(samples)
     return answers

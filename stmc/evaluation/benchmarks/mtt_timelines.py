@@ -1,6 +1,7 @@
-"""MTT's 500 timelines without AMASS: geometric checks say what is shown, an evaluator of your choice what is found.
+"""MTT's 500 timelines without AMASS: geometric checks of what motions show, and retrieval with any evaluator.
 
-Measures of the timelines as they are (STMC, section 4.1). Knows checks, timelines and an evaluator; knows no model.
+Measures of the original timelines (STMC, section 4.1). Depends on checks, timelines and an evaluator; independent of
+models.
 """
 
 from __future__ import annotations
@@ -33,13 +34,23 @@ from stmc.motion.representation import JointsFrom, SmplRepresentation
 from stmc.timeline import Timeline, TimelineError
 
 PER_TEXT = 4
-"""Recorded motions of a text that a model's are compared with."""
+"""Maximum number of recorded motions of a text."""
 
 
 @dataclass(frozen=True, eq=False)
 class MttOpen:
-    """A `Benchmark` of `asked` timelines of MTT's texts. `recorded` are motions that show a text, for those of the
-    texts that some do: their passes are the ceiling and, of other texts, the chance; none: neither is known."""
+    """A `Benchmark` of timelines of MTT's texts.
+
+    Args:
+        asked: The timelines.
+        evaluator: Evaluator of texts and motions.
+        recorded: Recorded motions of some of the texts. Their pass rates are the ceiling and, for other texts, the
+            chance; without them neither is reported.
+        joints_from: Source of the measured joints; see `Model.decode`.
+
+    Raises:
+        TimelineError: If a text is not one of MTT's.
+    """
 
     asked: Sequence[Timeline]
     evaluator: TextEvaluator
@@ -49,40 +60,48 @@ class MttOpen:
     def __post_init__(self) -> None:
         texts = [prompt.text for timeline in self.asked for prompt in timeline.prompts]
         if unknown := [text for text in texts if text not in MTT_CHECKS]:
-            raise TimelineError(f"{unknown[0]!r} is none of MTT's {len(MTT_CHECKS)} texts")
+            raise TimelineError(f"{unknown[0]!r} is not one of MTT's {len(MTT_CHECKS)} texts")
 
     def timelines(self, method: str) -> list[Timeline]:
-        """Those of the benchmark; for "independent" each of their prompts as a timeline."""
+        """Return the timelines of the benchmark; for "independent", one timeline per prompt."""
         return asked_of(method, self.asked)
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """In percent the crops that show their text ("shown", and for each text "shown/TEXT") and the timelines whose
-        crops all do ("timelines_shown"); R@1, R@3 and M2T of the crops among MTT's texts; transition distance, foot
-        sliding and hand steps in centimetres, and the jerk around transitions.
+        """Compute the scores of motions.
 
-        "independent" motions have no transitions and are no timelines, so only their crops are measured.
+        They are the percentages of crops that show their text ("shown", and "shown/TEXT" for each text) and of
+        timelines whose crops all do ("timelines_shown"); R@1, R@3 and M2T of the crops among MTT's texts; transition
+        distance, foot sliding and hand steps in centimetres, and the jerk around transitions. "independent" motions
+        have no transitions and are no timelines, so that only their crops are measured.
+
+        Args:
+            method: Name of the method.
+            motions: One motion for each of `timelines(method)`.
+            seed: Ignored.
         """
         motions = [motion.resampled(self.evaluator.fps) for motion in motions]
         spans = crop_spans(method, self.asked, [len(motion) for motion in motions], self.evaluator.fps, _NUMBERS)
         counts = [len(timeline.prompts) if method == INDEPENDENT else 1 for timeline in self.asked]
         evidence = self._evidence(motions, spans, np.repeat(np.arange(len(self.asked)), counts).tolist())
-        found = partial(self._metrics, evidence, whole=method != INDEPENDENT)
-        metrics = found(np.arange(len(self.asked))) | self._by_text(evidence)
+        compute = partial(self._metrics, evidence, whole=method != INDEPENDENT)
+        metrics = compute(np.arange(len(self.asked))) | self._by_text(evidence)
         if self.recorded:
             metrics["shown_chance"] = self._chance
         if method == INDEPENDENT:
-            return Scores(metrics, resampled=resampled(len(self.asked), found))
+            return Scores(metrics, resampled=resampled(len(self.asked), compute))
         metrics["hand_step"] = 100 * max(map(hand_step, motions))
-        scores = Scores(metrics, resampled=resampled(len(self.asked), found))
+        scores = Scores(metrics, resampled=resampled(len(self.asked), compute))
         jerks = evidence.jerks.values
         return scores.with_jerk(jerks, self._real_jerk(jerks)) if len(jerks) else scores
 
     def real(self, seed: int) -> Scores:
-        """Of the recorded motions, each of which shows its text from beginning to end. Raises `TimelineError` where
-        there are none."""
-        rows = [(motion, text) for text, several in self.recorded.items() for motion in several]
+        """Compute the scores of the recorded motions, which show their texts from beginning to end.
+
+        Raises `TimelineError` if there are none.
+        """
+        rows = [(motion, text) for text, samples in self.recorded.items() for motion in samples]
         if not rows:
-            raise TimelineError("no recordings of MTT's texts: name prepared data that show some (benchmark.cache=…)")
+            raise TimelineError("no recordings of MTT's texts; set benchmark.cache to prepared data that show some")
         motions = [motion.resampled(self.evaluator.fps) for motion, _ in rows]
         spans = [[(0, len(motion), _NUMBERS[text])] for motion, (_, text) in zip(motions, rows, strict=True)]
         evidence = self._evidence(motions, spans, list(range(len(rows))))
@@ -93,24 +112,24 @@ class MttOpen:
         return Scores(metrics).with_jerk(jerks, self._real_jerk(jerks)) if len(jerks) else Scores(metrics)
 
     def _evidence(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]], units: Sequence[int]) -> _Evidence:
-        pairs = [(motion, *span) for motion, each in zip(motions, spans, strict=True) for span in each]
+        pairs = [(motion, *span) for motion, prompts in zip(motions, spans, strict=True) for span in prompts]
         numbers = torch.tensor([number for *_, number in pairs])
         texts = list(MTT_CHECKS)
         shown = [MTT_CHECKS[texts[number]].shows(motion.trimmed(start, end)) for motion, start, end, number in pairs]
         features = [self.evaluator.features(motion) for motion in motions]
-        crops = [rows[start:end] for rows, each in zip(features, spans, strict=True) for start, end, _ in each]
+        crops = [rows[start:end] for rows, prompts in zip(features, spans, strict=True) for start, end, _ in prompts]
         table = cosines(self.evaluator.motions(crops), self._latents)
-        points = [measured_points(each, len(motion)) for each, motion in zip(spans, motions, strict=True)]
+        points = [measured_points(prompts, len(motion)) for prompts, motion in zip(spans, motions, strict=True)]
         steps = [
-            pose_steps(local_joints(motion))[[at - 1 for at in chosen]]
-            for motion, chosen in zip(motions, points, strict=True)
+            pose_steps(local_joints(motion))[[point - 1 for point in frames]]
+            for motion, frames in zip(motions, points, strict=True)
         ]
-        counts = [len(each) for each in spans]
+        counts = [len(prompts) for prompts in spans]
         answers = torch.tensor(shown).float()
         return _Evidence(
             shown=Rows.spread(answers, counts, units),
             numbers=numbers,
-            whole=Rows(torch.stack([each.amin() for each in answers.split(counts)]), units),
+            whole=Rows(torch.stack([crops.amin() for crops in answers.split(counts)]), units),
             ranks=Rows.spread(ranks(table, _SYNONYMS[numbers]), counts, units),
             cosines=Rows.spread(table.gather(1, numbers[:, None])[:, 0], counts, units),
             steps=Rows.spread(torch.cat(steps), list(map(len, steps)), units),
@@ -120,12 +139,12 @@ class MttOpen:
         )
 
     def _metrics(self, evidence: _Evidence, units: Units, whole: bool) -> dict[str, float]:
-        """What is found of some of the timelines."""
-        found = evidence.ranks.of(units)
+        """Compute the metrics of some of the timelines."""
+        positions = evidence.ranks.of(units)
         metrics = {
             "shown": 100 * float(evidence.shown.of(units).mean()),
-            "recall_1": 100 * float((found < 1).double().mean()),
-            "recall_3": 100 * float((found < 3).double().mean()),
+            "recall_1": 100 * float((positions < 1).double().mean()),
+            "recall_3": 100 * float((positions < 3).double().mean()),
             "m2t": float(scores(evidence.cosines.of(units)).double().mean()),
         }
         if whole:
@@ -139,7 +158,7 @@ class MttOpen:
         return metrics
 
     def _by_text(self, evidence: _Evidence) -> dict[str, float]:
-        """The share of the crops of each text that show it."""
+        """Compute the percentage of the crops of each text that show it."""
         shown = evidence.shown.values
         return {
             f"shown/{text}": 100 * float(shown[evidence.numbers == number].mean())
@@ -153,17 +172,17 @@ class MttOpen:
 
     @cached_property
     def _chance(self) -> float:
-        """How often recorded motions of the other texts, each counting the same, pass the checks of the asked."""
+        """The pass rate of recorded motions of other texts, averaged over texts."""
         asked, chances = [prompt.text for timeline in self.asked for prompt in timeline.prompts], {}
         for text in set(asked):
             others = [motions for other, motions in self.recorded.items() if text not in same_meaning(other)]
-            shares = [sum(map(MTT_CHECKS[text].shows, motions)) / len(motions) for motions in others]
-            chances[text] = sum(shares) / max(1, len(shares))
+            rates = [sum(map(MTT_CHECKS[text].shows, motions)) / len(motions) for motions in others]
+            chances[text] = sum(rates) / max(1, len(rates))
         return 100 * sum(chances[text] for text in asked) / max(1, len(asked))
 
     def _real_jerk(self, otherwise: Float[Tensor, "windows frames"]) -> float:
-        """The mean jerk of recorded motions at their quarters; without any, the mean of `otherwise`."""
-        motions = [motion.resampled(self.evaluator.fps) for several in self.recorded.values() for motion in several]
+        """Return the mean jerk of recorded motions at their quarters or, without any, the mean of `otherwise`."""
+        motions = [motion.resampled(self.evaluator.fps) for samples in self.recorded.values() for motion in samples]
         points = [quarter_points(len(motion)) for motion in motions]
         jerks = jerk_rows(motions, points, range(len(motions)), self.evaluator.fps).values
         return float((jerks if len(jerks) else otherwise).mean())
@@ -171,9 +190,12 @@ class MttOpen:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What was found, row by row, each of one of the timelines: of crops whether they show their text (0 or 1), its
-    number, its rank and its cosine; of motions whether all is shown, centimetres of sliding and of the largest hand
-    step; of transitions the step of the pose in metres and the jerk."""
+    """Measurements row by row, each of one timeline.
+
+    For crops: whether they show their text (0 or 1), the index of the text, its rank and its cosine. For motions:
+    whether all crops show their texts, foot sliding and the largest hand step in centimetres. For transitions: the step
+    of the pose in metres, and the jerk.
+    """
 
     shown: Rows
     numbers: Tensor
@@ -190,7 +212,7 @@ _NUMBERS = {text: number for number, text in enumerate(MTT_CHECKS)}
 
 
 def _synonyms() -> Bool[Tensor, "texts texts"]:
-    """Which texts mean the same: each is true of the other's motions."""
+    """Return which texts mean the same, that is, describe each other's motions."""
     meant = torch.tensor([[text in same_meaning(other) for other in MTT_CHECKS] for text in MTT_CHECKS])
     return meant & meant.T
 
@@ -204,23 +226,32 @@ def mtt_open(
     cache: str | Path | Sequence[str | Path] | None = None,
     first: int | None = None,
 ) -> MttOpen:
-    """MTT's 500 timelines from its 60 `texts`, the authors' texts.txt, by their own draw; `cache`: prepared data that
-    show some of the texts; `first`: only so many of the timelines.
+    """Build the benchmark of MTT's 500 timelines from its 60 texts, by the authors' own draw.
 
-    Raises `TimelineError` for a text without a check, `CacheError` for a folder without prepared data.
+    Args:
+        evaluator: Evaluator of texts and motions.
+        texts: The authors' texts.txt.
+        cache: Folders of prepared data that show some of the texts.
+        first: Number of timelines; None uses all.
+
+    Raises:
+        TimelineError: If a text has no check.
+        CacheError: If a folder holds no prepared data.
     """
     asked = sample_published_timelines(read_texts(Path(texts).expanduser()))[:first]
     return MttOpen(asked, evaluator, {} if cache is None else recorded_motions(read_caches(cache)))
 
 
 def recorded_motions(cache: Cache) -> dict[str, list[Motion]]:
-    """Up to `PER_TEXT` motions of each text that a clip of `cache` shows, held-out ones and unmirrored ones first, cut
-    to the length of the longest prompts."""
+    """Decode up to `PER_TEXT` motions of each text that a clip of `cache` shows.
+
+    Held-out clips come first, then unmirrored ones. Motions are cut to the length of the longest prompts.
+    """
     representation, motions = SmplRepresentation(), {}
     for text, check in MTT_CHECKS.items():
         clips = [clip for clip in cache.clips if clip.content in check.actions and cache.texts[clip.texts]]
         clips.sort(key=lambda clip: (clip.split not in HELD_OUT, clip.mirrored, clip.name))
         rows = [cache.features[clip.start : min(clip.end, clip.start + int(LONGEST * cache.fps))] for clip in clips]
         if rows:
-            motions[text] = [representation.decode(each, cache.fps, cache.skeleton) for each in rows[:PER_TEXT]]
+            motions[text] = [representation.decode(features, cache.fps, cache.skeleton) for features in rows[:PER_TEXT]]
     return motions

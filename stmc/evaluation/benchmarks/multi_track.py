@@ -1,6 +1,6 @@
 """The benchmark of timelines with several tracks (STMC, section 4): atomic prompts, timelines of them, real motions.
 
-Knows which frames of a motion should show which text; how that is measured is `metrics.timelines`' matter.
+Defines the frames of a motion that should show each text; `metrics.timeline_metrics` measures them.
 """
 
 from __future__ import annotations
@@ -42,17 +42,26 @@ from stmc.motion.representation import JointsFrom, SmplRepresentation
 from stmc.timeline import Timeline, TimelineError
 
 PER_TEXT = 12
-"""Real clips of each text that FID compares with in the open benchmark."""
+"""Number of real clips of each text for FID in the open benchmark."""
 
 
 @dataclass(frozen=True, eq=False)
 class MultiTrack:
-    """A `Benchmark` of `asked` timelines whose texts are those of `atomic_prompts`.
+    """A `Benchmark` of timelines whose texts are those of atomic prompts.
 
-    `truth` are the evaluator's latents of the atomic prompts in their order, `reference_motions` the motions that show
-    them, at its frame rate. `formulas` and `joints_from` say how to measure, and which joints of a model's features: by
-    definition, or as published to compare with the paper's tables. `questions` are those that geometry can answer about
-    a motion, for some of the texts: no learned evaluator is asked.
+    Args:
+        asked: The timelines.
+        atomic_prompts: The atomic prompts.
+        evaluator: Evaluator of texts and motions.
+        truth: Latents of the atomic prompts, in their order.
+        reference_motions: Motions that show the atomic prompts, at the evaluator's frame rate.
+        formulas: Formulas of the metrics: those of the paper's definitions, or the published ones to compare with the
+            paper's tables.
+        joints_from: Source of the measured joints; see `Model.decode`.
+        questions: Geometric questions for some of the texts, without a learned evaluator.
+
+    Raises:
+        TimelineError: If a text of a timeline is not an atomic prompt.
     """
 
     asked: Sequence[Timeline]
@@ -65,11 +74,13 @@ class MultiTrack:
     questions: Mapping[str, Question] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = {prompt.text for prompt in self.atomic_prompts}
+        texts = {prompt.text for prompt in self.atomic_prompts}
         for timeline in self.asked:
             for prompt in timeline.prompts:
-                if prompt.text not in known:
-                    raise TimelineError(f"timeline {timeline.name}: {prompt.text!r} is none of the {len(known)} texts")
+                if prompt.text not in texts:
+                    raise TimelineError(
+                        f"timeline {timeline.name}: {prompt.text!r} is not one of the {len(texts)} texts"
+                    )
 
     @classmethod
     def of(
@@ -83,32 +94,49 @@ class MultiTrack:
         joints_from: JointsFrom = "skeleton",
         questions: Mapping[str, Question] = MappingProxyType({}),
     ) -> MultiTrack:
-        """The benchmark with the latents of its atomic prompts, shown by `reference_motions`, and of the `others` that
-        FID compares with (none: as published, the atomic prompts' own)."""
-        shown = [
+        """Build the benchmark, and compute the latents.
+
+        Args:
+            asked: The timelines.
+            atomic_prompts: The atomic prompts.
+            evaluator: Evaluator of texts and motions.
+            reference_motions: Looks up the motions of the atomic prompts.
+            others: Real motions for FID; none uses those of the atomic prompts, as published.
+            formulas: Formulas of the metrics.
+            joints_from: Source of the measured joints.
+            questions: Geometric questions for some of the texts.
+        """
+        motions = [
             reference_motions(prompt.clip, prompt.start, prompt.end).resampled(evaluator.fps)
             for prompt in atomic_prompts
         ]
-        latents = evaluator.motions([evaluator.features(motion) for motion in [*shown, *others]])
+        latents = evaluator.motions([evaluator.features(motion) for motion in [*motions, *others]])
         truth = GroundTruth(
             texts=evaluator.texts([prompt.text for prompt in atomic_prompts]),
             motions=latents[: len(atomic_prompts)],
             others=latents[len(atomic_prompts) :] if others else None,
         )
-        return cls(asked, atomic_prompts, evaluator, truth, shown, formulas, joints_from, questions)
+        return cls(asked, atomic_prompts, evaluator, truth, motions, formulas, joints_from, questions)
 
     def timelines(self, method: str) -> list[Timeline]:
-        """Those of the benchmark; for "independent" each of their prompts as a timeline."""
+        """Return the timelines of the benchmark; for "independent", one timeline per prompt."""
         return asked_of(method, self.asked)
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """See `formulas`; "shown" is the share, in percent, of the crops with a question that answer it, "shown_chance"
-        that of real motions of the other texts. The hand steps are the largest that any motion has, and the 99th
-        percentile of theirs. The peak jerk, the area under the jerk and the curve "jerk" are of windows around the
-        transitions, compared with those around the quarters of real motion.
+        """Compute the scores of motions; see `formulas`.
 
-        One text stands for its whole motion, which is measured as every prompt's, as in the paper; "independent"
-        motions have no transitions and are not whole, so only their crops are measured.
+        "shown" is the percentage of the crops with a question that pass it, "shown_chance" that of real motions of the
+        other texts. The hand steps are the largest one of any motion, and the 99th percentile of the motions' largest
+        ones. The peak jerk, the area under the jerk and the curve "jerk" are those of windows around the transitions,
+        compared with windows around the quarters of real motion.
+
+        "one_text" motions are measured as a whole for every prompt, as in the paper. "independent" motions have no
+        transitions and are not whole, so that only their crops are measured.
+
+        Args:
+            method: Name of the method.
+            motions: One motion for each of `timelines(method)`.
+            seed: Seed of the crops of FID+.
         """
         motions = [motion.resampled(self.evaluator.fps) for motion in motions]
         spans, evaluator = self._spans(method, [len(motion) for motion in motions]), Remembering(self.evaluator)
@@ -117,19 +145,22 @@ class MultiTrack:
         metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
         if method != INDEPENDENT:
             metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition} | _hand_steps(motions)
-        found = Scores(metrics, resampled=resampled(len(self.asked), partial(self._again, evidence, method)))
-        return found if method == INDEPENDENT else self._with_jerk(found, evidence.jerks.values)
+        result = Scores(metrics, resampled=resampled(len(self.asked), partial(self._measure_again, evidence, method)))
+        return result if method == INDEPENDENT else self._with_jerk(result, evidence.jerks.values)
 
     def real(self, seed: int) -> Scores:
-        """Of the atomic prompts' real motions. FID is that of two random halves of what FID compares with: the least
-        that can be hoped for; 0 where that is the atomic prompts' own motions, as published."""
-        found = semantics(self.truth.motions, range(len(self.atomic_prompts)), self.truth)
+        """Compute the scores of the atomic prompts' real motions.
+
+        FID is that of two random halves of the real motions for FID, the lowest possible value; it is 0 if those are
+        the atomic prompts' own motions, as published.
+        """
+        agreement = semantics(self.truth.motions, range(len(self.atomic_prompts)), self.truth)
         least = 0.0
         if self.truth.others is not None:
             order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
             least = fid(*(self.truth.real[half] for half in order.tensor_split(2)))
         whole = [[(0, len(motion), number)] for number, motion in enumerate(self.reference_motions)]
-        metrics = self._shown(self.reference_motions, whole) | asdict(found)
+        metrics = self._shown(self.reference_motions, whole) | asdict(agreement)
         distance = self.formulas.real_transition(self.reference_motions, self.evaluator)
         metrics |= {"fid": least, "fid_plus": least, "transition": distance} | _hand_steps(self.reference_motions)
         return self._with_jerk(Scores(metrics), self._real_jerks)
@@ -139,14 +170,14 @@ class MultiTrack:
         return self._jerks(self.reference_motions, [quarter_points(len(motion)) for motion in self.reference_motions])
 
     def _jerks(self, motions: Sequence[Motion], points: Sequence[Sequence[int]]) -> Float[Tensor, "windows frames"]:
-        """In m/frame³, of the windows around the points of each motion that lie within it."""
+        """Compute the jerk in m/frame³ of the complete windows around the points of each motion."""
         return self._jerk_rows(motions, points, range(len(motions))).values
 
     def _jerk_rows(self, motions: Sequence[Motion], points: Sequence[Sequence[int]], units: Sequence[int]) -> Rows:
         return jerk_rows(motions, points, units, self.evaluator.fps)
 
     def _with_jerk(self, scores: Scores, jerks: Float[Tensor, "windows frames"]) -> Scores:
-        """As they are where all motions, or all real ones, are shorter than a window."""
+        """Add the jerk, unless all motions, or all real ones, are shorter than a window."""
         return (
             scores.with_jerk(jerks, float(self._real_jerks.mean())) if len(jerks) and len(self._real_jerks) else scores
         )
@@ -156,23 +187,22 @@ class MultiTrack:
         return {"shown": 100 * sum(answers) / len(answers), "shown_chance": 100 * self._chance} if answers else {}
 
     def _answers(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> list[tuple[int, bool]]:
-        """The motion's number and the answer of every crop with a question."""
+        """Return the index of the motion and the answer for every crop with a question."""
         answers = []
-        for place, (motion, each) in enumerate(zip(motions, spans, strict=True)):
-            for start, end, number in each:
+        for index, (motion, prompts) in enumerate(zip(motions, spans, strict=True)):
+            for start, end, number in prompts:
                 if question := self.questions.get(self.atomic_prompts[number].text):
-                    answers.append((place, bool(question(motion.trimmed(start, end)))))
+                    answers.append((index, bool(question(motion.trimmed(start, end)))))
         return answers
 
     @cached_property
     def _chance(self) -> float:
-        """How often real motions of the texts with other questions, each counting the same, answer those of the asked
-        prompts."""
+        """The pass rate of real motions of texts with other questions, averaged over texts."""
         asked = [prompt.text for timeline in self.asked for prompt in timeline.prompts if prompt.text in self.questions]
         rates = {}
         for text in set(asked):
-            question, named = self.questions[text], zip(self.atomic_prompts, self.reference_motions, strict=True)
-            others = [motion for prompt, motion in named if self.questions.get(prompt.text) is not question]
+            question, pairs = self.questions[text], zip(self.atomic_prompts, self.reference_motions, strict=True)
+            others = [motion for prompt, motion in pairs if self.questions.get(prompt.text) is not question]
             rates[text] = sum(bool(question(motion)) for motion in others) / max(1, len(others))
         return sum(rates[text] for text in asked) / max(1, len(asked))
 
@@ -187,28 +217,33 @@ class MultiTrack:
         counts = [len(timeline.prompts) if method == INDEPENDENT else 1 for timeline in self.asked]
         units = np.repeat(np.arange(len(self.asked)), counts).tolist()
         answers = self._answers(motions, spans)
-        points = [measured_points(each, len(motion)) for each, motion in zip(spans, motions, strict=True)]
+        points = [measured_points(prompts, len(motion)) for prompts, motion in zip(spans, motions, strict=True)]
         steps = [
-            pose_steps(local_joints(motion))[[at - 1 for at in chosen]]
-            for motion, chosen in zip(motions, points, strict=True)
+            pose_steps(local_joints(motion))[[point - 1 for point in frames]]
+            for motion, frames in zip(motions, points, strict=True)
         ]
         per_motion = len(anywhere) // len(motions)
         return _Evidence(
-            crops=Rows.spread(crops, [len(each) for each in spans], units),
-            texts=torch.tensor([number for each in spans for *_, number in each]),
+            crops=Rows.spread(crops, [len(prompts) for prompts in spans], units),
+            texts=torch.tensor([number for prompts in spans for *_, number in prompts]),
             anywhere=Rows.spread(anywhere, [per_motion] * len(motions), units),
-            answers=Rows(torch.tensor([float(answer) for _, answer in answers]), [units[at] for at, _ in answers]),
+            answers=Rows(
+                torch.tensor([float(answer) for _, answer in answers]), [units[index] for index, _ in answers]
+            ),
             steps=Rows.spread(torch.cat(steps), list(map(len, steps)), units),
             hands=Rows(torch.tensor([100 * hand_step(motion) for motion in motions]), units),
             jerks=self._jerk_rows(motions, points, units),
         )
 
-    def _again(self, evidence: _Evidence, method: str, units: Units) -> dict[str, float]:
-        """What `measured` finds of some of the timelines: but for the largest hand step, which no draw tells of, and
-        the transitions by the published formula."""
-        chosen = evidence.crops.numbers(units)
-        crops = evidence.crops.values[chosen]
-        metrics = asdict(semantics(crops, evidence.texts[chosen].tolist(), self.truth)) | {
+    def _measure_again(self, evidence: _Evidence, method: str, units: Units) -> dict[str, float]:
+        """Compute the results of `measured` for some of the timelines.
+
+        Excluded are the largest hand step, for which draws are not informative, and transitions by the published
+        formula.
+        """
+        rows = evidence.crops.numbers(units)
+        crops = evidence.crops.values[rows]
+        metrics = asdict(semantics(crops, evidence.texts[rows].tolist(), self.truth)) | {
             "fid": fid(crops, self.truth.real)
         }
         if len(answers := evidence.answers.of(units)):
@@ -229,12 +264,18 @@ class MultiTrack:
 def open_mtt(
     evaluator: TextEvaluator, cache: str | Path | Sequence[str | Path], first: int | None = None
 ) -> MultiTrack:
-    """The benchmark that anybody can run: bundled timelines, and real motion from the recordings of the Bandai Namco
-    and the CMU data sets that are held out of training, prepared in the folders `cache`.
+    """Build the benchmark that anybody can run: bundled timelines, and held-out recordings of Bandai Namco and CMU.
 
-    FID compares with as many real clips of every text, drawn from those that it describes; of cyclic contents they
-    last as long as a prompt can at most. `first`: only so many of the timelines. Raises `CacheError` for caches that
-    do not show every text.
+    FID compares with the same number of real clips of every text, drawn from those that it describes; clips of cyclic
+    actions are cut to the maximum duration of a prompt.
+
+    Args:
+        evaluator: Evaluator of texts and motions.
+        cache: Folders of the prepared data sets.
+        first: Number of timelines; None uses all.
+
+    Raises:
+        CacheError: If the caches do not show every text.
     """
     folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), read_caches(cache)
     atomic_prompts = read_atomic_prompts(folder / "prompts.json")
@@ -245,8 +286,8 @@ def open_mtt(
         clips = prepared.held_out(prompt.text)
         if not clips:
             raise CacheError(
-                f"{cache}: no held-out clip shows {prompt.text!r}; prepare the Bandai Namco and the CMU data sets and "
-                "name both"
+                f"{cache}: no held-out clip shows {prompt.text!r}; prepare the Bandai Namco and CMU data sets and "
+                "name both folders"
             )
         drawn = [clips[index] for index in rng.integers(len(clips), size=PER_TEXT)]
         others += [reference_motions(clip.name, 0.0, _seconds(clip, prepared.fps)) for clip in drawn]
@@ -265,8 +306,16 @@ def published_mtt(
     first: int | None = None,
     joints_from: JointsFrom = "features",
 ) -> MultiTrack:
-    """The paper's benchmark, measured as published: `folder` holds its MTT.txt, texts.txt and motions.txt; see
-    `amass_reference_motions` for the rest. The paper's tables were made from the joints of the features."""
+    """Build the paper's benchmark, measured as published.
+
+    Args:
+        evaluator: Evaluator of texts and motions.
+        folder: Folder of MTT.txt, texts.txt and motions.txt.
+        amass: Folder of AMASS; see `amass_reference_motions`.
+        body: Folder of SMPL-H; see `amass_reference_motions`.
+        first: Number of timelines; None uses all.
+        joints_from: Source of the measured joints. The paper's tables use the joints of the features.
+    """
     folder = Path(folder).expanduser()
     atomic_prompts = read_atomic_prompts(folder / "texts.txt", folder / "motions.txt")
     reference_motions = amass_reference_motions(amass, evaluator.fps, body)
@@ -278,9 +327,12 @@ def published_mtt(
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What was found of motions, row by row, each of one of the asked timelines: latents of the crops, with their
-    texts' numbers, and of crops from anywhere; answers to questions (0 or 1); steps of the pose in transitions, metres;
-    each motion's largest hand step, centimetres; the jerk around transitions."""
+    """Measurements row by row, each of one timeline.
+
+    They are latents of the crops, with the indices of their texts, and of crops from anywhere; answers to questions (0
+    or 1); steps of the pose in transitions in metres; each motion's largest hand step in centimetres; and the jerk
+    around transitions.
+    """
 
     crops: Rows
     texts: Int[Tensor, " crops"]
@@ -292,12 +344,15 @@ class _Evidence:
 
 
 def _hand_steps(motions: Sequence[Motion]) -> dict[str, float]:
-    """Of each motion's own largest: the largest, and the 99th percentile; in centimetres."""
+    """Return the largest of the motions' hand steps, and the 99th percentile of their largest ones, in centimetres."""
     steps = [100 * hand_step(motion) for motion in motions]
     return {"hand_step": max(steps), "hand_step_99": float(np.quantile(steps, 0.99))}
 
 
 def _seconds(clip: Clip, fps: float | int) -> float:
-    """How long it lasts; a cyclic one shows its text in any piece, so also in one as long as prompts are at most."""
+    """Return the duration of a clip, for a cyclic action at most that of the longest prompts.
+
+    Any part of a cyclic clip shows its text.
+    """
     seconds = (clip.end - clip.start) / fps
     return min(seconds, LONGEST) if clip.cyclic else seconds

@@ -1,7 +1,7 @@
-"""Motions of several texts one after the other, cut into what is measured: subsequences, and windows around transitions
-(Barquero et al. 2024, section 4.1).
+"""Subsequences and windows around transitions of motions of several consecutive texts.
 
-Knows timelines of one track and an evaluator's features; knows no metric but the jerk, and nothing to compare with.
+See Barquero et al. (2024), section 4.1. Depends on timelines of one track and the features of an evaluator; independent
+of metrics other than jerk, and of reference data.
 """
 
 from __future__ import annotations
@@ -30,22 +30,31 @@ class Pieces(NamedTuple):
 def pieces_of(
     timelines: Sequence[Timeline], motions: Sequence[Motion], evaluator: MotionEvaluator, window: int
 ) -> Pieces:
-    """The pieces of all motions, in order: of each a subsequence for every prompt, and a window of so many frames, at
-    the evaluator's frame rate, around the first frame of each prompt but the first. The features of a motion are made
-    of it as a whole, then cut.
+    """Cut motions into a subsequence per prompt, and a window around the first frame of each prompt but the first.
 
-    Raises `ValueError` unless there is a motion for each timeline, about as long.
+    Features are computed for a whole motion and then cut.
+
+    Args:
+        timelines: Timelines of one track.
+        motions: One motion per timeline.
+        evaluator: Evaluator that computes the features.
+        window: Length of a window in frames, at the evaluator's frame rate.
+
+    Raises:
+        ValueError: Unless there is one motion of about the right length per timeline.
     """
     fps, pieces = evaluator.fps, Pieces([], [], [])
     if len(motions) != len(timelines):
-        raise ValueError(f"{len(motions)} motions for {len(timelines)} timelines")
+        raise ValueError(f"{len(motions)} motions for {len(timelines)} timelines; pass one motion per timeline")
     check_joints([motion.joints for motion in motions])
     for timeline, motion in zip(timelines, motions, strict=True):
-        lost = 1 + fps / motion.fps  # at most, by rounding to frames of either rate
+        tolerance = 1 + fps / motion.fps  # frames lost by rounding at either frame rate
         motion = motion.resampled(fps)
         spans = timeline.spans(fps)
-        if len(motion) < spans[-1][1] - lost:
-            raise ValueError(f"the motion of timeline {timeline.name} has {len(motion)} frames, not {spans[-1][1]}")
+        if len(motion) < spans[-1][1] - tolerance:
+            raise ValueError(
+                f"the motion of timeline {timeline.name} has {len(motion)} frames instead of {spans[-1][1]}"
+            )
         features = evaluator.features(motion)
         pieces.subsequences.extend(features[start:end] for start, end in spans)
         for start, end in (transition_window(start, window) for start, _ in spans[1:]):

@@ -1,8 +1,7 @@
-"""FlowMDM's own evaluation (Barquero et al. 2024, section 4.1): its published lists of compositions, judged by the
-evaluator of Guo et al.
+"""FlowMDM's own evaluation: its published lists of compositions, with the evaluator of Guo et al.
 
-Knows lists of texts with their frames, real motion to compare with and an evaluator of tagged captions; knows no model,
-and no network.
+See Barquero et al. (2024), section 4.1. Depends on lists of texts with their frames, real motion for comparison and an
+evaluator of tagged captions; independent of models and networks.
 """
 
 from __future__ import annotations
@@ -44,14 +43,23 @@ class FeatureEvaluator(TextEvaluator, Protocol):
 
 
 class PublishedCompositions:
-    """A `Benchmark` of `compositions`, whose frames are at the evaluator's rate (None: 32 of 32 texts, drawn from the
-    clips of `references`). `evaluator` embeds features and captions that `tags` made of texts, compared by Euclidean
-    distance.
+    """A `Benchmark` of published compositions, compared by Euclidean distance of embeddings.
 
-    Transitions are as many frames as the windows of `references`. AUJ is measured from `average_jerk`, in m/frame³
-    (None: the mean of these windows). Diversity is that of `diversity_pairs` pairs. Where every composition says one
-    text again and again (the paper's extrapolation) no text could be told from others: neither R-precision nor MM-Dist
-    is measured. Raises `ValueError` for too little to be compared, and for a text shorter than half of a window.
+    Transitions have the length of the windows of `references`. If every composition repeats one text (the paper's
+    extrapolation), texts cannot be distinguished, and neither R-precision nor MM-Dist is measured.
+
+    Args:
+        references: Real clips and windows.
+        evaluator: Embeds features and tagged captions.
+        tags: Converts texts to tagged captions.
+        compositions: Compositions with lengths in frames at the evaluator's frame rate; None draws 32 of 32 texts from
+            the clips of `references`.
+        average_jerk: Jerk in m/frame³ from which AUJ is measured; None uses the mean of the windows of `references`.
+        diversity_pairs: Number of pairs for diversity.
+        joints_from: Source of the measured joints.
+
+    Raises:
+        ValueError: If there is too little to compare, or a text is shorter than half a window.
     """
 
     def __init__(
@@ -68,34 +76,46 @@ class PublishedCompositions:
         self.compositions = sample_compositions(references.clips) if compositions is None else list(compositions)
         self.window, self._compared = references.windows.shape[1], diversity_pairs
         self._average_jerk = average_jerk
-        texts = sum(len(each.texts) for each in self.compositions)
-        few = min(texts - len(self.compositions), len(references.clips), len(references.windows))
-        if min(texts, len(references.clips)) < POOL_SIZE or few < diversity_pairs:
+        texts = sum(len(composition.texts) for composition in self.compositions)
+        fewest = min(texts - len(self.compositions), len(references.clips), len(references.windows))
+        if min(texts, len(references.clips)) < POOL_SIZE or fewest < diversity_pairs:
             raise ValueError(
                 f"{texts} texts in {len(self.compositions)} compositions, {len(references.clips)} real clips and "
-                f"{len(references.windows)} windows: {POOL_SIZE} make a pool, {diversity_pairs} pairs are compared"
+                f"{len(references.windows)} windows are too few for a pool of {POOL_SIZE} and {diversity_pairs} pairs"
             )
-        shortest = min(length for each in self.compositions for length in each.lengths)
+        shortest = min(length for composition in self.compositions for length in composition.lengths)
         if 2 * shortest < self.window:
             raise ValueError(f"a text of {shortest} frames is shorter than half of a window of {self.window}")
 
     def timelines(self, method: str) -> list[Timeline]:
-        """The same for every method: one track of prompts that claim the whole body."""
+        """Return the timelines, the same for every method: one track of prompts that claim the whole body."""
         return list(self._timelines)
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """The scores of FlowMDM's tables, and the curve "jerk". R-precision is among the texts of one composition after
-        the other, 32 at a time, of which those that repeat an earlier one are left out, as published. `seed`: of the
-        pairs of diversity. Raises `ValueError` unless there is a motion for each timeline, about as long."""
+        """Compute the scores of FlowMDM's tables, and the curve "jerk".
+
+        R-precision compares the texts of consecutive compositions, 32 at a time, without those that repeat an earlier
+        one, as published.
+
+        Args:
+            method: Ignored.
+            motions: One motion per timeline.
+            seed: Seed of the pairs of diversity.
+
+        Raises:
+            ValueError: Unless there is one motion of about the right length per timeline.
+        """
         subsequences, windows, jerks = pieces_of(self._timelines, motions, self.evaluator, self.window)
-        texts = [text for each in self.compositions for text in each.texts]
+        texts = [text for composition in self.compositions for text in composition.texts]
         embedded = self.evaluator.motions(subsequences), self.evaluator.motions(windows)
-        extrapolated = all(len(set(each.texts)) == 1 for each in self.compositions)
+        extrapolated = all(len(set(composition.texts)) == 1 for composition in self.compositions)
         return self._scores([] if extrapolated else texts, *embedded, torch.stack(jerks), seed)
 
     def real(self, seed: int) -> Scores:
-        """Of the real clips themselves, in an order and with captions that are drawn with `seed`; they are what FID
-        compares with, so that it is 0, as in the paper's tables."""
+        """Compute the scores of the real clips, in an order and with captions drawn with `seed`.
+
+        FID compares with the same clips, and is 0, as in the paper's tables.
+        """
         rng, clips = np.random.default_rng(seed), self._references.clips
         order = rng.permutation(len(clips))
         texts = [clips[index].captions[int(rng.integers(len(clips[index].captions)))].text for index in order]
@@ -105,10 +125,10 @@ class PublishedCompositions:
     @cached_property
     def _timelines(self) -> list[Timeline]:
         timelines = []
-        for each in self.compositions:
-            edges = [moment(frame, self.evaluator.fps) for frame in accumulate(each.lengths, initial=0)]
-            prompts = [Prompt(text, *span) for text, span in zip(each.texts, pairwise(edges), strict=True)]
-            timelines.append(Timeline(prompts, each.name))
+        for composition in self.compositions:
+            edges = [moment(frame, self.evaluator.fps) for frame in accumulate(composition.lengths, initial=0)]
+            prompts = [Prompt(text, *span) for text, span in zip(composition.texts, pairwise(edges), strict=True)]
+            timelines.append(Timeline(prompts, composition.name))
         return timelines
 
     @cached_property
@@ -143,5 +163,5 @@ class PublishedCompositions:
     def _matching(self, texts: Sequence[str], motions: Float[Tensor, "motions width"]) -> dict[str, float]:
         distinct = {text: row for row, text in enumerate(dict.fromkeys(texts))}
         embedded = self.evaluator.texts(self._tags(list(distinct)))[[distinct[text] for text in texts]]
-        found = r_precision_of_distinct(embedded, motions, texts)
-        return {"r_precision": found[-1], "mm_dist": matching_score(embedded, motions)}
+        recalls = r_precision_of_distinct(embedded, motions, texts)
+        return {"r_precision": recalls[-1], "mm_dist": matching_score(embedded, motions)}

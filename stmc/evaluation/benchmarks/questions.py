@@ -1,8 +1,9 @@
-"""Whether a motion shows the content of a data set, by geometry: no learned evaluator, no text encoder.
+"""Geometric questions whether a motion shows an action of a data set, without a learned evaluator or a text encoder.
 
-A question for every content of the open data that joints can tell, whatever else the body does: seated is low, a jump
-leaves the floor and comes back. How often real motion passes (the ceiling) and how often motions of other contents do
-(chance) say what an answer is worth: see `rates`. Knows the labels of `data.sources`; knows no model.
+There is a question for every action of the open data that joints can show, whatever else the body does: a seated person
+is low, a jump leaves the floor and comes back. The value of an answer depends on the pass rates of real motion (the
+ceiling) and of motions of other actions (chance); see `rates`. Depends on the labels of `data.sources`; independent of
+models.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from stmc.evaluation.metrics.action_measures import (
     SEATED,
     UPRIGHT,
     cycles,
+    displacement,
     flights,
     forward_reach,
     goes_low,
@@ -34,7 +36,6 @@ from stmc.evaluation.metrics.action_measures import (
     toe_heights,
     torsion,
     waves,
-    way,
 )
 from stmc.motion.kinematics import forward_speed, joint, turn
 from stmc.motion.motion import Motion
@@ -44,22 +45,35 @@ Question = Callable[[Motion], bool]
 
 @dataclass(frozen=True)
 class Rates:
-    """Shares of motions that pass a question: `ceiling` of those that show the action, `chance` of those that show any
-    other, each content counting the same."""
+    """Fractions of motions that pass a question.
+
+    Args:
+        ceiling: Fraction of the motions that show the action.
+        chance: Fraction of the motions of other actions, each with the same weight.
+    """
 
     ceiling: float
     chance: float
 
 
 def rates(question: Question, shown: Sequence[Motion], others: Mapping[str, Sequence[Motion]]) -> Rates:
-    """Of a content's own motions and of all other contents'. Raises `ValueError` where one of the two is empty."""
+    """Compute the pass rates of an action's own motions and of all other actions' motions.
+
+    Args:
+        question: The question.
+        shown: Motions of the action.
+        others: Motions of the other actions.
+
+    Raises:
+        ValueError: If `shown` or `others` is empty.
+    """
     if not shown or not others:
-        raise ValueError("rates need motions of the content and of others")
-    passed = [_share(question, motions) for motions in others.values()]
-    return Rates(_share(question, shown), sum(passed) / len(passed))
+        raise ValueError("rates need motions of the action and of other actions")
+    other_rates = [_pass_rate(question, motions) for motions in others.values()]
+    return Rates(_pass_rate(question, shown), sum(other_rates) / len(other_rates))
 
 
-def _share(question: Question, motions: Sequence[Motion]) -> float:
+def _pass_rate(question: Question, motions: Sequence[Motion]) -> float:
     return sum(map(question, motions)) / len(motions)
 
 
@@ -80,14 +94,14 @@ def _swings_leg(motion: Motion, side: str, least: float = 5.5) -> bool:
 
 
 def _at_the_mouth(motion: Motion, side: str) -> float:
-    """Seconds for which a wrist is near the face."""
+    """Return the seconds that a wrist is near the face."""
     near = (joint(motion, f"{side}_wrist") - joint(motion, "head")).norm(dim=-1) < 0.28
     return int(near.sum()) / motion.fps
 
 
 def _drinks(motion: Motion) -> bool:
     seconds = sorted(_at_the_mouth(motion, side) for side in ("left", "right"))
-    return seconds[1] > 0.3 and seconds[0] < seconds[1] / 2 and way(motion) < 0.3
+    return seconds[1] > 0.3 and seconds[0] < seconds[1] / 2 and displacement(motion) < 0.3
 
 
 def _above_head(motion: Motion, side: str) -> Bool[Tensor, " frames"]:
@@ -108,7 +122,7 @@ def _wipes(motion: Motion, side: str) -> bool:
     raised = joint(motion, f"{side}_wrist")[:-1, 2] > joint(motion, f"{side}_shoulder")[:-1, 2] - 0.2
     moving = joint_speed(motion, f"{side}_wrist", beside="neck") > 0.3
     ahead = forward_reach(motion, side)[:-1] > 0.2
-    return float((raised & moving & ahead).float().mean()) > 0.3 and way(motion) < 1.0 and motion.duration > 2
+    return float((raised & moving & ahead).float().mean()) > 0.3 and displacement(motion) < 1.0 and motion.duration > 2
 
 
 def _reaches(motion: Motion, side: str) -> bool:
@@ -116,7 +130,7 @@ def _reaches(motion: Motion, side: str) -> bool:
 
 
 def _one_legged(motion: Motion) -> float:
-    """The share of the frames with one foot 12 cm above the other."""
+    """Return the fraction of the frames with one foot 12 cm above the other."""
     heights = toe_heights(motion)
     return float(((heights[:, 0] - heights[:, 1]).abs() > 0.12).float().mean())
 
@@ -142,7 +156,7 @@ def _mops(motion: Motion) -> bool:
     low = torch.stack([hand[:, 2] for hand in hands]).amin(dim=0) < 1.05
     strokes = max(cycles(forward_reach(motion, side), 0.12) for side in ("left", "right"))
     bent = float(lean(motion)[:, 0].median()) > math.radians(8)
-    return float((together & low).float().mean()) > 0.7 and bent and strokes >= 1 and way(motion) < 2.5
+    return float((together & low).float().mean()) > 0.7 and bent and strokes >= 1 and displacement(motion) < 2.5
 
 
 def _picks_up(motion: Motion, side: str) -> bool:
@@ -159,12 +173,12 @@ def _turns_over(motion: Motion) -> bool:
 
 def _treads(motion: Motion) -> bool:
     lifted = [cycles(joint(motion, f"{side}_ankle")[:, 2], 0.05) for side in ("left", "right")]
-    return sum(lifted) >= 1.6 * motion.duration and min(lifted) > 0 and way(motion) < 0.6
+    return sum(lifted) >= 1.6 * motion.duration and min(lifted) > 0 and displacement(motion) < 0.6
 
 
 def _stops(motion: Motion) -> bool:
-    forward, few = forward_speed(motion), max(1, round(motion.fps / 5))
-    return float(forward[: len(forward) // 2].max()) > 1.8 and float(forward[-few:].mean()) < 0.8
+    forward, frames = forward_speed(motion), max(1, round(motion.fps / 5))
+    return float(forward[: len(forward) // 2].max()) > 1.8 and float(forward[-frames:].mean()) < 0.8
 
 
 def _veers(motion: Motion, angle: float) -> bool:
@@ -179,8 +193,8 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     "sit-down": lambda motion: goes_low(motion, first=True, last=False),
     "stand-up": lambda motion: goes_low(motion, first=False, last=True),
     "squat": lambda motion: goes_low(motion, first=True, last=True),
-    "jump-up": lambda motion: jumps(motion) and way(motion) < 0.6,
-    "jump-forward": lambda motion: jumps(motion) and 0.3 < way(motion) < 2.5,
+    "jump-up": lambda motion: jumps(motion) and displacement(motion) < 0.6,
+    "jump-forward": lambda motion: jumps(motion) and 0.3 < displacement(motion) < 2.5,
     "jump-over": lambda motion: bool(flights(motion)) and mean_speed(motion) > 1.2,
     "jump-and-grab": lambda motion: jumps(motion) and _either(_reaches)(motion),
     "leap": lambda motion: bool(flights(motion)) and mean_speed(motion) > 1.2,
@@ -190,7 +204,8 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     "jog-in-place": _treads,
     "arm-circle": _both(_circles),
     "twist": lambda motion: float(torsion(motion).max() - torsion(motion).min()) > math.radians(50),
-    "side-bend": lambda motion: bool((lean(motion)[:, 1].abs() > math.radians(15)).any()) and way(motion) < 0.5,
+    "side-bend": lambda motion: bool((lean(motion)[:, 1].abs() > math.radians(15)).any())
+    and displacement(motion) < 0.5,
     "toe-touch": _either(_touches_toes),
     "scoop-up": _either(_picks_up),
     "reach-up": _either(_reaches),
@@ -201,7 +216,7 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     "drink": _drinks,
     "wash-window": _either(_wipes),
     "mop": _mops,
-    "balance": lambda motion: _one_legged(motion) > 0.5 and way(motion) < 0.4 and not flights(motion),
+    "balance": lambda motion: _one_legged(motion) > 0.5 and displacement(motion) < 0.4 and not flights(motion),
     "cartwheel": _turns_over,
     "duck": lambda motion: bool((joint(motion, "head")[:, 2] < 1.15).any()) and mean_speed(motion) > 1.0,
     "turn-around": lambda motion: abs(turn(motion)) > math.radians(120),
@@ -221,5 +236,5 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     **{f"raise-up-{hands}": lambda motion, of=sides: lifts(motion, of) for hands, sides in _SIDES.items()},
     **{f"wave-{hands}": lambda motion, of=sides: waves(motion, of) for hands, sides in _SIDES.items()},
 })  # fmt: skip
-"""By a content's name, for those that geometry can tell; others (a salsa, a laugh) need eyes or an evaluator. A wrist
-that comes near the shoulder's height is raised, since some of Bandai's actors raise it no higher."""
+"""Questions by the name of an action, for actions that geometry can show; others (a salsa, a laugh) need eyes or an
+evaluator. A wrist near shoulder height counts as raised, because some of Bandai's actors raise it no higher."""

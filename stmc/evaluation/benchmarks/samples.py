@@ -1,6 +1,6 @@
-"""The motions of one run on the disk, a file each: whoever makes one, on whichever machine, and in whatever order.
+"""The motions of one run on disk, one file each, written by any process on any machine in any order.
 
-Knows numbers and motions; knows no timeline, no method and no benchmark.
+Depends on indices and motions; independent of timelines, methods and benchmarks.
 """
 
 from __future__ import annotations
@@ -23,31 +23,37 @@ _SECONDS = "seconds"
 
 @dataclass(frozen=True)
 class Samples:
-    """A folder of motions by their numbers, at `fps` frames a second."""
+    """A folder of motions by index, at `fps` frames per second."""
 
     folder: Path
     fps: float | int
 
     def missing(self, numbers: Iterable[int]) -> list[int]:
-        """Those that are not there yet, in their order."""
-        found = {path.stem for path in self.folder.glob("*.safetensors")}
-        return [number for number in numbers if self._path(number).stem not in found]
+        """Return the indices that have no file yet, in order."""
+        written = {path.stem for path in self.folder.glob("*.safetensors")}
+        return [number for number in numbers if self._path(number).stem not in written]
 
     def write(self, number: int, motion: Motion, seconds: float | None = None) -> None:
-        """Keeps a motion, and the seconds that it took where that says something."""
+        """Write a motion.
+
+        Args:
+            number: Index of the motion.
+            motion: The motion.
+            seconds: Duration of its computation, or None.
+        """
         tensors = {name: getattr(motion, name).contiguous() for name in _TENSORS}
         if seconds is not None:
             tensors[_SECONDS] = torch.tensor(seconds, dtype=torch.float64)
         write_whole(self._path(number), partial(save_file, tensors))
 
     def read(self, number: int) -> tuple[Motion, float | None]:
-        """What was written."""
+        """Read a motion and the duration of its computation."""
         tensors = load_file(self._path(number))
         seconds = tensors.pop(_SECONDS, None)
         return Motion(*(tensors[name] for name in _TENSORS), self.fps), None if seconds is None else float(seconds)
 
     def remove(self) -> None:
-        """Once they are measured; nothing happens where they are gone already."""
+        """Delete the folder, if it exists, after the motions are measured."""
         rmtree(self.folder, ignore_errors=True)
 
     def _path(self, number: int) -> Path:

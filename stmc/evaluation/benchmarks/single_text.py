@@ -1,7 +1,7 @@
-"""HumanML3D's benchmark of single texts (Guo et al. 2022; STMC, appendix D): one motion for each clip of the test
-split, as long as the clip, judged by the evaluator of Guo et al.
+"""HumanML3D's benchmark of single texts: one motion per clip of the test split, with the evaluator of Guo et al.
 
-Knows clips with captions and an evaluator of tagged captions; knows no model, and no network.
+See Guo et al. (2022) and STMC, appendix D. Motions are as long as their clips. Depends on clips with captions and an
+evaluator of tagged captions; independent of models and networks.
 """
 
 from __future__ import annotations
@@ -32,33 +32,43 @@ from stmc.motion.representation import JointsFrom
 from stmc.timeline import Prompt, Timeline
 
 UNIT = 4
-"""Frames of a movement: motions are whole numbers of them."""
+"""Number of frames of a movement; motions are whole numbers of movements."""
 
 SHORTER = 1 / 3
-"""The share of the motions that are one movement shorter than their clips."""
+"""Fraction of the motions that are one movement shorter than their clips."""
 
 ASKED, REFERENCE, REAL = range(3)
-"""What a seed is used for; each has a random stream of its own."""
+"""Uses of a seed; each has its own random stream."""
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A clip's caption, and some of the clip's frames, as many as are asked for."""
+    """A caption of a clip, and some of the clip's frames, whose number is the requested length."""
 
     caption: Caption
     features: Float[Tensor, "frames 263"]
 
 
 class SingleText:
-    """A `Benchmark` of the captions of `clips`. `evaluator` embeds features and tagged captions, and compares them by
-    Euclidean distance, as `evaluators.MatchingEvaluator` does.
+    """A `Benchmark` of captions, compared by Euclidean distance of embeddings.
 
-    Of each clip (`first`: of so many, drawn with `seed`; None: all) one of its captions is drawn, and its length: the
-    whole movements of four frames in it, or in a third of the cases one less. The first `texts` of them are asked for
-    `samples` times in all, for multimodality (0: it is not measured). `joints_from` as of `Model.decode`.
+    For each clip one of its captions is drawn, and its length: the whole movements of four frames in the clip or, in a
+    third of the cases, one less. The benchmark follows the published one with one exception: captions and lengths are
+    drawn once, not for each repetition.
 
-    As published but for one thing: captions and lengths of what is asked are drawn once, not for each repetition anew.
-    Raises `ValueError` for less clips than a pool, or less than are to be compared.
+    Args:
+        clips: Clips with captions.
+        evaluator: Embeds features and tagged captions, as `evaluators.MatchingEvaluator` does.
+        first: Number of clips, drawn with `seed`; None uses all.
+        texts: Number of texts for multimodality; 0 omits it.
+        samples: Number of motions of each of these texts.
+        pairs: Number of pairs for multimodality.
+        diversity_pairs: Number of pairs for diversity.
+        seed: Seed of the draw.
+        joints_from: Source of the measured joints; see `Model.decode`.
+
+    Raises:
+        ValueError: If there are fewer clips than a pool, or too few to compare.
     """
 
     def __init__(
@@ -75,46 +85,56 @@ class SingleText:
     ) -> None:
         self.evaluator, self.joints_from, self._clips = evaluator, joints_from, clips
         rng = np.random.default_rng([seed, ASKED])
-        chosen = rng.permutation(len(clips))[:first].tolist()
-        self.requests = [_request(clips[index], rng) for index in chosen]
+        indices = rng.permutation(len(clips))[:first].tolist()
+        self.requests = [_request(clips[index], rng) for index in indices]
         self._texts, self._samples, self._pairs, self._compared = texts, samples, pairs, diversity_pairs
-        few = _whole_pools(self.requests) < max(POOL_SIZE, diversity_pairs)
-        if few or texts > len(self.requests) or (texts and samples < pairs):
+        too_few = _whole_pools(self.requests) < max(POOL_SIZE, diversity_pairs)
+        if too_few or texts > len(self.requests) or (texts and samples < pairs):
             raise ValueError(
-                f"{len(self.requests)} clips: {POOL_SIZE} make a pool, {diversity_pairs} pairs are compared, and "
-                f"{texts} texts are asked for {samples} times, of which {pairs} pairs are compared"
+                f"{len(self.requests)} clips are too few for a pool of {POOL_SIZE}, {diversity_pairs} pairs, and "
+                f"{texts} texts with {samples} samples and {pairs} pairs each"
             )
 
     def timelines(self, method: str) -> list[Timeline]:
-        """The same for every method: a prompt each for the whole body; then those that are asked for again."""
-        again = self.requests[: self._texts] * (self._samples - 1)
+        """Return the timelines, the same for every method: one prompt per clip, then the repeated ones."""
+        repeated = self.requests[: self._texts] * (self._samples - 1)
         return [
-            Timeline((Prompt(each.caption.text, 0.0, len(each.features) / self.evaluator.fps),))
-            for each in [*self.requests, *again]
+            Timeline((Prompt(request.caption.text, 0.0, len(request.features) / self.evaluator.fps),))
+            for request in [*self.requests, *repeated]
         ]
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
-        """The scores of the field's tables. R-precision is among 32 motions in an order drawn with `seed`; what is left
-        over is not looked at. FID compares with the clips' real motion, drawn anew with `seed`.
+        """Compute the scores of the usual tables.
 
-        Raises `ValueError` unless there is a motion for each timeline.
+        R-precision is among 32 motions in an order drawn with `seed`; an incomplete last batch is ignored. FID compares
+        with the clips' real motion, drawn again with `seed`.
+
+        Args:
+            method: Ignored.
+            motions: One motion per timeline.
+            seed: Seed of the draws.
+
+        Raises:
+            ValueError: Unless there is one motion per timeline.
         """
         count = len(self.requests)
         if len(motions) != len(self.timelines(method)):
-            raise ValueError(f"{len(motions)} motions for {len(self.timelines(method))} timelines")
+            raise ValueError(
+                f"{len(motions)} motions for {len(self.timelines(method))} timelines; pass one motion per timeline"
+            )
         check_joints([motion.joints for motion in motions])
         embedded = self.evaluator.motions([self.evaluator.features(motion) for motion in motions])
         metrics = self._scores(self.requests, embedded[:count], seed)
         if self._texts:
-            again = embedded[count:].unflatten(0, (self._samples - 1, self._texts))
-            samples = torch.cat([embedded[None, : self._texts], again]).transpose(0, 1)
+            repeated = embedded[count:].unflatten(0, (self._samples - 1, self._texts))
+            samples = torch.cat([embedded[None, : self._texts], repeated]).transpose(0, 1)
             metrics["multimodality"] = multimodality(samples, self._pairs, seed)
         return Scores(metrics)
 
     def real(self, seed: int) -> Scores:
-        """Of the clips themselves, other captions and frames of them than those that FID compares with."""
+        """Compute the scores of the clips themselves, with other captions and frames than FID uses."""
         requests = self._real(seed, REAL)
-        return Scores(self._scores(requests, self.evaluator.motions([each.features for each in requests]), seed))
+        return Scores(self._scores(requests, self.evaluator.motions([request.features for request in requests]), seed))
 
     def _real(self, seed: int, use: int) -> list[Request]:
         rng = np.random.default_rng([seed, use])
@@ -124,9 +144,9 @@ class SingleText:
         order = np.random.default_rng(seed).permutation(len(requests))[: _whole_pools(requests)].tolist()
         motions = motions[order]
         texts = self.evaluator.texts([requests[index].caption.tagged for index in order])
-        real = self.evaluator.motions([each.features for each in self._real(seed, REFERENCE)])
-        found = {f"r_precision_{top}": share for top, share in zip(TOP, r_precision(texts, motions), strict=True)}
-        return found | {
+        real = self.evaluator.motions([request.features for request in self._real(seed, REFERENCE)])
+        recalls = {f"r_precision_{top}": recall for top, recall in zip(TOP, r_precision(texts, motions), strict=True)}
+        return recalls | {
             "motion_fid": frechet_distance(motions, real),
             "mm_dist": matching_score(texts, motions),
             "diversity": embedding_diversity(motions, self._compared, seed),

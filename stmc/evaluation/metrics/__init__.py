@@ -1,4 +1,4 @@
-"""What motions are measured by: realism, retrieval, matching, smoothness, and the measures of whole timelines."""
+"""Metrics of motions: realism, retrieval, matching, smoothness, and the metrics of whole timelines."""
 
 from stmc.evaluation.metrics.matching_metrics import matching_score, multimodality, r_precision
 from stmc.evaluation.metrics.realism import fid, frechet_distance

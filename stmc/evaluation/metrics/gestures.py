@@ -1,7 +1,7 @@
-"""Where hands and the head are beside the trunk, and how they move there: reaches, swings, holds, looks.
+"""Positions and movements of hands and head relative to the trunk: reaches, swings, holds and looks.
 
-Measures of one `Motion`, in metres, seconds and radians. Axes of a body's part are SMPL's: x to the left, y up, z
-forward. Knows no text, no data set and no model.
+Measures of one `Motion`, in metres, seconds and radians. The axes of a body part are SMPL's: x to the left, y up, z
+forwards. Independent of texts, data sets and models.
 """
 
 from __future__ import annotations
@@ -27,16 +27,23 @@ MOUTH = ((-0.02, -0.16, 0.10), (0.12, 0.08, 0.31))
 BITE = ((-0.03, -0.14, 0.08), (0.12, 0.06, 0.26))
 EAR = ((0.09, -0.09, -0.02), (0.26, 0.12, 0.14))
 NAPE = ((-0.08, -0.06, -0.25), (0.22, 0.20, 0.00))
-"""Corners of the boxes, in the axes of the head, in which a left wrist is whose hand holds a cup or a bite at the
-mouth, a phone at the ear, or touches the back of the head. The wrist of a hand that holds a bottle is up to 30 cm from
+"""Corners of boxes, in the axes of the head, that contain the left wrist if the hand holds a cup or a bite at the
+mouth, holds a phone at the ear, or touches the back of the head. The wrist of a hand with a bottle is up to 30 cm from
 the head joint, which is at the base of the skull."""
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 def seen_from(motion: Motion, name: str, frame: Frame) -> Float[Tensor, "frames 3"]:
-    """A joint's path in the axes of the "chest", from the middle between the shoulders, or of the "head", from its
-    joint."""
+    """Return the path of a joint in the axes of the chest or the head.
+
+    The origin is the midpoint of the shoulders for "chest", and the head joint for "head".
+
+    Args:
+        motion: The motion.
+        name: Name of the joint.
+        frame: "chest" or "head".
+    """
     axes = global_rotations(motion.rotations, PARENTS[:NUM_ROTATIONS])[:, JOINTS.index(_AXES[frame])]
     origin = joint(motion, "head")
     if frame == "chest":
@@ -45,7 +52,7 @@ def seen_from(motion: Motion, name: str, frame: Frame) -> Float[Tensor, "frames 
 
 
 def within(motion: Motion, box: Box) -> Bool[Tensor, " frames"]:
-    """Whether the left wrist is in a box beside the head."""
+    """Return whether the left wrist is in a box relative to the head."""
     wrist = seen_from(motion, "left_wrist", "head")
     low, high = (wrist.new_tensor(corner) for corner in box)
     return ((wrist > low) & (wrist < high)).all(dim=1)
@@ -54,24 +61,30 @@ def within(motion: Motion, box: Box) -> Bool[Tensor, " frames"]:
 def visits(
     near: Bool[Tensor, " frames"], fps: float | int, least: float | int, apart: float | int
 ) -> list[tuple[int, int]]:
-    """First and last frame (exclusive) of each stay of at least `least` seconds; stays that are less than `apart`
-    seconds from each other are one."""
-    joined: list[tuple[int, int]] = []
+    """Return the first frame and the exclusive last frame of each stay.
+
+    Args:
+        near: True during a stay, [frames].
+        fps: Frames per second.
+        least: Minimum duration of a stay in seconds.
+        apart: Stays closer than this, in seconds, are merged.
+    """
+    stays: list[tuple[int, int]] = []
     for first, last in stretches(near):
-        if joined and first - joined[-1][1] < apart * fps:
-            joined[-1] = (joined[-1][0], last)
+        if stays and first - stays[-1][1] < apart * fps:
+            stays[-1] = (stays[-1][0], last)
         else:
-            joined.append((first, last))
-    return [(first, last) for first, last in joined if last - first >= least * fps]
+            stays.append((first, last))
+    return [(first, last) for first, last in stays if last - first >= least * fps]
 
 
 def longest(mask: Bool[Tensor, " frames"], fps: float | int) -> float:
-    """Seconds of the longest run of True."""
+    """Return the duration in seconds of the longest run of True."""
     return max((last - first for first, last in stretches(mask)), default=0) / fps
 
 
 def reversals(values: Float[Tensor, " frames"], extent: float | int) -> int:
-    """How often `values` move by at least `extent` one way or the other since they turned: to and fro are two."""
+    """Count the movements of `values` by at least `extent` in either direction; to and fro are two."""
     count, direction, low, high = 0, 0, math.inf, -math.inf
     for value in values.tolist():
         low, high = min(low, value), max(high, value)
@@ -83,39 +96,45 @@ def reversals(values: Float[Tensor, " frames"], extent: float | int) -> int:
 
 
 def extension(motion: Motion, side: str) -> Float[Tensor, " frames"]:
-    """How straight an arm is: the distance of its wrist from its shoulder over the length of its bones, at most 1."""
+    """Return the distance of a wrist from its shoulder divided by the length of the arm: 1 for a straight arm."""
     shoulder, elbow, wrist = (joint(motion, f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
     bones = (elbow - shoulder).norm(dim=-1) + (wrist - elbow).norm(dim=-1)
     return (wrist - shoulder).norm(dim=-1) / bones
 
 
 def elevation(motion: Motion, start: str, end: str) -> Float[Tensor, " frames"]:
-    """Radians by which the line from one joint to another rises above the horizontal."""
+    """Return the angle in radians by which the line between two joints rises above the horizontal.
+
+    Args:
+        motion: The motion.
+        start: Name of the first joint.
+        end: Name of the second joint.
+    """
     line = joint(motion, end) - joint(motion, start)
     return torch.atan2(line[:, 2], line[:, :2].norm(dim=-1))
 
 
 def hand_gap(motion: Motion) -> Float[Tensor, " frames"]:
-    """Metres between the wrists."""
+    """Return the distance between the wrists in metres."""
     return (joint(motion, "left_wrist") - joint(motion, "right_wrist")).norm(dim=-1)
 
 
 def hand_speed(motion: Motion, side: str) -> Float[Tensor, " _"]:
-    """Metres per second of a wrist as the chest sees it; one frame shorter."""
+    """Return the speed of a wrist relative to the chest in m/s; one frame shorter."""
     return seen_from(motion, f"{side}_wrist", "chest").diff(dim=0).norm(dim=-1) * motion.fps
 
 
 def gaze(motion: Motion) -> Float[Tensor, "frames 2"]:
-    """Radians by which the head is turned to the left of the chest, and raised above where the chest faces."""
+    """Return the angles in radians by which the head faces to the left of the chest, and above its direction."""
     world = global_rotations(motion.rotations, PARENTS[:NUM_ROTATIONS])
     ahead = (world[:, JOINTS.index("spine3")].mT @ world[:, JOINTS.index("head")])[..., 2]
     return torch.stack([torch.atan2(ahead[:, 0], ahead[:, 2]), torch.asin(ahead[:, 1].clamp(-1, 1))], dim=1)
 
 
 def looked_left(motion: Motion) -> Float[Tensor, " frames"]:
-    """Radians by which the head has turned to the left in the world since it looked furthest to the right before."""
+    """Return the angle in radians that the head has turned left in the world since its rightmost direction so far."""
     ahead = global_rotations(motion.rotations, PARENTS[:NUM_ROTATIONS])[:, JOINTS.index("head"), :, 2]
     angle = torch.atan2(ahead[:, 1], ahead[:, 0])
     steps = wrap(angle.diff())
-    turned = torch.cat([steps.new_zeros(1), steps.cumsum(dim=0)])
-    return turned - turned.cummin(dim=0).values
+    turn = torch.cat([steps.new_zeros(1), steps.cumsum(dim=0)])
+    return turn - turn.cummin(dim=0).values

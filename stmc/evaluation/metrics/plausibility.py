@@ -1,7 +1,7 @@
-"""Whether joints are what every measure here takes them for: people in metres, z up, in SMPL's order, not mirrored.
+"""Validation of joints: people in metres, z up, in SMPL's order, not mirrored.
 
-A wrong axis or order makes no measure fail; it makes all of them worthless. Knows bodies and their proportions; knows
-no particular measure.
+A wrong axis or order makes no metric fail but all of them meaningless. Depends on bodies and their proportions;
+independent of particular metrics.
 """
 
 from __future__ import annotations
@@ -17,37 +17,36 @@ from stmc.motion.body import JOINTS, PARENTS
 from stmc.motion.body_model import Skeleton
 
 SIZES = (0.8, 2.8)
-"""Metres: what the larger side of the box around a person's joints is on average, from crouching to arms held up."""
+"""Legal mean of the larger side of the box around a person's joints in metres, from crouching to raised arms."""
 
 UNITS = {"centimetres": 100.0, "millimetres": 1000.0, "inches": 39.37, "decimetres": 10.0}
 
 LIMBS = ("knee", "ankle", "elbow", "wrist")
-"""Where the long bones end. What lies between other joints is where artists differ; it is shorter, that is all."""
+"""Joints at the ends of long bones. Other bones are shorter, and their lengths vary between skeletons."""
 
 PROPORTION = 1.8
-"""How much longer or shorter a long bone may be than the bundled skeleton's, compared with the other long bones."""
+"""Maximum ratio between a long bone and the bundled skeleton's, relative to the other long bones."""
 
 UPRIGHT = 0.5
-"""The mean cosine between trunks and the vertical that a set of motions has at least; 1 is standing."""
+"""Minimum mean cosine between trunks and the vertical in a set of motions; 1 is standing."""
 
 
 class ImplausibleMotion(ValueError):
-    """Joints that no person's can be; the message says what they look like, and what would be right."""
+    """Joints that cannot be a person's; the message describes the joints and the expected ones."""
 
 
 def check_joints(motions: Sequence[Float[Tensor, "_ _ 3"]]) -> None:
-    """Raises `ImplausibleMotion` unless the motions, taken together, are those of people in metres, z up, mostly
-    upright, with at least SMPL's first 22 joints in SMPL's order.
+    """Raise `ImplausibleMotion` unless the motions, taken together, show people in metres, z up, mostly upright.
 
-    Judges all frames of all motions at once: a cartwheel is fine among others, a set of nothing but people who lie is
-    not.
+    Joints must be at least SMPL's first 22, in SMPL's order. All frames of all motions are judged together: a cartwheel
+    among other motions is accepted, a set of lying people only is not.
     """
     if not motions:
-        raise ImplausibleMotion("no motion to check")
+        raise ImplausibleMotion("no motions to check; pass at least one")
     for number, joints in enumerate(motions):
         if not 22 <= joints.shape[1] <= len(JOINTS):
             raise ImplausibleMotion(
-                f"motion {number} has {joints.shape[1]} joints: SMPL's first 22, or all 24, are needed"
+                f"motion {number} has {joints.shape[1]} joints; it needs SMPL's first 22, or all 24"
             )
         if not joints.isfinite().all():
             raise ImplausibleMotion(f"motion {number} has positions that are not finite")
@@ -65,8 +64,8 @@ def _check_size(joints: Tensor) -> None:
         return
     for unit, factor in UNITS.items():
         if SIZES[0] <= size / factor <= SIZES[1]:
-            raise ImplausibleMotion(f"bodies are {size:.4g} tall: these look like {unit}; divide by {factor:g}")
-    raise ImplausibleMotion(f"bodies are {size:.3g} m tall; people are {SIZES[0]} to {SIZES[1]} m: metres are needed")
+            raise ImplausibleMotion(f"bodies are {size:.4g} tall, which suggests {unit}; divide by {factor:g}")
+    raise ImplausibleMotion(f"bodies are {size:.3g} m tall; people are {SIZES[0]} to {SIZES[1]} m; convert to metres")
 
 
 def _check_order(joints: Tensor) -> None:
@@ -80,7 +79,7 @@ def _check_order(joints: Tensor) -> None:
             f"{JOINTS[PARENTS[bone + 1]]} to {JOINTS[bone + 1]} ({lengths[bone]:.2f} m)"
             for bone in wrong.nonzero()[:, 0].tolist()
         )
-        raise ImplausibleMotion(f"joints are not in SMPL's order: unlikely bones {bones}")
+        raise ImplausibleMotion(f"joints are not in SMPL's order; implausible bones: {bones}")
 
 
 def _check_upright(joints: Tensor) -> None:
@@ -90,10 +89,11 @@ def _check_upright(joints: Tensor) -> None:
     axis = int(trunk.abs().argmax())
     if float(trunk[axis].abs()) < UPRIGHT:
         raise ImplausibleMotion(
-            f"bodies do not stand: the mean direction of their trunks is {_numbers(trunk)}, not near z, (0, 0, 1)"
+            f"bodies do not stand; the mean direction of their trunks is {_format_vector(trunk)} "
+            "and should be near z, (0, 0, 1)"
         )
     name = f"{'-' if trunk[axis] < 0 else ''}{'xyz'[axis]}"
-    remedy = "; turn it by (x, y, z) → (x, -z, y)" if name == "y" else ""
+    remedy = "; rotate it by (x, y, z) → (x, -z, y)" if name == "y" else ""
     raise ImplausibleMotion(f"the motion is {name} up, not z up{remedy}")
 
 
@@ -111,5 +111,5 @@ def _check_sides(joints: Tensor) -> None:
         )
 
 
-def _numbers(vector: Tensor) -> str:
+def _format_vector(vector: Tensor) -> str:
     return f"({', '.join(f'{value:.2f}' for value in vector.tolist())})"

@@ -1,6 +1,6 @@
-"""Retrieval between texts and motions: where the right one stands among all candidates, by their scores.
+"""Retrieval between texts and motions: the rank of the correct candidate by its score.
 
-Knows tables of scores alone. Protocols are those of TMR (Petrovich et al. 2023, section 4.1).
+Depends on tables of scores alone. The protocols are those of TMR (Petrovich et al. 2023, section 4.1).
 """
 
 from __future__ import annotations
@@ -15,13 +15,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 COUNTS = (1, 2, 3, 5, 10)
-"""The k of the recalls R@k that are reported."""
+"""The k of the reported recalls R@k."""
 
 
 @dataclass(frozen=True)
 class Retrieval:
-    """How one side was found from the other: the shares in percent of queries whose right answer was among the best k,
-    by k; the median rank, 1 being best; and how many candidates there were."""
+    """Results of retrieval in one direction.
+
+    Args:
+        recall: Percentage of queries with a correct answer among the best k, by k.
+        median_rank: Median rank of the correct answer; 1 is best.
+        candidates: Number of candidates.
+    """
 
     recall: dict[int, float]
     median_rank: float
@@ -31,47 +36,47 @@ class Retrieval:
 def cosines(
     queries: Float[Tensor, "queries width"], candidates: Float[Tensor, "candidates width"]
 ) -> Float[Tensor, "queries candidates"]:
-    """Cosines of the angles between latents, in [-1, 1]."""
+    """Compute cosine similarities between latents, in [-1, 1]."""
     return F.normalize(queries, dim=-1) @ F.normalize(candidates, dim=-1).T
 
 
 def scores(cosine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """Cosines as scores in [0, 1]: (1 + cosine) / 2, as TMR-Score has it."""
+    """Convert cosines to scores in [0, 1], (1 + cosine) / 2, as in TMR-Score."""
     return (1 + cosine) / 2
 
 
 def ranks(
     table: Float[Tensor, "queries candidates"], right: Bool[Tensor, "queries candidates"] | None = None
 ) -> Float[Tensor, " queries"]:
-    """How many wrong candidates score better than the right one (0 is best); of those that tie with it, half.
+    """Count the wrong candidates that score better than the correct one (0 is best); ties count half.
 
-    `right` names each query's right answers, the diagonal by default; of several, the best counts (that is TMR's
-    protocol "threshold"). Raises `ValueError` for a query without any, and for scores that are not numbers.
+    `right` is True at each query's correct answers, the diagonal by default; the best of several counts (TMR's protocol
+    "threshold"). Raises `ValueError` if a query has no correct answer, or a score is NaN.
     """
     if table.isnan().any():
-        raise ValueError(f"{int(table.isnan().sum())} of {table.numel()} scores are not numbers")
+        raise ValueError(f"{int(table.isnan().sum())} of {table.numel()} scores are NaN")
     if right is None:
         if len(table) != table.shape[1]:
-            raise ValueError(f"{len(table)} queries and {table.shape[1]} candidates: say which are right")
+            raise ValueError(f"{len(table)} queries and {table.shape[1]} candidates; pass `right`")
         right = torch.eye(len(table), dtype=torch.bool, device=table.device)
     if not right.any(dim=1).all():
-        raise ValueError(f"query {int((~right.any(dim=1)).nonzero()[0])} has no right answer")
+        raise ValueError(f"query {int((~right.any(dim=1)).nonzero()[0])} has no correct answer")
     best = table.masked_fill(~right, -torch.inf).amax(dim=1, keepdim=True)
     return (table > best).sum(dim=1) + ((table == best) & ~right).sum(dim=1) / 2
 
 
-def summary(found: Float[Tensor, " queries"], candidates: int) -> Retrieval:
-    """Recalls and median of `ranks`."""
-    recall = {count: 100 * float((found < count).double().mean()) for count in COUNTS}
-    return Retrieval(recall, float(np.median(found.numpy(force=True))) + 1, candidates)
+def summary(positions: Float[Tensor, " queries"], candidates: int) -> Retrieval:
+    """Compute recalls and the median from `ranks`."""
+    recall = {count: 100 * float((positions < count).double().mean()) for count in COUNTS}
+    return Retrieval(recall, float(np.median(positions.numpy(force=True))) + 1, candidates)
 
 
 def t2m_m2t(
     table: Float[Tensor, "pairs pairs"], right: Bool[Tensor, "pairs pairs"] | None = None
 ) -> tuple[Retrieval, Retrieval]:
-    """Text-to-motion and motion-to-text, from scores [text, motion] of pairs: the protocol "all".
+    """Evaluate text-to-motion and motion-to-text retrieval from scores [text, motion] of pairs: the protocol "all".
 
-    `right[i, j]` that text i is true of motion j, too: the protocol "threshold", e.g. of `similar_texts`.
+    `right` is True if text i also describes motion j: the protocol "threshold", for example with `similar_texts`.
     """
     back = None if right is None else right.T
     return summary(ranks(table, right), len(table)), summary(ranks(table.T, back), len(table))
@@ -80,20 +85,28 @@ def t2m_m2t(
 def similar_texts(
     sentences: Float[Tensor, "pairs width"], threshold: float | int = 0.95
 ) -> Bool[Tensor, "pairs pairs"]:
-    """Which texts say almost the same, by the scores of their sentence embeddings: those above `threshold`."""
+    """Return which texts have nearly the same meaning: their sentence embeddings score above `threshold`."""
     return (scores(cosines(sentences, sentences)) > threshold).fill_diagonal_(True)
 
 
 def small_batches(
     table: Float[Tensor, "pairs pairs"], names: Sequence[str], size: int = 32
 ) -> tuple[Retrieval, Retrieval]:
-    """The protocol "guo": pairs in the order of their `names`, shuffled by a fixed seed, are retrieved within batches
-    of `size`; what is left over is dropped, the batches' numbers are averaged. Text-to-motion, then motion-to-text.
+    """Evaluate retrieval within batches: the protocol "guo", text-to-motion and motion-to-text.
 
-    Raises `ValueError` for less than one batch.
+    Pairs are sorted by name and shuffled with a fixed seed; an incomplete last batch is dropped, and the results of the
+    batches are averaged.
+
+    Args:
+        table: Scores [text, motion] of pairs.
+        names: Name of each pair.
+        size: Number of pairs in a batch.
+
+    Raises:
+        ValueError: If there are fewer pairs than one batch.
     """
     if len(names) < size:
-        raise ValueError(f"{len(names)} pairs make no batch of {size}")
+        raise ValueError(f"{len(names)} pairs are fewer than a batch of {size}")
     order = np.argsort(np.array(names), kind="stable")
     np.random.RandomState(0).shuffle(order)
     batches = torch.from_numpy(order[: len(order) // size * size]).reshape(-1, size)

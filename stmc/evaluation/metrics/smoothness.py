@@ -1,7 +1,7 @@
-"""How smooth a motion is where it passes from one action to the next: steps of the pose, and jerk.
+"""Smoothness at the transition between actions: steps of the pose, and jerk.
 
-Knows positions of joints over frames; knows no network, no features and no text. Positions in metres; differences are
-*per frame*, as in the papers' tables, so numbers of different frame rates do not compare.
+Depends on positions of joints over frames; independent of networks, features and texts. Positions are in metres;
+differences are *per frame*, as in the papers' tables, so that numbers of different frame rates are not comparable.
 """
 
 from __future__ import annotations
@@ -17,118 +17,132 @@ from stmc.motion.geometry import rotation_z
 from stmc.motion.motion import Motion
 
 HUMANML3D_JERK, BABEL_JERK = 0.033031363, 0.016383045
-"""The data sets' average of the largest jerk of any joint, in m/frame³ at 20 and at 30 frames a second (FlowMDM)."""
+"""Averages over the data sets of the largest jerk of any joint, in m/frame³ at 20 and at 30 fps (FlowMDM)."""
 
 HUMANML3D_WINDOW, BABEL_WINDOW = 60, 30
-"""Frames of a transition in the two data sets (FlowMDM, section 4.1)."""
+"""Lengths in frames of a transition in the two data sets (FlowMDM, section 4.1)."""
 
 
 JERKED = 22
-"""Joints whose jerk counts: SMPL's without the hands, those that HumanML3D has."""
+"""Number of joints whose jerk counts: SMPL's without the hands, as in HumanML3D."""
 
 
 def pose_steps(local: Float[Tensor, "frames joints 3"]) -> Float[Tensor, " steps"]:
-    """How far a joint moves relative to the pelvis (joint 0), from each frame to the next, on average over all joints.
+    """Return the mean distance that joints move relative to the pelvis (joint 0) between consecutive frames.
 
-    Metres; one value less than frames. `local` are positions that do not turn with the body: in the heading frame of
-    each frame, or of a motion that does not turn.
+    The unit is metres; there is one value fewer than frames. `local` are positions that do not turn with the body: in
+    the heading frame of each frame, or of a motion that does not turn.
     """
     relative = local - local[:, :1]
     return relative.diff(dim=0).norm(dim=-1).mean(dim=-1)
 
 
 def transition_distance(poses: Sequence[Float[Tensor, "_ joints 3"]], points: Sequence[Sequence[int]]) -> float:
-    """Mean of `pose_steps` into the frames `points` of each motion, over all points of all motions; metres (tables say
-    it in centimetres). STMC, section 4.2, after TEACH: the Euclidean distance of the poses around a transition.
+    """Return the mean of `pose_steps` into the frames `points` of each motion, in metres (tables use centimetres).
 
-    Raises `ValueError` for no point at all, and for a point that is not a frame with one before it.
+    It is the Euclidean distance of the poses around a transition (STMC, section 4.2, after TEACH), averaged over all
+    points of all motions. Raises `ValueError` if there is no point, or a point is not a frame with a predecessor.
     """
     steps = []
-    for local, chosen in zip(poses, points, strict=True):
-        if chosen and not 0 < min(chosen) <= max(chosen) < len(local):
-            raise ValueError(f"points {list(chosen)} of a motion of {len(local)} frames: need 0 < point < frames")
-        steps.append(pose_steps(local)[[point - 1 for point in chosen]])
+    for local, frames in zip(poses, points, strict=True):
+        if frames and not 0 < min(frames) <= max(frames) < len(local):
+            raise ValueError(
+                f"points {list(frames)} of a motion of {len(local)} frames must satisfy 0 < point < {len(local)}"
+            )
+        steps.append(pose_steps(local)[[point - 1 for point in frames]])
     return _mean(torch.cat(steps))
 
 
 def published_transition_distance(
     poses: Sequence[Float[Tensor, "_ joints 3"]], points: Sequence[Sequence[int]]
 ) -> float:
-    """What the published code prints for generated motions: of each joint not the pelvis but the joint's own first
-    coordinate is subtracted, from all three. So the path of the body counts, and the value is no distance of poses;
-    it is not comparable with the ground truth's in the same table. `poses`: z up, from `features_to_local_joints`."""
+    """Compute the value that the published code prints for generated motions.
+
+    It subtracts from the coordinates of each joint the joint's own first coordinate instead of the pelvis. The path of
+    the body therefore counts; the value is not a distance of poses and is not comparable with the ground truth's in the
+    same table. `poses` are z up, from `features_to_local_joints`.
+    """
     steps = []
-    for local, chosen in zip(poses, points, strict=True):
+    for local, frames in zip(poses, points, strict=True):
         skewed = local - local[..., :1]
-        steps.append(skewed.diff(dim=0).norm(dim=-1).mean(dim=-1)[[point - 1 for point in chosen]])
+        steps.append(skewed.diff(dim=0).norm(dim=-1).mean(dim=-1)[[point - 1 for point in frames]])
     return _mean(torch.cat(steps))
 
 
 def transition_points(spans: Sequence[tuple[int, int]], frames: int) -> tuple[int, ...]:
-    """The frames at which a prompt of these `spans` [start, end) begins or ends while the motion goes on."""
+    """Return the frames at which a prompt of these `spans` [start, end) begins or ends while the motion continues."""
     return tuple(sorted({edge for span in spans for edge in span if 0 < edge < frames}))
 
 
 def published_transition_points(spans: Sequence[tuple[int, int]], frames: int) -> tuple[int, ...]:
-    """Those that the published code counts of a motion of so many frames: the first edge and the last *within* the
-    motion are dropped for its start and its end, so the last real transition is missing (935 of MTT's 1450 count)."""
+    """Return the transition points of the published code.
+
+    It drops the first and last edge *within* the motion instead of the motion's start and end, so that the last real
+    transition is missing (935 of MTT's 1450 count).
+    """
     edges = sorted({edge for span in spans for edge in span if edge < frames})
     return tuple(edges[1:-1])
 
 
 def quarter_points(frames: int) -> tuple[int, ...]:
-    """Where real motions, which have no transition, are measured for comparison: at 1/4, 1/2 and 3/4."""
+    """Return the frames at 1/4, 1/2 and 3/4, at which real motions without transitions are measured for comparison."""
     return tuple(sorted({quarter * frames // 4 for quarter in (1, 2, 3)} - {0}))
 
 
 def transition_window(boundary: int, length: int = HUMANML3D_WINDOW) -> tuple[int, int]:
-    """Frames [start, end) of the transition around the first frame of the second action (FlowMDM, section 4.1)."""
+    """Return the frames [start, end) of the transition around the first frame of the second action.
+
+    See FlowMDM, section 4.1.
+    """
     return boundary - length // 2, boundary + length - length // 2
 
 
 def jerk(
     joints: Float[Tensor, "*batch frames joints 3"], lengths: Int[Tensor, "*batch"] | None = None
 ) -> Float[Tensor, "*batch _"]:
-    """The largest jerk of any joint in each frame: third differences of its position, their absolute values summed over
-    the axes; m/frame³. Three values less than frames; those that look past the `lengths` are 0.
+    """Return the largest jerk of any joint in each frame, in m/frame³.
 
-    The sum over axes depends on how the motion is turned: windows should begin with heading zero (FlowMDM's do).
+    The jerk is the third difference of the position, its absolute values summed over the axes. There are three values
+    fewer than frames; values that reach beyond `lengths` are 0. The sum over axes depends on the orientation of the
+    motion: windows should begin with heading zero, as FlowMDM's do.
     """
     values = joints.diff(n=3, dim=-3).abs().sum(dim=-1).amax(dim=-1)
     if lengths is None:
         return values
-    exists = mask(lengths.flatten() - 3, values.shape[-1]).reshape(values.shape)
-    return torch.where(exists, values, 0.0)
+    present = mask(lengths.flatten() - 3, values.shape[-1]).reshape(values.shape)
+    return torch.where(present, values, 0.0)
 
 
 def window_jerk(window: Motion, frames: int) -> Float[Tensor, " _"]:
-    """The `jerk` of a window of a motion, in m/frame³, turned to begin with heading zero, in `frames - 3`
-    values; where the motion ends within the window, its last one goes on."""
+    """Return the `jerk` of a window, rotated to begin with heading zero, in m/frame³ and `frames - 3` values.
+
+    If the motion ends within the window, the last value is repeated.
+    """
     joints = window.joints[:, :JERKED] @ rotation_z(-window.heading[0]).mT
     values = jerk(joints)
     return torch.cat([values, values[-1:].expand(frames - 3 - len(values))])
 
 
 def jerk_curve(jerks: Float[Tensor, "transitions frames"]) -> Float[Tensor, " frames"]:
-    """Mean `jerk` of all transitions in each frame of the window: what the two numbers below are read off.
+    """Average the `jerk` of all transitions in each frame of the window, for `peak_jerk` and `area_under_jerk`.
 
-    As in FlowMDM's code, the mean comes first; the paper's formula (Eq. 4) reads as a mean of each transition's own
-    peak, which is several times as large.
+    As in FlowMDM's code, the mean is computed first; the paper's formula (Eq. 4) reads as a mean of the peaks of single
+    transitions, which is several times as large.
     """
     return jerks.mean(dim=0)
 
 
 def peak_jerk(curve: Float[Tensor, " frames"]) -> float:
-    """The largest value of the `jerk_curve`; m/frame³ (PJ: FlowMDM, section 4.1)."""
+    """Return the maximum of the `jerk_curve` in m/frame³ (PJ; FlowMDM, section 4.1)."""
     return float(curve.max())
 
 
 def area_under_jerk(curve: Float[Tensor, " frames"], average: float | int = HUMANML3D_JERK) -> float:
-    """The summed distance of the `jerk_curve` from the `average` of real motion (AUJ: FlowMDM, section 4.1)."""
+    """Return the summed distance of the `jerk_curve` from the `average` of real motion (AUJ; FlowMDM, section 4.1)."""
     return float((curve - average).abs().sum())
 
 
 def _mean(values: Tensor) -> float:
     if not len(values):
-        raise ValueError("no transition at all to measure")
+        raise ValueError("no transition to measure; pass at least one point")
     return float(values.double().mean())

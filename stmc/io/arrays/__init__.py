@@ -1,4 +1,4 @@
-"""Arrays in files that somebody else wrote, read without running anything that is in them."""
+"""Arrays in untrusted files, read without executing any code in them."""
 
 from stmc.io.arrays.checkpoints import check_checkpoint
 from stmc.io.arrays.joblib_files import read_joblib

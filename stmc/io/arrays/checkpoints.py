@@ -1,7 +1,8 @@
-"""PyTorch's checkpoints before PyTorch reads them: their pickles end, whatever they hold.
+"""Validation of PyTorch checkpoints before PyTorch reads them: their pickles terminate, whatever they contain.
 
-PyTorch's own reader of plain weights runs no code of a file, but it hashes the keys of dicts, and a key of a few
-hundred bytes can be a tuple of 2**34 steps. Knows the two layouts that `torch.save` writes; knows no weight by name.
+PyTorch's own reader of plain weights executes no code of a file, but it hashes the keys of dicts, and a key of a few
+hundred bytes can be a tuple of 2**34 steps. Depends on the two layouts that `torch.save` writes; independent of the
+names of weights.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from stmc.io.arrays.numpy_files import LARGEST, ArraysError
 from stmc.io.arrays.pickles import SafeUnpickler, StandIn
 
 _LEGACY = 5
-"""Pickles at the beginning of a file of PyTorch before 1.6: mark, version, system, content, names of the storages."""
+"""Number of pickles at the beginning of a file of PyTorch before 1.6: magic number, version, system, content, names of
+the storages."""
 
 
 def check_checkpoint(path: Path) -> None:
-    """Raise `ArraysError` for a checkpoint with keys that are neither texts nor numbers; damage may remain."""
+    """Raise `ArraysError` if a checkpoint has keys that are neither texts nor numbers; other damage is not detected."""
     if not zipfile.is_zipfile(path):
         with path.open("rb") as file:
             _check(io.BytesIO(file.read(LARGEST)), _LEGACY)
@@ -40,25 +42,25 @@ def _check(stream: io.BytesIO, pickles: int) -> None:
 
 
 class _Callable(StandIn):
-    """What a name becomes, and what is made by calling it."""
+    """A stand-in for any name, and for the result of calling it."""
 
     def __call__(self, *_: object) -> _Callable:
         return self
 
 
 class _Inert(SafeUnpickler):
-    """Every name is a stand-in; nothing is kept of it."""
+    """An unpickler that replaces every name by a stand-in and discards its state."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """A harmless callable, for any name."""
+        """Return a harmless callable for any name."""
         return self._dict if (module, name) == ("collections", "OrderedDict") else _Callable
 
     def persistent_load(self, pid: object) -> _Callable:
-        """What a storage becomes."""
+        """Return a stand-in for a storage."""
         return _Callable()
 
     def load_build(self) -> None:
-        """A state, which is left aside."""
+        """Discard a state."""
         self.stack.pop()
 
     dispatch = SafeUnpickler.dispatch | {pickle.BUILD[0]: load_build}

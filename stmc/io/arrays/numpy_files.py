@@ -1,6 +1,6 @@
-"""`.npz` and `.npy` files: plain arrays or an error in a sentence.
+"""`.npz` and `.npy` files: plain arrays, or an error in one sentence.
 
-Knows NumPy's file formats and what a broken or hostile file does to them; knows no array by name.
+Depends on NumPy's file formats and handles broken or hostile files; independent of the names of arrays.
 """
 
 from __future__ import annotations
@@ -19,54 +19,65 @@ import numpy as np
 from stmc.io.untrusted import cut
 
 LARGEST = 2**31
-"""Bytes of one array, unpacked. A zip of a few kilobytes can promise to become more than any memory."""
+"""Maximum size of one decompressed array in bytes. A zip of a few kilobytes can expand beyond any memory."""
 
 MOST_ARRAYS = 1000
-"""Of an `.npz`."""
+"""Maximum number of arrays in an `.npz`."""
 
 _SHOWN = 200
-"""Characters of names in a message."""
+"""Maximum number of characters of names in a message."""
 
 
 class ArraysError(ValueError):
-    """A file of arrays that cannot be read or lacks one; the message names the file and what is wrong with it."""
+    """A file of arrays that cannot be read or lacks an array; the message names the file and the reason."""
 
 
 class Header(NamedTuple):
-    """The shape and the type of an array in a file."""
+    """The shape and dtype of an array in a file."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
 
 
 def npz_headers(path: Path) -> dict[str, Header]:
-    """The names of the arrays in an `.npz` and their headers, before an array is unpacked.
+    """Read the names and headers of the arrays in an `.npz` without decompressing an array.
 
-    Raises `ArraysError` for a file that is none, or damaged.
+    Raises `ArraysError` if the file is not an `.npz`, or is damaged.
     """
-    with _opened(path) as archive:
+    with _open_npz(path) as archive:
         names = [info.filename for info in archive.zip.infolist() if info.filename.endswith(".npy")]
-        return {name.removesuffix(".npy"): _header_within(archive.zip, name, path) for name in names}
+        return {name.removesuffix(".npy"): _read_header(archive.zip, name, path) for name in names}
 
 
 def read_npz(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
-    """The `required` arrays of an `.npz`, and those of the `optional` ones that it has.
+    """Read the `required` arrays of an `.npz`, and the `optional` ones that exist.
 
-    Raises `ArraysError` where one is missing, damaged, pickled or larger than `LARGEST`, and for names that would leave
-    a folder on unpacking, as no honest writer makes them. Nothing is ever unpacked to the disk.
+    Nothing is ever extracted to disk.
+
+    Args:
+        path: The file.
+        required: Names of arrays that must exist.
+        optional: Names of arrays that may exist.
+
+    Raises:
+        ArraysError: If an array is missing, damaged, pickled or larger than `LARGEST`, or if a name would leave its
+            folder on extraction.
     """
-    with _opened(path) as archive:
+    with _open_npz(path) as archive:
         if missing := [name for name in required if name not in archive.files]:
             has = cut(", ".join(archive.files), _SHOWN) or "none"
             raise ArraysError(f"{path} has no array {', '.join(missing)}; it has {has}")
-        wanted = [*required, *(name for name in optional if name in archive.files)]
-        for name in wanted:
-            _header_within(archive.zip, f"{name}.npy", path)
-        return {name: archive[name] for name in wanted}
+        names = [*required, *(name for name in optional if name in archive.files)]
+        for name in names:
+            _read_header(archive.zip, f"{name}.npy", path)
+        return {name: archive[name] for name in names}
 
 
 def read_npy(path: Path) -> np.ndarray:
-    """The array of an `.npy`. Raises `ArraysError` where the file is none, damaged, pickled or too large."""
+    """Read the array of an `.npy`.
+
+    Raises `ArraysError` if the file is damaged, pickled, too large or in another format.
+    """
     try:
         with path.open("rb") as file:
             mark = file.read(2)
@@ -80,12 +91,12 @@ def read_npy(path: Path) -> np.ndarray:
             return np.lib.format.read_array(file, allow_pickle=False)
     except ArraysError:
         raise
-    except Exception as error:  # a damaged file can raise whatever it likes
+    except Exception as error:  # a damaged file can raise any exception
         raise ArraysError(f"{path} cannot be read as .npy: {_reason(error)}") from error
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
+def _open_npz(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     try:
         with path.open("rb") as file:
             if file.read(6) == np.lib.format.MAGIC_PREFIX:
@@ -94,32 +105,32 @@ def _opened(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
             names = archive.zip.namelist()
             if len(names) > MOST_ARRAYS:
                 raise ArraysError(f"{path} has {len(names)} arrays; at most {MOST_ARRAYS} are read")
-            if strange := [name for name in names if "/" in name or "\\" in name or ".." in name]:
-                place = f"it names {cut(strange[0], _SHOWN)!r}, a place outside of itself"
-                raise ArraysError(f"{path} is not to be trusted: {place}")
+            if unsafe := [name for name in names if "/" in name or "\\" in name or ".." in name]:
+                place = f"it names {cut(unsafe[0], _SHOWN)!r}, a path outside of the archive"
+                raise ArraysError(f"{path} is not safe to read: {place}")
             yield archive
     except ArraysError:
         raise
-    except Exception as error:  # a damaged file can raise whatever it likes
+    except Exception as error:  # a damaged file can raise any exception
         raise ArraysError(f"{path} cannot be read as .npz: {_reason(error)}") from error
 
 
-def _header_within(archive: zipfile.ZipFile, name: str, path: Path) -> Header:
-    """Of an array of a zip."""
+def _read_header(archive: zipfile.ZipFile, name: str, path: Path) -> Header:
+    """Read and check the header of an array in a zip."""
     size, place = archive.getinfo(name).file_size, f"{path}: {cut(name.removesuffix('.npy'), _SHOWN)}"
     if size > LARGEST:
-        raise ArraysError(f"{place} would take {size} bytes, more than the {LARGEST} of any real file")
+        raise ArraysError(f"{place} has {size} bytes; the limit is {LARGEST}")
     with archive.open(name) as file:
         return _check_header(file, size, place)
 
 
 def _check_header(file: io.BufferedIOBase, size: int, place: str) -> Header:
-    """The header of an array in a file of `size` bytes, which the array must fill."""
+    """Read the header of an array, and check that the array fits in a file of `size` bytes."""
     version = np.lib.format.read_magic(file)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
-    if read is None:
-        raise ArraysError(f"{place} is in version {version[0]}.{version[1]} of the format; 1.0 and 2.0 are read")
-    shape, _, dtype = read(file)
+    reader = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
+    if reader is None:
+        raise ArraysError(f"{place} uses version {version[0]}.{version[1]} of the format; 1.0 and 2.0 are supported")
+    shape, _, dtype = reader(file)
     if dtype.hasobject:
         raise ArraysError(f"{place} cannot be read: {_OBJECTS}")
     expected = math.prod(shape) * dtype.itemsize

@@ -1,6 +1,6 @@
-"""Feet that stand: contacts found, feet locked, legs bent to where they are.
+"""Foot cleanup: detection of contacts, locking of feet, and bending of legs.
 
-Knows the geometry of legs; knows no features, no model and no text.
+Depends on the geometry of legs; independent of features, models and texts.
 """
 
 from stmc.motion.feet.cleaning import clean_feet

@@ -1,7 +1,8 @@
-"""When heels and toes stand on the floor: low and slow, for a while; or low and gliding, where nothing else carries.
+"""Contacts of heels and toes with the floor: low and slow, or low and gliding while nothing else supports the body.
 
-Knows points, steps and how high a pelvis is; knows no legs. A contact is a run of *steps*, from one frame to the next,
-in which the point should not move, so two contacts may follow each other without a frame between.
+Depends on points, steps and the height of the pelvis; independent of legs. A contact is a run of *steps*, from one
+frame to the next, in which the point should not move, so that two contacts may follow each other without a frame
+between them.
 """
 
 from __future__ import annotations
@@ -13,34 +14,40 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 _SPEED, _HEIGHT = 0.4, 0.1
-"""Metres a second on the floor, and metres above it when at rest, at which a point certainly does not stand; between
-the two, what counts is the sum of both as shares of these."""
+"""Speed in m/s on the floor, and height in metres at rest, above which a point certainly does not stand. In between,
+the score of a step is the sum of speed and height as fractions of these limits; a step below 1 may be a contact."""
 _GLIDE = 0.9
-"""Metres a second on the floor at which a foot that alone can carry certainly swings: feet that swing go 2 to 4."""
+"""Speed in m/s on the floor above which the only supporting foot certainly swings: swinging feet move at 2 to 4 m/s."""
 _SURE = 0.6
-"""The share that some step of a contact stays below."""
-_SHORTEST = 0.1
-"""Seconds of the shortest contact: the feet of runners stand for 0.15 s."""
+"""Score that at least one step of a contact must stay below."""
+_MIN_SECONDS = 0.1
+"""Minimum duration of a contact in seconds: the feet of runners stand for 0.15 s."""
 _RISE = 0.01
-"""Metres by which a point has come up from the lowest of its contact when it begins or ends."""
+"""Metres above the lowest point of a contact at which it begins or ends."""
 _GAP, _SHUFFLE = 0.15, 0.08
-"""Seconds, and metres, between two contacts that are one: nobody makes a step so short."""
+"""Seconds and metres between two contacts that are merged: no step is so short."""
 _FARTHEST = 0.5
-"""Metres that a foot glides at most in one contact: what goes farther is left to go."""
+"""Maximum distance in metres that a foot glides in one contact; longer glides are kept."""
 _FALL, _FALLING = 5.9, 0.05
-"""Metres per second² with which a pelvis falls that nothing carries, 0.6 of gravity's; seconds to both sides of the
-frame over which that is measured."""
+"""Acceleration in m/s² of an unsupported pelvis (0.6 of gravity), and seconds on either side over which it is measured.
+"""
 
 
 def standing_steps(
     feet: Float[Tensor, "frames feet 2 3"], pelvis: Float[Tensor, " frames"], fps: float | int, floor: float | int
 ) -> Bool[Tensor, "_ feet 2"]:
-    """When the heels and toes of two feet stand: `held_steps`, and where a foot glides that should stand, for it is low
-    and not fast, the other does not stand, and the `pelvis` (its height, metres) does not fall freely.
+    """Detect the steps in which the heels and toes of two feet stand.
 
-    Such steps are a contact with those around them in which the foot stands, under the same hysteresis. Of a foot that
-    glides, an end is held that moves as the stiller one does; one that rolls is not. Contacts of one end with next to
-    nothing between them are one.
+    These are `held_steps`, and the steps in which a foot glides but should stand: it is low and not fast, the other
+    foot does not stand, and the pelvis does not fall freely. Gliding steps form contacts together with the standing
+    steps around them, with the same hysteresis. The ends of a gliding foot that move like its stiller end are held; an
+    end that rolls is not. Contacts of one end that nearly touch are merged.
+
+    Args:
+        feet: Positions of heels and toes in metres, [frames, feet, 2, 3].
+        pelvis: Height of the pelvis in metres, [frames].
+        fps: Frames per second.
+        floor: Height of the floor in metres.
     """
     held, height, step = held_steps(feet, fps, floor), _height(feet, floor), feet.diff(dim=0)
     best, stiller = (step.norm(dim=-1) * fps / _GLIDE + height / _HEIGHT).min(dim=-1)
@@ -63,49 +70,56 @@ def standing_steps(
 def held_steps(
     points: Float[Tensor, "frames *points 3"], fps: float | int, floor: float | int
 ) -> Bool[Tensor, _ * points]:
-    """Whether each of the `points` (metres, z up) stands from each frame to the next; one step fewer than frames.
+    """Detect whether each point stands from each frame to the next; the result has one step fewer than frames.
 
-    Hysteresis: a contact is a run of steps that may be contacts, of which one surely is.
+    With hysteresis: a contact is a run of possible contact steps of which at least one is certain.
+
+    Args:
+        points: Positions in metres, z up, [frames, *points, 3].
+        fps: Frames per second.
+        floor: Height of the floor in metres.
     """
     height = _height(points, floor)
-    share = points.diff(dim=0).norm(dim=-1) * fps / _SPEED + height / _HEIGHT
-    held = torch.zeros_like(share, dtype=torch.bool)
-    for column, *each in zip(*(values.flatten(start_dim=1).T for values in (held, share, height)), strict=True):
-        for start, end in _contacts(*each, fps):
+    score = points.diff(dim=0).norm(dim=-1) * fps / _SPEED + height / _HEIGHT
+    held = torch.zeros_like(score, dtype=torch.bool)
+    for column, *values in zip(*(tensor.flatten(start_dim=1).T for tensor in (held, score, height)), strict=True):
+        for start, end in _contacts(*values, fps):
             column[start:end] = True
     return held
 
 
 def standing_frames(held: Bool[Tensor, "_ 2"]) -> Bool[Tensor, "frames 2"]:
-    """Whether each end stands in each frame: in the step before it or after it."""
+    """Return whether each end stands in each frame, that is, in the step before or after it."""
     none = torch.zeros_like(held[:1])
     return torch.cat([none, held]) | torch.cat([held, none])
 
 
 def runs(mask: Bool[Tensor, " steps"]) -> list[tuple[int, int]]:
-    """The first and the last (exclusive) of each run of True."""
+    """Return the start and the exclusive end of each run of True."""
     edges = torch.nn.functional.pad(mask.int(), (1, 1)).diff()
     return list(zip((edges > 0).nonzero()[:, 0].tolist(), (edges < 0).nonzero()[:, 0].tolist(), strict=True))
 
 
 def _contacts(
-    share: Float[Tensor, " steps"], height: Float[Tensor, " steps"], fps: float | int
+    score: Float[Tensor, " steps"], height: Float[Tensor, " steps"], fps: float | int
 ) -> list[tuple[int, int]]:
-    """The runs of steps with a `share` below 1, without what comes down or goes up at both ends, that are long enough
-    and in which one step is sure."""
-    found = []
-    for start, end in runs(share < 1):
+    """Find the runs of steps with a score below 1 that are long enough and contain a certain step.
+
+    Descending and ascending steps at both ends are removed.
+    """
+    contacts = []
+    for start, end in runs(score < 1):
         down = (height[start:end] <= height[start:end].min() + _RISE).nonzero()[:, 0]
         start, end = start + int(down[0]), start + int(down[-1]) + 1
-        if end - start >= _SHORTEST * fps - 1e-6 and share[start:end].min() < _SURE:
-            found.append((start, end))
-    return found
+        if end - start >= _MIN_SECONDS * fps - 1e-6 and score[start:end].min() < _SURE:
+            contacts.append((start, end))
+    return contacts
 
 
 def _close(
     held: Bool[Tensor, " steps"], points: Float[Tensor, "_ 3"], height: Float[Tensor, " steps"], fps: float | int
 ) -> None:
-    """Makes contacts of one point one, in place, where the time and the way between them are too short for a step."""
+    """Merge, in place, contacts of one point that are too close in time and space for a step between them."""
     for (_, end), (start, _) in pairwise(runs(held)):
         level = height[end:start].max() <= torch.minimum(height[end - 1], height[start]) + _RISE
         if start - end <= _GAP * fps + 1e-6 and level and (points[start] - points[end]).norm() < _SHUFFLE:
@@ -113,15 +127,15 @@ def _close(
 
 
 def _height(points: Float[Tensor, "frames *points 3"], floor: float | int) -> Float[Tensor, _ * points]:
-    """Metres above the floor, at the higher end of each step."""
+    """Return the height above the floor in metres, at the higher end of each step."""
     return (torch.maximum(points[1:, ..., 2], points[:-1, ..., 2]) - floor).clamp(min=0)
 
 
 def _falling(pelvis: Float[Tensor, " frames"], fps: float | int) -> Bool[Tensor, " steps"]:
-    """Whether nothing carries the pelvis at the beginning or the end of each step."""
-    reach = max(1, round(_FALLING * fps))
+    """Return whether the pelvis is unsupported at the beginning or the end of each step."""
+    span = max(1, round(_FALLING * fps))
     falls = torch.zeros_like(pelvis, dtype=torch.bool)
-    if len(pelvis) > 2 * reach:
-        bent = pelvis[2 * reach :] - 2 * pelvis[reach:-reach] + pelvis[: -2 * reach]
-        falls[reach:-reach] = bent * (fps / reach) ** 2 < -_FALL
+    if len(pelvis) > 2 * span:
+        second_difference = pelvis[2 * span :] - 2 * pelvis[span:-span] + pelvis[: -2 * span]
+        falls[span:-span] = second_difference * (fps / span) ** 2 < -_FALL
     return falls[1:] | falls[:-1]

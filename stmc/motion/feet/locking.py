@@ -1,6 +1,6 @@
-"""Where a foot should be: moved and turned so that its heel and toes stay while they stand, and stay above the floor.
+"""Foot locking: move and rotate a foot so that its standing heel and toes stay still and above the floor.
 
-Knows the points of one foot and when they are held; knows no legs, which follow (see `legs`).
+Depends on the points of one foot and their contacts; the legs follow in `leg_bending`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from stmc.motion.feet.contacts import runs, standing_frames
 from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle, shortest_arc
 
 _BLEND = 0.25
-"""Seconds over which a correction comes before a contact and goes after it."""
+"""Seconds over which a correction blends in before a contact and out after it."""
 _CALM = 0.1
-"""Metres a second of a step that counts half as much as one that stands still."""
+"""Speed in m/s at which a step has half the weight of a still one."""
 _FIXED = 1e6
-"""What a frame counts in which the foot may not be moved."""
+"""Weight of a frame in which the foot must not move."""
 
 
 @dataclass(frozen=True)
 class Foot:
-    """A foot over time: its ankle, how it is turned in the world, and its heel and toes in the foot's own frame."""
+    """A foot over time: its ankle, its world rotation, and its heel and toes in the foot's own frame."""
 
     ankle: Float[Tensor, "frames 3"]
     turned: Float[Tensor, "frames 3 3"]
@@ -40,11 +40,11 @@ class Foot:
         return self.ankle[:, None] + torch.stack([self.turned @ self.heel, self.turned @ self.toes], dim=1)
 
     def moved(self, way: Float[Tensor, "frames 3"]) -> Foot:
-        """Elsewhere, turned as it is."""
+        """Translate the foot."""
         return Foot(self.ankle + way, self.turned, self.heel, self.toes)
 
     def rotated(self, by: Float[Tensor, "frames 3 3"], about: Float[Tensor, "frames 3"]) -> Foot:
-        """Turned in the world `about` a point."""
+        """Rotate the foot in the world `about` a point."""
         ankle = about + (by @ (self.ankle - about)[..., None])[..., 0]
         return Foot(ankle, by @ self.turned, self.heel, self.toes)
 
@@ -52,81 +52,93 @@ class Foot:
 def locked(
     foot: Foot, held: Bool[Tensor, "_ 2"], fixed: Bool[Tensor, " frames"], fps: float | int, floor: float | int
 ) -> Foot:
-    """The foot whose heel and toes do not move in steps that are `held`, nor go below the `floor`.
+    """Lock a foot: its heel and toes do not move in held steps and do not go below the floor.
 
-    It stays where it is on average over each stance (the steps in which heel or toes stand, one after the other), and
-    far from all stances, where it is above the floor, is not touched at all. In frames that are `fixed` it is as it
-    was, and so are the stances that have one.
+    The foot stays at its average position over each stance (consecutive steps in which heel or toes stand). Far from
+    all stances it changes only if it is below the floor. Fixed frames, and stances that contain one, keep the foot in
+    place.
+
+    Args:
+        foot: The foot.
+        held: True at the steps in which heel and toes stand, [steps, 2].
+        fixed: True at the frames that must not change, [frames].
+        fps: Frames per second.
+        floor: Height of the floor in metres.
     """
-    floors = floor - _sunk(foot, fixed, fps, floor)
-    level = foot.rotated(axis_angle_to_matrix(_levelling(foot, held, fixed, fps)), foot.ankle)
-    return _above(level.moved(_staying(level, held, fixed, fps, floors)), floors)
+    floors = floor - _allowed_depth(foot, fixed, fps, floor)
+    level = foot.rotated(axis_angle_to_matrix(_level(foot, held, fixed, fps)), foot.ankle)
+    return _lift_above(level.moved(_hold(level, held, fixed, fps, floors)), floors)
 
 
 def away(fixed: Bool[Tensor, " frames"], span: float | int) -> Float[Tensor, " frames"]:
-    """0 in frames that are `fixed`, smoothly 1 from `span` frames away on."""
-    share = (_distance(fixed) / max(1, span)).clamp(max=1)
-    return share**2 * (3 - 2 * share)
+    """Return a weight that is 0 in `fixed` frames and rises smoothly to 1 at a distance of `span` frames."""
+    weight = (_distance(fixed) / max(1, span)).clamp(max=1)
+    return weight**2 * (3 - 2 * weight)
 
 
 def _distance(fixed: Bool[Tensor, " frames"]) -> Float[Tensor, " frames"]:
-    """Frames to the next one that is `fixed`."""
+    """Count the frames to the nearest `fixed` frame."""
     frames = torch.arange(len(fixed), dtype=torch.float64)
-    found = [(frames - edge).abs() for start, end in runs(fixed) for edge in (start, end - 1)]
-    return torch.where(fixed, 0.0, torch.stack(found).amin(dim=0)) if found else torch.full_like(frames, torch.inf)
+    distances = [(frames - edge).abs() for start, end in runs(fixed) for edge in (start, end - 1)]
+    return (
+        torch.where(fixed, 0.0, torch.stack(distances).amin(dim=0)) if distances else torch.full_like(frames, torch.inf)
+    )
 
 
-def _sunk(foot: Foot, fixed: Bool[Tensor, " frames"], fps: float | int, floor: float | int) -> Float[Tensor, " frames"]:
-    """How deep below the floor it may be, since it is in the nearest `fixed` frames."""
+def _allowed_depth(
+    foot: Foot, fixed: Bool[Tensor, " frames"], fps: float | int, floor: float | int
+) -> Float[Tensor, " frames"]:
+    """Return the allowed depth below the floor, which follows from the nearest `fixed` frames."""
     deep = (floor - foot.points[..., 2].amin(dim=1)).clamp(min=0)
     allowed, frames = torch.where(fixed, deep, 0.0), torch.arange(len(fixed))
     for start, end in runs(fixed):
         for edge in (start, end - 1):
-            share = (1 - (frames - edge).abs() / (_BLEND * fps)).clamp(min=0)
-            allowed = torch.maximum(allowed, torch.where(fixed, 0.0, deep[edge] * share))
+            weight = (1 - (frames - edge).abs() / (_BLEND * fps)).clamp(min=0)
+            allowed = torch.maximum(allowed, torch.where(fixed, 0.0, deep[edge] * weight))
     return allowed
 
 
 def _stances(steps: Bool[Tensor, " _"], fixed: Bool[Tensor, " frames"]) -> list[tuple[int, int]]:
-    """The first and the last frame of each run of `steps`, and of what is `fixed`, joined where they share a frame."""
-    found = runs(steps | (fixed[1:] & fixed[:-1]))
+    """Return the first and last frame of each run of `steps` or `fixed` frames, merged if they share a frame."""
+    stances = runs(steps | (fixed[1:] & fixed[:-1]))
     inside = torch.zeros_like(fixed)
-    for start, end in found:
+    for start, end in stances:
         inside[start : end + 1] = True
-    return sorted(found + [(frame, frame) for frame in (fixed & ~inside).nonzero()[:, 0].tolist()])
+    return sorted(stances + [(frame, frame) for frame in (fixed & ~inside).nonzero()[:, 0].tolist()])
 
 
-def _between(values: Float[Tensor, "_ 3"], fixed: Bool[Tensor, " _"]) -> Float[Tensor, "_ 3"]:
-    """Those of the `fixed` frames, on straight lines between them."""
-    frames, known = np.arange(len(values)), fixed.nonzero()[:, 0].numpy()
-    columns = [np.interp(frames, known, column[fixed].numpy()) for column in values.T]
+def _interpolate(values: Float[Tensor, "_ 3"], fixed: Bool[Tensor, " _"]) -> Float[Tensor, "_ 3"]:
+    """Interpolate linearly between the values of the `fixed` frames."""
+    frames, knots = np.arange(len(values)), fixed.nonzero()[:, 0].numpy()
+    columns = [np.interp(frames, knots, column[fixed].numpy()) for column in values.T]
     return torch.from_numpy(np.stack(columns, axis=1))
 
 
-def _levelling(
+def _level(
     foot: Foot, held: Bool[Tensor, "_ 2"], fixed: Bool[Tensor, " frames"], fps: float | int
 ) -> Float[Tensor, "frames 3"]:
-    """Rotation vectors that keep the foot's direction while both its ends stand."""
+    """Return rotation vectors that hold the direction of the foot while both its ends stand."""
     along = normalize(foot.points[:, 1] - foot.points[:, 0], dim=-1)
     turns, spans = torch.zeros_like(along), _stances(held.all(dim=1), fixed)
     for start, end in spans:
-        own, known = along[start : end + 1], fixed[start : end + 1]
-        wanted = _between(own, known) if known.any() else own.mean(dim=0).expand_as(own)
-        turns[start : end + 1] = matrix_to_axis_angle(shortest_arc(own, normalize(wanted, dim=-1)))
+        directions, anchored = along[start : end + 1], fixed[start : end + 1]
+        targets = _interpolate(directions, anchored) if anchored.any() else directions.mean(dim=0).expand_as(directions)
+        turns[start : end + 1] = matrix_to_axis_angle(shortest_arc(directions, normalize(targets, dim=-1)))
     turns[fixed] = 0.0
     return blended(turns, spans, fps)
 
 
-def _staying(
+def _hold(
     foot: Foot,
     held: Bool[Tensor, "_ 2"],
     fixed: Bool[Tensor, " frames"],
     fps: float | int,
     floors: Float[Tensor, " frames"],
 ) -> Float[Tensor, "frames 3"]:
-    """How far to move the foot in each frame so that what stands stays: the sum of the steps that it should not make.
+    """Compute the translation of the foot per frame that keeps standing points still.
 
-    Where each stance is as a whole is `_placed`'s matter, but for what lifts it to the floor, and what is fixed.
+    It sums the steps to cancel. `_place_stances` chooses the position of each stance as a whole, except for lifts to
+    the floor and fixed frames.
     """
     points, spans = foot.points, _stances(held.any(dim=1), fixed)
     steps = torch.where(held[:, 1:], points[:, 1].diff(dim=0), points[:, 0].diff(dim=0)) * held.any(dim=1)[:, None]
@@ -139,43 +151,45 @@ def _staying(
         for (start, end), weight in zip(spans, weights, strict=True)
     ]
     depths = torch.where(standing_frames(held), floors[:, None] - points[..., 2], -torch.inf).amax(dim=1)
-    ways = torch.zeros_like(foot.ankle)
-    for (start, end), way in zip(spans, _placed(summed, weights, spans, _BLEND * fps), strict=True):
-        known = fixed[start : end + 1]
-        if known.any():
-            way = way - _between(way, known)
+    shifts = torch.zeros_like(foot.ankle)
+    for (start, end), shift in zip(spans, _place_stances(summed, weights, spans, _BLEND * fps), strict=True):
+        anchored = fixed[start : end + 1]
+        if anchored.any():
+            shift = shift - _interpolate(shift, anchored)
         else:
-            lift = (depths[start : end + 1] - way[:, 2]).amax().clamp(min=0)
-            way = way + lift * way.new_tensor([0.0, 0.0, 1.0])
-        ways[start : end + 1] = way
-    return blended(ways, spans, fps)
+            lift = (depths[start : end + 1] - shift[:, 2]).amax().clamp(min=0)
+            shift = shift + lift * shift.new_tensor([0.0, 0.0, 1.0])
+        shifts[start : end + 1] = shift
+    return blended(shifts, spans, fps)
 
 
-def _placed(
-    ways: list[Float[Tensor, "_ 3"]], weights: list[Float[Tensor, "_ 1"]], spans: list[tuple[int, int]], span: float
+def _place_stances(
+    paths: list[Float[Tensor, "_ 3"]], weights: list[Float[Tensor, "_ 1"]], spans: list[tuple[int, int]], span: float
 ) -> list[Float[Tensor, "_ 3"]]:
-    """`ways`, each with a constant added: those with the least weighted sum of squares, to which the jumps between
-    neighbours add theirs, the more the shorter the time between the two."""
-    if not ways:
+    """Add a constant to each element of `paths` that minimises a weighted sum of squares.
+
+    The sum includes the squared jumps between neighbours, with more weight for shorter gaps.
+    """
+    if not paths:
         return []
-    bands = np.zeros((3, len(ways)))
+    bands = np.zeros((3, len(paths)))
     bands[1] = [float(weight.sum()) for weight in weights]
-    right = np.stack([-(way * weight).sum(dim=0).numpy() for way, weight in zip(ways, weights, strict=True)])
+    right = np.stack([-(path * weight).sum(dim=0).numpy() for path, weight in zip(paths, weights, strict=True)])
     for index, (before, after) in enumerate(pairwise(spans)):
         gap = after[0] - before[1]
         tie = span**2 / gap * (gap < 2 * span)
-        jump = tie * (ways[index + 1][0] - ways[index][-1]).numpy()
+        jump = tie * (paths[index + 1][0] - paths[index][-1]).numpy()
         bands[1, index : index + 2] += tie
         bands[0, index + 1] = bands[2, index] = -tie
         right[index : index + 2] += [jump, -jump]
-    from scipy.linalg import solve_banded  # not above: it is slow to import
+    from scipy.linalg import solve_banded  # imported late: it is slow to import
 
     constants = torch.from_numpy(solve_banded((1, 1), bands, right))
-    return [way + constant for way, constant in zip(ways, constants, strict=True)]
+    return [path + constant for path, constant in zip(paths, constants, strict=True)]
 
 
-def _above(foot: Foot, floors: Float[Tensor, " frames"]) -> Foot:
-    """Lifted until its higher end is not below the floor, then turned about that end until the other is not."""
+def _lift_above(foot: Foot, floors: Float[Tensor, " frames"]) -> Foot:
+    """Lift the foot until its higher end is above the floor, then rotate it about that end until the other end is."""
     lift = torch.zeros_like(foot.ankle)
     lift[:, 2] = (floors - foot.points[..., 2].amax(dim=1)).clamp(min=0)
     foot = foot.moved(lift)
@@ -186,24 +200,24 @@ def _above(foot: Foot, floors: Float[Tensor, " frames"]) -> Foot:
     length = along.norm(dim=-1)
     down = torch.maximum(along[:, 2], floors - about[:, 2])
     flat = normalize(along[:, :2] + 1e-9, dim=-1) * (length**2 - down**2).clamp(min=0).sqrt()[:, None]
-    wanted = torch.cat([flat, down[:, None]], dim=1)
-    turn = shortest_arc(along / length[:, None], wanted / length[:, None])
-    same = torch.eye(3, dtype=turn.dtype, device=turn.device)
-    return foot.rotated(torch.where((down > along[:, 2])[:, None, None], turn, same), about)
+    target = torch.cat([flat, down[:, None]], dim=1)
+    turn = shortest_arc(along / length[:, None], target / length[:, None])
+    identity = torch.eye(3, dtype=turn.dtype, device=turn.device)
+    return foot.rotated(torch.where((down > along[:, 2])[:, None, None], turn, identity), about)
 
 
 def blended(
     values: Float[Tensor, "frames 3"], spans: list[tuple[int, int]], fps: float | int
 ) -> Float[Tensor, "frames 3"]:
-    """`values`, given in the frames [start, end] of `spans`, going smoothly to zero in the frames before and after."""
-    # they do not go on as they went first: a foot that is about to leave would be drawn down again, and drag
+    """Blend `values`, defined in the frames [start, end] of `spans`, smoothly to zero before and after."""
+    # the correction does not continue its slope: it would pull down a foot that is about to leave, and drag it
     blended, frames = values.clone(), torch.arange(len(values))
     bounds = [-len(values), *(edge for span in spans for edge in span), 2 * len(values)]
     for index in range(1, len(bounds) - 1):
         edge, outwards = bounds[index], 1 if index % 2 == 0 else -1
         room = abs(bounds[index + outwards] - edge)
         away = (frames - edge) * outwards
-        there = (away > 0) & (away < room)
-        share = (away[there, None].to(values) / min(_BLEND * fps, room)).clamp(max=1)
-        blended[there] += values[edge] * (1 - share**2 * (3 - 2 * share))
+        inside = (away > 0) & (away < room)
+        weight = (away[inside, None].to(values) / min(_BLEND * fps, room)).clamp(max=1)
+        blended[inside] += values[edge] * (1 - weight**2 * (3 - 2 * weight))
     return blended

@@ -1,7 +1,7 @@
-"""The 135 numbers per frame that models of BABEL are trained on (Athanasiou et al. 2022; FlowMDM, section 4.1): motions
-to features and back.
+"""The 135 features per frame of models trained on BABEL: motions to features and back.
 
-Knows the formulas; where each number stands is `layout.BABEL_LAYOUT`'s to say. Not normalised.
+See Athanasiou et al. (2022) and FlowMDM, section 4.1. `layout.BABEL_LAYOUT` defines the order of the features. They are
+not normalised.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from stmc.motion.representation.layout import BABEL_LAYOUT, Layout
 
 
 class BabelRepresentation(Representation):
-    """Motion ⇄ features in the world's axes, once the whole motion was turned to begin facing one way.
+    """Motion ⇄ features in the world's axes, after rotating the whole motion to begin in one direction.
 
     Per frame, in metres and *per frame* (not per second), z up:
 
-    - `root_height`: z of the pelvis. Published features have SMPL's translation here, which lies lower by the height of
-      the rest pose's pelvis (some centimetres; see `Skeleton.smpl_translation`);
-    - `root_velocity`: horizontal step of the pelvis from the frame before; zero in the first;
-    - `rotations`: 22 local rotations, each the first two rows of its matrix; the root's with its heading.
+    - `root_height`: z of the pelvis. Published features have SMPL's translation here, which is lower by the height of
+      the pelvis in the rest pose (some centimetres; see `Skeleton.smpl_translation`);
+    - `root_velocity`: horizontal step of the pelvis from the previous frame; zero in the first;
+    - `rotations`: 22 local rotations, each as the first two rows of its matrix; the root's includes its heading.
 
-    What the motion is turned by is taken from the first root rotation's axis-angle vector: its z component, and a
-    quarter turn. That is the heading only about; so one motion seen from two sides has features that are a turn about
-    the vertical apart. It is what published models were trained on.
+    The rotation angle of the motion is the z component of the axis-angle vector of the first root rotation, plus a
+    quarter turn. This is only approximately the heading; therefore the features of one motion seen from two sides may
+    differ by a rotation about the vertical. Published models were trained on these features.
     """
 
     layout: ClassVar[Layout] = BABEL_LAYOUT
 
     @property
     def skeleton(self) -> Skeleton:
-        """The bundled one: the features have no bones of their own."""
+        """The bundled skeleton: the features have no bones of their own."""
         return Skeleton.default()
 
     def encode(self, motion: Motion) -> Float[Tensor, "frames features"]:
-        """Features of every frame, in the motion's dtype."""
-        return self.differentiate(*_turned(motion.rotations, motion.translation, -_first_angle(motion.rotations)))
+        """Compute the features of every frame, in the motion's dtype."""
+        return self.differentiate(*_rotate(motion.rotations, motion.translation, -_first_angle(motion.rotations)))
 
     def decode(
         self,
@@ -55,16 +55,25 @@ class BabelRepresentation(Representation):
         skeleton: Skeleton | None = None,
         heading: float | int = 0.0,
     ) -> Motion:
-        """The motion that starts above the origin with `heading` radians, posed on `skeleton` (None: the bundled one);
-        any finite features give one. Raises `ValueError` for another width than 135."""
+        """Decode any finite features to a motion that starts above the origin with `heading`.
+
+        Args:
+            features: Features, [frames, 135].
+            fps: Frames per second.
+            skeleton: Skeleton to pose; None uses the bundled one.
+            heading: Initial heading in radians.
+
+        Raises:
+            ValueError: If the width is not 135.
+        """
         rotations, translation = self.integrate(features)
-        rotations, translation = _turned(rotations, translation, heading - heading_of(rotations[0, 0]))
+        rotations, translation = _rotate(rotations, translation, heading - heading_of(rotations[0, 0]))
         return Motion.posed(rotations, translation, fps, self.skeleton if skeleton is None else skeleton)
 
     def differentiate(
         self, rotations: Float[Tensor, "frames 22 3 3"], translation: Float[Tensor, "frames 3"]
     ) -> Float[Tensor, "frames 135"]:
-        """Features of a motion as it stands, not turned."""
+        """Compute the features of a motion without rotating it first."""
         steps = translation[:, :2].diff(dim=0, prepend=translation[:1, :2])
         rows = rearrange(matrix_to_rows(rotations), "frames joints six -> frames (joints six)")
         fields = {"root_height": translation[:, 2:], "root_velocity": steps, "rotations": rows}
@@ -73,9 +82,9 @@ class BabelRepresentation(Representation):
     def integrate(
         self, features: Float[Tensor, "frames features"]
     ) -> tuple[Float[Tensor, "frames 22 3 3"], Float[Tensor, "frames 3"]]:
-        """Rotations and pelvis positions, from above the origin on: the inverse of `differentiate`."""
+        """Invert `differentiate`: compute rotations and pelvis positions, starting above the origin."""
         if features.shape[-1] != self.width:
-            raise ValueError(f"features must have {self.width} columns, not {features.shape[-1]}")
+            raise ValueError(f"features have {features.shape[-1]} columns; this representation needs {self.width}")
         path = features[:, self.layout["root_velocity"]].cumsum(dim=0)
         translation = torch.cat([path - path[:1], features[:, self.layout["root_height"]]], dim=-1)
         rows = rearrange(features[:, self.layout["rotations"]], "frames (joints six) -> frames joints six", six=6)
@@ -86,9 +95,9 @@ def _first_angle(rotations: Float[Tensor, "frames 22 3 3"]) -> Float[Tensor, ""]
     return matrix_to_axis_angle(rotations[0, 0])[2] + math.pi / 2
 
 
-def _turned(
+def _rotate(
     rotations: Float[Tensor, "frames 22 3 3"], translation: Float[Tensor, "frames 3"], angle: Float[Tensor, ""]
 ) -> tuple[Float[Tensor, "frames 22 3 3"], Float[Tensor, "frames 3"]]:
-    """About the vertical through the origin."""
+    """Rotate a motion about the vertical through the origin."""
     turn = rotation_z(angle)
     return torch.cat([(turn @ rotations[:, 0])[:, None], rotations[:, 1:]], dim=1), translation @ turn.mT

@@ -1,6 +1,6 @@
-"""What every representation is: motions as feature vectors with a named layout, and back.
+"""The interface of every representation: motions as feature vectors with a named layout, and back.
 
-Knows what follows from the layout alone, and no formula: these are `smpl`'s, `humanml3d`'s and `babel`'s.
+This module derives properties from the layout alone; `smpl`, `humanml3d` and `babel` hold the formulas.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from stmc.motion.motion import Motion
 from stmc.motion.representation.layout import Layout
 
 JointsFrom = Literal["skeleton", "features"]
-"""Where a decoded motion has its joints from: a skeleton that is posed, or the features' own positions."""
+"""Source of the joints of a decoded motion: a posed skeleton, or the positions in the features."""
 
 
 @runtime_checkable
 class Representation(Protocol):
-    """Motion ⇄ features that are not normalised and do not depend on where the body stands and looks."""
+    """Motion ⇄ features that are not normalised and do not depend on the body's position and heading."""
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(f'{each.name} {each.size}' for each in self.layout.fields)})"
+        return f"{type(self).__name__}({', '.join(f'{field.name} {field.size}' for field in self.layout.fields)})"
 
     @property
     def layout(self) -> Layout:
-        """The fields, in their order."""
+        """The fields, in order."""
         ...
 
     @property
     def width(self) -> int:
-        """Numbers per frame."""
+        """Number of features per frame."""
         return self.layout.width
 
     @property
@@ -43,11 +43,14 @@ class Representation(Protocol):
 
     @property
     def skeleton(self) -> Skeleton:
-        """The body whose motions the features are, unless the data or the user has another."""
+        """The body of the features, unless the data or the user has another one."""
         ...
 
     def encode(self, motion: Motion) -> Float[Tensor, "_ features"]:
-        """Features of the motion in its dtype; as many rows as frames, or fewer where the format needs a next frame."""
+        """Compute the features of a motion in its dtype.
+
+        There are as many rows as frames, or fewer if the format needs a next frame.
+        """
         ...
 
     def decode(
@@ -57,8 +60,12 @@ class Representation(Protocol):
         skeleton: Skeleton | None = None,
         heading: float | int = 0.0,
     ) -> Motion:
-        """A motion with a frame for each row that starts above the origin with `heading` radians, from any features.
+        """Decode any features to a motion with one frame per row, starting above the origin.
 
-        Joints are the features' own; with a `skeleton` it is posed, so that bones keep its lengths.
+        Args:
+            features: Features, [frames, features].
+            fps: Frames per second.
+            skeleton: Skeleton to pose, so that bones have its lengths; None uses the joints of the features.
+            heading: Initial heading in radians.
         """
         ...

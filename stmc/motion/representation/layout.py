@@ -1,6 +1,6 @@
-"""Feature vectors as named fields: slices and each body part's columns follow from names, joints and widths.
+"""Feature vectors as named fields; slices and each body part's columns follow from names, joints and widths.
 
-Knows which field stands where and who owns it; knows no formula (see `smpl`) and no tensor.
+Defines the position and the owner of each field; independent of formulas (see `smpl`) and tensors.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from stmc.motion.body import JOINTS, NUM_ROTATIONS, BodyPart
 
 @dataclass(frozen=True)
 class Field:
-    """`width` numbers for each of `joints`, joint after joint. A body part owns its joints' numbers.
+    """A block of features: `width` numbers for each of `joints`, joint after joint, owned by the joints' body parts.
 
-    Quantities of the whole body (root height, velocities) are fields of the pelvis. Raises `ValueError` for a width
-    below one, no joint, a joint twice or one that `body.JOINTS` does not have.
+    Quantities of the whole body (root height, velocities) are fields of the pelvis. Raises `ValueError` if the width is
+    below one, if there is no joint, or if a joint is repeated or not in `body.JOINTS`.
     """
 
     name: str
@@ -34,13 +34,13 @@ class Field:
 
     @property
     def size(self) -> int:
-        """Numbers per frame."""
+        """Number of features per frame."""
         return self.width * len(self.joints)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Fields one after the other. Raises `ValueError` where two have the same name."""
+    """Consecutive fields. Raises `ValueError` if two have the same name."""
 
     fields: tuple[Field, ...]
 
@@ -51,12 +51,12 @@ class Layout:
 
     @cached_property
     def width(self) -> int:
-        """Numbers per frame."""
+        """Number of features per frame."""
         return sum(field.size for field in self.fields)
 
     @cached_property
     def slices(self) -> Mapping[str, slice]:
-        """Where each field stands in the feature vector."""
+        """Slice of each field in the feature vector."""
         slices, start = {}, 0
         for field in self.fields:
             slices[field.name] = slice(start, start + field.size)
@@ -65,19 +65,22 @@ class Layout:
 
     @cached_property
     def columns(self) -> dict[BodyPart, tuple[int, ...]]:
-        """The columns that each body part owns, ascending; together all columns, each once."""
+        """The columns that each body part owns, in ascending order; every column has exactly one owner."""
         part_of = {joint: part for part in BodyPart for joint in part.joints}
         owners = [part_of[joint] for field in self.fields for joint in field.joints for _ in range(field.width)]
         return {part: tuple(column for column, owner in enumerate(owners) if owner is part) for part in BodyPart}
 
     def filled(self, values: Mapping[str, float], otherwise: float) -> tuple[float, ...]:
-        """A number for every feature: its field's, or `otherwise`. Raises `ValueError` for fields that do not exist."""
+        """Return one number per feature: the value of its field, or `otherwise`.
+
+        Raises `ValueError` if a field does not exist.
+        """
         if unknown := set(values) - set(self.slices):
             raise ValueError(f"unknown fields {sorted(unknown)}; choose from {', '.join(self.slices)}")
         return tuple(float(values.get(field.name, otherwise)) for field in self.fields for _ in range(field.size))
 
     def __getitem__(self, name: str) -> slice:
-        """The slice of the field `name`; `KeyError` names the fields there are."""
+        """Return the slice of the field `name`. Raises `KeyError` with the existing names."""
         if name not in self.slices:
             raise KeyError(f"no field {name!r}; choose from {', '.join(self.slices)}")
         return self.slices[name]
@@ -92,7 +95,7 @@ SMPL_LAYOUT = Layout(
         Field("positions", 3, JOINTS[1:]),
     )
 )
-"""The 205 numbers of MDM-SMPL (STMC, appendix D); see `SmplRepresentation`."""
+"""The 205 features of MDM-SMPL (STMC, appendix D); see `SmplRepresentation`."""
 
 HUMANML3D_LAYOUT = Layout(
     (
@@ -105,7 +108,7 @@ HUMANML3D_LAYOUT = Layout(
         Field("contacts", 1, ("left_ankle", "left_foot", "right_ankle", "right_foot")),
     )
 )
-"""The 263 numbers of HumanML3D (Guo et al. 2022)."""
+"""The 263 features of HumanML3D (Guo et al. 2022); see `HumanML3DRepresentation`."""
 
 BABEL_LAYOUT = Layout(
     (
@@ -114,4 +117,4 @@ BABEL_LAYOUT = Layout(
         Field("rotations", 6, JOINTS[:NUM_ROTATIONS]),
     )
 )
-"""The 135 numbers of models of BABEL; see `BabelRepresentation`."""
+"""The 135 features of models trained on BABEL; see `BabelRepresentation`."""

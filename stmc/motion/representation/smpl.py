@@ -1,6 +1,6 @@
-"""The 205 numbers per frame of MDM-SMPL (STMC, section 3.4 and appendix D): motions to features and back.
+"""The 205 features per frame of MDM-SMPL (STMC, section 3.4 and appendix D): motions to features and back.
 
-Knows the formulas; where each number stands is `layout.SMPL_LAYOUT`'s to say. Not normalised.
+`layout.SMPL_LAYOUT` defines the order of the features. They are not normalised.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ _LEG_PARENTS = [-1, *(_LEGS.index(PARENTS[joint]) for joint in _LEGS[1:])]
 
 
 class SmplRepresentation(Representation):
-    """Motion ⇄ features, the same wherever the body stands and wherever it looks.
+    """Motion ⇄ features that do not depend on the body's position and heading.
 
     Per frame, in metres, radians and *per frame* (not per second), z up:
 
-    - `root_height`: of the pelvis above the lowest joint of the whole motion;
+    - `root_height`: height of the pelvis above the lowest joint of the whole motion;
     - `root_velocity`: horizontal step of the pelvis to the next frame, in this frame's heading frame;
     - `yaw_velocity`: turn of the heading to the next frame;
-    - `rotations`: 22 local rotations, each the first two rows of its matrix; the root's without the heading;
-    - `positions`: of joints 1 to 23 relative to the pelvis, in the heading frame.
+    - `rotations`: 22 local rotations, each as the first two rows of its matrix; the root's excludes the heading;
+    - `positions`: positions of joints 1 to 23 relative to the pelvis, in the heading frame.
     """
 
     layout: ClassVar[Layout] = SMPL_LAYOUT
 
     @property
     def skeleton(self) -> Skeleton:
-        """The default one."""
+        """The default skeleton."""
         return Skeleton.default()
 
     def encode(self, motion: Motion) -> Float[Tensor, "frames features"]:
-        """Features of `motion`, in its dtype.
+        """Compute the features of `motion`, in its dtype.
 
-        The last frame has no next one: its velocities continue the line through the two before (constant for two
-        frames, zero for one).
+        The last frame has no next frame: its velocities extrapolate the two before linearly (constant for two frames,
+        zero for one).
         """
         root, pelvis = motion.rotations[:, 0], motion.joints[:, 0]
         yaw = heading_of(root)
         to_heading = rotation_z(-yaw)
         steps = pelvis[:, :2].diff(dim=0)
-        velocity = to_heading[:, :2, :2] @ _continued(steps)[..., None]
-        turn = wrap(_continued(wrap(yaw.diff(dim=0))))
+        velocity = to_heading[:, :2, :2] @ _extrapolate(steps)[..., None]
+        turn = wrap(_extrapolate(wrap(yaw.diff(dim=0))))
         rotations = torch.cat([(to_heading @ root)[:, None], motion.rotations[:, 1:]], dim=1)
         positions = (motion.joints[:, 1:] - pelvis[:, None]) @ to_heading.mT
         fields = {
@@ -73,10 +73,17 @@ class SmplRepresentation(Representation):
         skeleton: Posable | None = None,
         heading: float | int = 0.0,
     ) -> Motion:
-        """The motion that starts above the origin with `heading` radians; any finite features give one.
+        """Decode any finite features to a motion that starts above the origin with `heading`.
 
-        Joints are the features' own positions; with a `skeleton` they follow from the rotations, so that bones keep
-        their length (what exports and viewers want). Raises `ValueError` for another width than 205.
+        Args:
+            features: Features, [frames, 205].
+            fps: Frames per second.
+            skeleton: Skeleton to pose, so that bones keep their lengths (for exports and viewers); None uses the joint
+                positions of the features.
+            heading: Initial heading in radians.
+
+        Raises:
+            ValueError: If the width is not 205.
         """
         rotations, translation, joints = self.integrate(features, heading)
         if skeleton is not None:
@@ -88,18 +95,18 @@ class SmplRepresentation(Representation):
     ) -> tuple[
         Float[Tensor, "*batch frames 22 3 3"], Float[Tensor, "*batch frames 3"], Float[Tensor, "*batch frames 24 3"]
     ]:
-        """Rotations, pelvis positions and joints of one or many feature sequences: what `decode` makes motions of.
+        """Compute rotations, pelvis positions and joints of one or many feature sequences, for `decode`.
 
-        A heading that the predicted root rotation has beyond the integrated one is dropped, as published. Padded frames
-        come after the valid ones and change nothing before them.
+        The heading of the predicted root rotation is replaced by the integrated heading, as published. Padded frames
+        follow the valid ones and do not influence them.
         """
         if features.shape[-1] != self.width:
-            raise ValueError(f"features must have {self.width} columns, not {features.shape[-1]}")
+            raise ValueError(f"features have {features.shape[-1]} columns; this representation needs {self.width}")
         first = torch.as_tensor(heading, dtype=features.dtype, device=features.device)
-        yaw = first[..., None] + _integrated(features[..., self.layout["yaw_velocity"]])[..., 0]
+        yaw = first[..., None] + _integrate_steps(features[..., self.layout["yaw_velocity"]])[..., 0]
         from_heading = rotation_z(yaw)
         velocity = features[..., self.layout["root_velocity"], None]
-        path = _integrated((from_heading[..., :2, :2] @ velocity)[..., 0])
+        path = _integrate_steps((from_heading[..., :2, :2] @ velocity)[..., 0])
         translation = torch.cat([path, features[..., self.layout["root_height"]]], dim=-1)
 
         rows = rearrange(features[..., self.layout["rotations"]], "... (joints width) -> ... joints width", width=6)
@@ -115,10 +122,10 @@ class SmplRepresentation(Representation):
     def foot_velocities(
         self, features: Float[Tensor, "*batch frames features"], skeleton: Skeleton
     ) -> Float[Tensor, "*batch _ 6"]:
-        """How far the left and the right toes move to the next frame, in metres, in the heading frame of the first:
-        what the legs' rotations and the root's velocities say together. One frame shorter; differentiable.
+        """Compute the steps of the left and right toes to the next frame, in metres, from rotations and root velocity.
 
-        Zero while a foot stands; what MDM's foot loss looks at (Tevet et al. 2023, Eq. 4).
+        They are in the heading frame of the earlier frame, one frame shorter than the features, and differentiable.
+        They vanish while a foot stands, as in MDM's foot loss (Tevet et al. 2023, Eq. 4).
         """
         rows = rearrange(features[..., self.layout["rotations"]], "... (joints width) -> ... joints width", width=6)
         local = rows_to_matrix(rows[..., _LEGS[:-2], :])
@@ -134,14 +141,14 @@ class SmplRepresentation(Representation):
         return rearrange(steps, "... feet width -> ... (feet width)")
 
 
-def _continued(steps: Float[Tensor, " frames *width"]) -> Float[Tensor, " _ *width"]:
-    """One value more than `steps`: the last ones continue in a straight line."""
+def _extrapolate(steps: Float[Tensor, " frames *width"]) -> Float[Tensor, " _ *width"]:
+    """Append one value to `steps` by linear extrapolation."""
     if len(steps) == 0:
         return steps.new_zeros(1, *steps.shape[1:])
     last = 2 * steps[-1:] - steps[-2:-1] if len(steps) > 1 else steps
     return torch.cat([steps, last])
 
 
-def _integrated(steps: Float[Tensor, "*batch frames width"]) -> Float[Tensor, "*batch frames width"]:
-    """Where the steps lead, from zero: the sum of all steps before each frame."""
+def _integrate_steps(steps: Float[Tensor, "*batch frames width"]) -> Float[Tensor, "*batch frames width"]:
+    """Integrate steps from zero: sum all steps before each frame."""
     return torch.nn.functional.pad(steps.cumsum(dim=-2)[..., :-1, :], (0, 0, 1, 0))

@@ -34,8 +34,10 @@ _TOGETHER, _APART = 0.3, 0.5
 def keep_feet(
     source: Performer, target: Performer, rig: Rig, spread: Float[Tensor, "driven 3 3"], fps: float | int
 ) -> Performer:
-    """The target with feet that are as high as the source's, and that move over the floor as the source's do while
-    these stand; both have legs of the same length."""
+    """Move the target's feet to the height of the source's, and over the floor as the source's while these stand.
+
+    Both have legs of the same length.
+    """
     led = source.soles()
     target = _tilted(led, target, rig)
     own = target.soles()
@@ -55,8 +57,10 @@ def keep_feet(
 
 
 def keep_hands(source: Performer, target: Performer, rig: Rig, spread: Float[Tensor, "driven 3 3"]) -> Performer:
-    """The target with wrists that are where the source's are, seen from the head, where that is near, or from the
-    middle between both wrists, where these are near; in units of the arm."""
+    """Move the target's wrists to the places of the source's, in units of the arm.
+
+    Places are seen from the head where it is near, or from the middle between both wrists where these are near.
+    """
     unit = source.length(_ARM)
     larger = target.length(_ARM) / unit
     wrists = {side: source.at(f"{side}_wrist") for side in SIDES}
@@ -76,8 +80,10 @@ def keep_hands(source: Performer, target: Performer, rig: Rig, spread: Float[Ten
 
 
 def _tilted(led: Float[Tensor, "frames 2 2 3"], target: Performer, rig: Rig) -> Performer:
-    """The target with feet whose heels are as far above their toes as the leading ones', where these are low: a longer
-    foot tilts less, so that the leg above need not bend more. A shorter foot tilts as ours."""
+    """Tilt low feet of the target so that heels are as far above toes as the leading ones'.
+
+    A longer foot tilts less, so that the leg above need not bend more; a shorter foot tilts as ours.
+    """
     turns = target.turns.clone()
     soles = target.soles()
     for number, side in enumerate(SIDES):

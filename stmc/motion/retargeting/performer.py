@@ -41,7 +41,7 @@ class Performer:
         return self.rest[self.joints[joint]]
 
     def length(self, limb: tuple[str, ...]) -> float:
-        """The mean length of both legs or arms along their bones, at rest."""
+        """Return the mean length of both legs or arms along their bones, at rest."""
         return limb_length(self.resting, limb)
 
     @property

@@ -57,7 +57,7 @@ class Rig:
         rest: Float[Tensor, "nodes 3"],
         joints: Mapping[str, int],
     ) -> Rig:
-        """The rig whose limbs and head are `joints`.
+        """Return the rig whose limbs and head are `joints`.
 
         The pelvis is the given one if legs and head hang from it, else the lowest node of which that is true. Raises
         `RigError` naming a joint that is missing, has no length, or does not hang where a person's does.
@@ -92,7 +92,7 @@ class Rig:
         return tuple(found)
 
     def place(self, joint: str) -> int:
-        """The index in `driven` of a joint of ours."""
+        """Return the index in `driven` of a joint of ours."""
         return self.driven.index(self.joints[joint])
 
     def at(self, joint: str) -> Float[Tensor, " 3"]:
@@ -100,7 +100,7 @@ class Rig:
         return self.rest[self.joints[joint]]
 
     def length(self, limb: Sequence[str]) -> float:
-        """The mean length of both legs or arms along their bones, at rest."""
+        """Return the mean length of both legs or arms along their bones, at rest."""
         return limb_length(self.at, limb)
 
     @property
@@ -109,7 +109,7 @@ class Rig:
         return sum(float(self.at(f"{side}_ankle")[2]) for side in SIDES) / 2
 
     def scaled(self, by: float) -> Rig:
-        """The same rig in another unit."""
+        """Return the same rig in another unit."""
         return replace(self, rest=self.rest * by)
 
     def posed(self, turns: Float[Tensor, "frames driven 3 3"], pelvis: Float[Tensor, "frames 3"]) -> Tensor:
@@ -127,7 +127,7 @@ class Rig:
 
 
 def limb_length(at: Callable[[str], Float[Tensor, " 3"]], limb: Sequence[str]) -> float:
-    """The mean length of both legs or arms along their bones, of joints that are `at` these places."""
+    """Return the mean length of both legs or arms along their bones, of joints that are `at` these places."""
     bones = [
         (at(f"{side}_{below}") - at(f"{side}_{above}")).norm()
         for side in SIDES
@@ -137,7 +137,7 @@ def limb_length(at: Callable[[str], Float[Tensor, " 3"]], limb: Sequence[str]) -
 
 
 def ancestors(parents: Sequence[int], node: int) -> list[int]:
-    """The node, its parent, and so on up to the root."""
+    """Return the node, its parent, and so on up to the root."""
     found = [node]
     while parents[found[-1]] >= 0:
         found.append(parents[found[-1]])
@@ -145,13 +145,13 @@ def ancestors(parents: Sequence[int], node: int) -> list[int]:
 
 
 def path(parents: Sequence[int], top: int, node: int) -> tuple[int, ...]:
-    """The nodes from `top` down to one of those below it, both included."""
+    """Return the nodes from `top` down to one of those below it, both included."""
     line = ancestors(parents, node)
     return tuple(reversed(line[: line.index(top) + 1]))
 
 
 def _common(parents: Sequence[int], nodes: Sequence[int]) -> int | None:
-    """The lowest node that is above all of these, or one of them."""
+    """Return the lowest node that is above all of these, or one of them."""
     shared = set.intersection(*(set(ancestors(parents, node)) for node in nodes))
     return max(shared, default=None)
 

@@ -45,7 +45,7 @@ class RigMotion:
     fps: float | int
 
     def direction(self, above: str, below: str) -> Float[Tensor, "frames 3"]:
-        """Unit vectors from one joint of ours to another, in each frame."""
+        """Return unit vectors from one joint of ours to another, in each frame."""
         first, second = (self.places[:, self.rig.place(joint)] for joint in (above, below))
         return normalize(second - first, dim=-1)
 
@@ -79,7 +79,7 @@ def _performer(motion: Motion) -> Performer:
 
 
 def _turned(rig: Rig, source: Performer) -> tuple[Performer, Float[Tensor, "driven 3 3"]]:
-    """The rig turned as the source, its hips' middle where the source's is; and what brings its rest pose to ours."""
+    """Return the rig turned as the source, with the same middle of the hips, and the rotations from its rest pose."""
     joints = {joint: rig.place(joint) for joint in rig.joints}
     turns = torch.eye(3, dtype=torch.float64).repeat(len(source.turns), len(rig.driven), 1, 1)
     rest = rig.rest[list(rig.driven)]

@@ -18,7 +18,7 @@ from stmc.motion.retargeting.rig import LIMBS, SIDES, Rig
 
 
 def spread_limbs(rig: Rig, target: Performer, source: Performer) -> Float[Tensor, "driven 3 3"]:
-    """The rotations, in the world's axes, that bring each driven node from the rig's rest pose to the source's."""
+    """Return the rotations, in world axes, from the rig's rest pose to the source's for each driven node."""
     turns = torch.eye(3, dtype=torch.float64).repeat(len(rig.driven), 1, 1)
     for side in SIDES:
         for limb in LIMBS:
@@ -47,7 +47,7 @@ def _aligned(turns: Tensor, target: Performer, source: Performer, limb: list[str
 
 
 def _palm(rig: Rig, wrist: int) -> Float[Tensor, " 3"] | None:
-    """The direction of a hand at rest: to the middle of what hangs from its wrist, None where nothing does."""
+    """Return the direction of a hand at rest: to the middle of what hangs from its wrist, None where nothing does."""
     below = [node for node, parent in enumerate(rig.parents) if parent == wrist]
     if not below:
         return None
@@ -56,6 +56,6 @@ def _palm(rig: Rig, wrist: int) -> Float[Tensor, " 3"] | None:
 
 
 def _yaw(performer: Performer, side: str) -> Float[Tensor, ""]:
-    """The angle about the vertical of a foot at rest."""
+    """Return the angle about the vertical of a foot at rest."""
     heel, toes = performer.resting_sole(side)
     return torch.atan2(toes[1] - heel[1], toes[0] - heel[0])

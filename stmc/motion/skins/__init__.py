@@ -1,4 +1,4 @@
-"""Surfaces that bodies wear: a mannequin around any skeleton, or the user's SMPL mesh. Knows no colours and no time."""
+"""Surfaces of bodies: a mannequin around any skeleton, or the user's SMPL mesh. Independent of colours and time."""
 
 from stmc.motion.skins.mannequin import build_mannequin, skin_of
 from stmc.motion.skins.skin import PARTS, Skin

@@ -1,6 +1,6 @@
 """An artist's mannequin around any SMPL skeleton: smooth limbs that need no licensed body model.
 
-Every piece is a loft: elliptic cross-sections along a path, rounded at both ends, bending softly where joints meet.
+Every piece is a loft: elliptic cross-sections along a path, rounded at both ends, that bends smoothly at joints.
 """
 
 from __future__ import annotations
@@ -15,24 +15,25 @@ from stmc.motion.body_model import Body, Skeleton
 from stmc.motion.motion import Motion
 from stmc.motion.skins.skin import PARTS, Skin
 
-_AROUND = 20
+_RING_VERTICES = 20
 _X, _Y, _Z = np.eye(3)
-_Places = Mapping[str, np.ndarray]
+_Joints = Mapping[str, np.ndarray]
 _Section = tuple[np.ndarray, float, float]
-"""A cross-section: its centre, its half axis along the loft's `wide` direction, and its half axis across (metres)."""
+"""A cross-section: its centre, its half axis along the `wide` direction of the loft, and the other half axis (metres).
+"""
 
 
 def skin_of(motion: Motion, body: Body | None = None) -> Skin:
-    """What is drawn of a motion: `body`'s mesh, or a mannequin around the motion's own bones."""
+    """Return the surface of a motion: the mesh of `body`, or a mannequin around the motion's own bones."""
     if body is not None:
         return Skin.of_body(body)
     return build_mannequin(Skeleton.measured(motion.rotations, motion.joints))
 
 
 def build_mannequin(skeleton: Skeleton) -> Skin:
-    """The mannequin around a skeleton's rest pose (arms stretched sideways)."""
+    """Build the mannequin around a skeleton in its rest pose (arms stretched sideways)."""
     at = dict(zip(JOINTS, skeleton.rest.double().cpu().numpy(), strict=True))
-    size = float(np.linalg.norm(at["left_hip"] - at["left_ankle"])) / 0.80  # thicknesses are for legs of 0.80 m
+    size = float(np.linalg.norm(at["left_hip"] - at["left_ankle"])) / 0.80  # thicknesses are defined for legs of 0.80 m
     pieces = [*_trunk(at, size), *_head(at, size)]
     for side in ("left", "right"):
         pieces += [*_arm(at, size, side), *_leg(at, size, side), _foot(at, size, side)]
@@ -62,43 +63,54 @@ def _loft(
     soft: float = 0.08,
     ends: tuple[float, float] = (1.0, 1.0),
 ) -> _Piece:
-    """A closed surface through `sections`, rounded at both ends.
+    """Build a closed surface through `sections`, rounded at both ends.
 
-    `carried`: joints, each with the height (0 to 1) where it takes over from the one before, blending over `soft` on
-    both sides; `ends`: length of the rounded ends over the end's mean half axis.
+    Args:
+        part: Body part of the faces.
+        sections: Cross-sections in order.
+        wide: Direction of the first half axis.
+        carried: Joints, each with the height (0 to 1) at which it takes over from the previous joint.
+        soft: Height over which two joints blend, on either side.
+        ends: Length of the rounded ends relative to the mean half axis.
     """
     centres = np.array([centre for centre, *_ in sections])
-    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))])
-    from scipy.interpolate import PchipInterpolator  # not above: it is slow to import
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))])
+    from scipy.interpolate import PchipInterpolator  # imported late: it is slow to import
 
-    spline = PchipInterpolator(walked, np.column_stack([centres, [half for _, *half in sections]]))
-    rings = spline(np.linspace(0.0, walked[-1], max(5, round(walked[-1] / 0.022))))
+    spline = PchipInterpolator(distance, np.column_stack([centres, [half for _, *half in sections]]))
+    rings = spline(np.linspace(0.0, distance[-1], max(5, round(distance[-1] / 0.022))))
     along = (centres[-1] - centres[0]) / np.linalg.norm(centres[-1] - centres[0])
     rings = np.concatenate([_cap(rings[0], -along, ends[0])[::-1], rings, _cap(rings[-1], along, ends[1])])
-    angle = np.linspace(0.0, 2 * np.pi, _AROUND, endpoint=False)
+    angle = np.linspace(0.0, 2 * np.pi, _RING_VERTICES, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     vertices = rings[:, None, :3] + (circle * rings[:, None, 3:]) @ np.stack([wide, np.cross(along, wide)])
     height = (rings[:, :3] - centres[0]) @ along / ((centres[-1] - centres[0]) @ along)
     return _Piece(
-        vertices.reshape(-1, 3), _tube(len(rings)), np.repeat(_weights(height, carried, soft), _AROUND, axis=0), part
+        vertices.reshape(-1, 3),
+        _tube(len(rings)),
+        np.repeat(_weights(height, carried, soft), _RING_VERTICES, axis=0),
+        part,
     )
 
 
 def _cap(ring: np.ndarray, outwards: np.ndarray, length: float) -> np.ndarray:
-    """Rings that close one end as half an ellipsoid, from the ring outwards."""
+    """Build the rings that close one end as half an ellipsoid, from the ring outwards."""
     angle = np.linspace(0.0, np.pi / 2, 7)[1:, None]
     centres = ring[:3] + np.sin(angle) * outwards * length * ring[3:].mean()
     return np.concatenate([centres, np.maximum(np.cos(angle), 0.01) * ring[3:]], axis=1)
 
 
 def _tube(rings: int) -> np.ndarray:
-    """Triangles between successive rings of `_AROUND` vertices."""
-    here = np.arange(_AROUND)
-    there = np.roll(here, -1)
+    """Build triangles between successive rings of `_RING_VERTICES` vertices."""
+    vertex = np.arange(_RING_VERTICES)
+    neighbour = np.roll(vertex, -1)
     quad = np.concatenate(
-        [np.stack([here, there, there + _AROUND], 1), np.stack([here, there + _AROUND, here + _AROUND], 1)]
+        [
+            np.stack([vertex, neighbour, neighbour + _RING_VERTICES], 1),
+            np.stack([vertex, neighbour + _RING_VERTICES, vertex + _RING_VERTICES], 1),
+        ]
     )
-    return np.concatenate([quad + ring * _AROUND for ring in range(rings - 1)])
+    return np.concatenate([quad + ring * _RING_VERTICES for ring in range(rings - 1)])
 
 
 def _weights(height: np.ndarray, carried: Sequence[tuple[str, float]], soft: float) -> np.ndarray:
@@ -114,7 +126,7 @@ def _weights(height: np.ndarray, carried: Sequence[tuple[str, float]], soft: flo
     return weights
 
 
-def _trunk(at: _Places, size: float) -> list[_Piece]:
+def _trunk(at: _Joints, size: float) -> list[_Piece]:
     hips, waist, neck = (at["left_hip"] + at["right_hip"]) / 2, at["spine1"], at["neck"]
     half_hips = abs(at["left_hip"][0] - hips[0])
     shoulders = abs(at["left_shoulder"][0] - neck[0])
@@ -140,7 +152,7 @@ def _trunk(at: _Places, size: float) -> list[_Piece]:
     ]
 
 
-def _head(at: _Places, size: float) -> list[_Piece]:
+def _head(at: _Joints, size: float) -> list[_Piece]:
     neck, head = at["neck"], at["head"]
     throat = [
         (neck - 0.030 * size * _Y, 0.056 * size, 0.056 * size),
@@ -162,7 +174,7 @@ def _head(at: _Places, size: float) -> list[_Piece]:
     ]
 
 
-def _arm(at: _Places, size: float, side: str) -> list[_Piece]:
+def _arm(at: _Joints, size: float, side: str) -> list[_Piece]:
     part = BodyPart(f"{side} arm")
     collar, shoulder, elbow, wrist, hand = (
         at[f"{side}_{name}"] for name in ("collar", "shoulder", "elbow", "wrist", "hand")
@@ -189,7 +201,7 @@ def _arm(at: _Places, size: float, side: str) -> list[_Piece]:
     ]
 
 
-def _leg(at: _Places, size: float, side: str) -> list[_Piece]:
+def _leg(at: _Joints, size: float, side: str) -> list[_Piece]:
     hip, knee, ankle = (at[f"{side}_{name}"] for name in ("hip", "knee", "ankle"))
     bend = float(np.linalg.norm(knee - hip) / np.linalg.norm(ankle - hip))
     below = 1 - bend
@@ -199,7 +211,7 @@ def _leg(at: _Places, size: float, side: str) -> list[_Piece]:
     return [_loft(BodyPart.LEGS, limb, _X, [(f"{side}_hip", 0.0), (f"{side}_knee", bend)], 0.08)]
 
 
-def _foot(at: _Places, size: float, side: str) -> _Piece:
+def _foot(at: _Joints, size: float, side: str) -> _Piece:
     ankle, ball = at[f"{side}_ankle"], at[f"{side}_foot"]
     sole = min(ball[1], ankle[1] - 0.05 * size) - 0.012 * size
     reach = ball[2] - ankle[2]

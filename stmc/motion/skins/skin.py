@@ -1,6 +1,6 @@
-"""What is drawn of a body: a surface carried by SMPL's 24 joints, be it a mannequin or the user's SMPL mesh.
+"""The surface of a body, carried by SMPL's 24 joints: a mannequin or the user's SMPL mesh.
 
-Knows which joint moves which vertex and which body part colours which face. Knows no time and no colour.
+Defines the joints that move each vertex and the body part that colours each face. Independent of time and colours.
 """
 
 from __future__ import annotations
@@ -25,9 +25,12 @@ _OWNERS = np.array([next(i for i, part in enumerate(PARTS) if name in part.joint
 class Skin:
     """A surface in the rest pose and the joints that carry it (linear blend skinning).
 
-    `vertices` [vertices, 3] metres, in SMPL's rest axes (x left, y up, z forward); `faces` [faces, 3] vertex indexes,
-    counter-clockwise seen from outside; `weights` [vertices, 24], rows sum to 1; `parts` [faces], the body part (index
-    in the order of `BodyPart`) whose colour a face bears.
+    Args:
+        vertices: Vertices [vertices, 3] in metres, in SMPL's rest axes (x left, y up, z forward).
+        faces: Vertex indices [faces, 3], counter-clockwise seen from outside.
+        weights: Skinning weights [vertices, 24]; rows sum to 1.
+        parts: Body part of each face [faces], an index in the order of `BodyPart`, which determines its colour.
+        skeleton: Joints, whose rest positions belong to `vertices`.
     """
 
     vertices: np.ndarray
@@ -35,14 +38,14 @@ class Skin:
     weights: np.ndarray
     parts: np.ndarray
     skeleton: Skeleton
-    """The joints within: their rest positions are where `vertices` are."""
+    """The joints, whose rest positions belong to `vertices`."""
 
     @classmethod
     def of_body(cls, body: Body) -> Skin:
-        """The skin of an SMPL, SMPL-H or SMPL-X body, without the bulges that depend on the pose.
+        """Create the skin of an SMPL, SMPL-H or SMPL-X body, without pose-dependent deformations.
 
-        Fingers, jaw and eyes move with the hand or head that bears them. A face belongs to the body part that weighs
-        most on its corners.
+        Fingers, jaw and eyes move with the hand or head that carries them. A face belongs to the body part with the
+        largest weight at its corners.
         """
         rest = body.skeleton.rest
         upright = torch.eye(3, dtype=rest.dtype).expand(1, NUM_ROTATIONS, 3, 3)
@@ -55,20 +58,20 @@ class Skin:
     def bones(
         self, motion: Motion
     ) -> tuple[Float[np.ndarray, "frames joints 3 3"], Float[np.ndarray, "frames joints 3"]]:
-        """How the motion turns and places this body's 24 joints in the world."""
+        """Compute the world rotations and positions of this body's 24 joints in a motion."""
         rotations = global_rotations(motion.rotations.double(), PARENTS)
         return rotations.cpu().numpy(), self.skeleton.pose(motion.rotations, motion.translation).double().cpu().numpy()
 
     def posed(self, motion: Motion) -> np.ndarray:
-        """Vertices [frames, vertices, 3] in the world."""
+        """Compute vertices [frames, vertices, 3] in the world."""
         rotations, joints = self.bones(motion)
         rest = self.skeleton.rest.double().numpy()
         offsets = joints - np.einsum("fjab,jb->fja", rotations, rest)
-        turned = np.einsum("vj,fjab->fvab", self.weights, rotations)
-        return np.einsum("fvab,vb->fva", turned, self.vertices) + np.einsum("vj,fja->fva", self.weights, offsets)
+        blended = np.einsum("vj,fjab->fvab", self.weights, rotations)
+        return np.einsum("fvab,vb->fva", blended, self.vertices) + np.einsum("vj,fja->fva", self.weights, offsets)
 
     def only(self, part: BodyPart) -> Skin:
-        """The piece that bears one part's colour, with vertices of its own."""
+        """Extract the piece of one body part, with its own vertices."""
         faces = self.faces[self.parts == PARTS.index(part)]
         used, renumbered = np.unique(faces, return_inverse=True)
         parts = np.full(len(faces), PARTS.index(part))
@@ -76,7 +79,7 @@ class Skin:
 
 
 def _carriers(parents: Sequence[int]) -> list[int]:
-    """For each bone of a body, the one of our 24 joints that carries it."""
+    """Return, for each bone of a body, the index of the SMPL joint that carries it."""
     hands = {JOINTS.index(f"{side}_wrist"): JOINTS.index(f"{side}_hand") for side in ("left", "right")}
     carriers: list[int] = []
     for bone, parent in enumerate(parents):

@@ -1,4 +1,4 @@
-"""What others published, as models and evaluators: STMC's, MDM's, FlowMDM's, MotionDiffuse's, TMR's and Guo's."""
+"""Published models and evaluators: importers for STMC, MDM, FlowMDM, MotionDiffuse, TMR and Guo et al."""
 
 from stmc.run.published.conversion import convert, read
 from stmc.run.published.import_evaluators import read_guo, read_guo_evaluator

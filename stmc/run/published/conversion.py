@@ -1,4 +1,4 @@
-"""From a published checkpoint to a run directory, whole or not at all. Knows each format by its files."""
+"""Conversion of a published checkpoint to a run directory. Each format is recognised by its files."""
 
 from __future__ import annotations
 
@@ -24,13 +24,22 @@ EXPECTED = (
 def convert(
     source: str | Path, output: str | Path, statistics: str | Path | None = None, text_model: str | None = None
 ) -> Path:
-    """Writes the checkpoint at `source` as the run directory `output`, and returns it; see `read` for the rest.
+    """Convert the checkpoint at `source` to the run directory `output`, and return `output`.
 
-    `output` must not exist or be empty (`CheckpointError`). It appears when all of it is written, or not at all.
+    The run directory appears complete or not at all.
+
+    Args:
+        source: Folder or file of the checkpoint; see `read`.
+        output: The run directory, which must not exist or must be empty.
+        statistics: Folder of statistics; see `read`.
+        text_model: Weights of the text encoder; see `read`.
+
+    Raises:
+        CheckpointError: If `output` is not empty, or as `read`.
     """
     output = Path(output).expanduser()
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise CheckpointError(f"{output} exists already: choose another output, or remove it first")
+        raise CheckpointError(f"{output} already exists; choose another output or remove it first")
     imported = read(source, statistics, text_model)
     save = run.save_evaluator if isinstance(imported.model, Evaluator) else run.save
     write_whole_folder(output, lambda unfinished: save(imported.model, unfinished, _card(imported)))
@@ -38,14 +47,17 @@ def convert(
 
 
 def read(source: str | Path, statistics: str | Path | None = None, text_model: str | None = None) -> Imported:
-    """The model of a published checkpoint: its folder, or the file of its weights. TMR is an evaluator, not a model.
+    """Read the model of a published checkpoint. TMR is an evaluator, not a model.
 
-    `statistics`: the folder of the mean and standard deviation that some weights come without (None: where the format
-    has them): `Mean.npy` and `Std.npy` for MDM and FlowMDM on HumanML3D, `rfeats_mean.pt` and `rfeats_std.pt` for
-    FlowMDM on BABEL, `mean.pt` and `std.pt` for TMR. `text_model`: where the text encoder's weights are, a folder or a
-    hub name (None: the published ones on the hub).
+    Args:
+        source: Folder of the checkpoint, or file of its weights.
+        statistics: Folder of the mean and standard deviation, for weights that come without them: `Mean.npy` and
+            `Std.npy` for MDM and FlowMDM on HumanML3D, `rfeats_mean.pt` and `rfeats_std.pt` for FlowMDM on BABEL,
+            `mean.pt` and `std.pt` for TMR. None uses the usual place of the format.
+        text_model: Folder or hub name of the text encoder's weights; None uses the published ones on the hub.
 
-    Raises `CheckpointError` for a source of no known format, and for whatever is wrong with it.
+    Raises:
+        CheckpointError: If the format is unknown, or a file is missing, damaged or does not fit.
     """
     source = Path(source).expanduser()
     statistics = None if statistics is None else Path(statistics).expanduser()
@@ -58,8 +70,7 @@ def read(source: str | Path, statistics: str | Path | None = None, text_model: s
         return evaluators.read_tmr(source, statistics, text_model)
     if statistics is not None:
         raise CheckpointError(
-            f"{source} has no args.json beside it: only MDM's, FlowMDM's and TMR's weights take statistics from "
-            "elsewhere"
+            f"{source} has no args.json next to it; only the weights of MDM, FlowMDM and TMR take separate statistics"
         )
     file = source if source.is_file() else None
     if (_above(source, 2) / "opt.txt").is_file():
@@ -70,7 +81,7 @@ def read(source: str | Path, statistics: str | Path | None = None, text_model: s
 
 
 def _above(source: Path, levels: int) -> Path:
-    """The folder that a format's settings lie in: `source` itself, or so many levels above the file of the weights."""
+    """Return the folder of a format's settings: `source` itself, or some levels above the file of the weights."""
     return source if source.is_dir() else source.absolute().parents[min(levels, len(source.absolute().parents)) - 1]
 
 

@@ -1,6 +1,6 @@
-"""Evaluators as their authors publish them: a run of TMR, and the `finest.tar` of Guo et al.
+"""Importers of published evaluators: a run of TMR, and the `finest.tar` of Guo et al.
 
-Names and shapes of their weights are those of `stmc.evaluators`; sizes are read off the weights.
+Names and shapes of their weights are those of `stmc.evaluators`; sizes are derived from the weights.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from stmc.run import EVALUATOR_PARTS
 from stmc.run.published.torch_checkpoint import (
     CheckpointError,
     Imported,
-    built,
+    build_parts,
     fill,
-    identity,
+    identity_statistics,
     read_checkpoint,
     read_json,
     read_tensor_statistics,
@@ -34,18 +34,22 @@ from stmc.text.glove import Glove
 WEIGHTS, CHECKPOINT = Path("last_weights"), Path("logs/checkpoints/last.ckpt")
 PARTS = ("motion_encoder", "text_encoder", "motion_decoder")
 STATISTICS = Path("stats/humanml3d/guoh3dfeats")
-"""Where they lie in TMR's own folder, two levels above a run: per dimension, unlike HumanML3D's `Std.npy`."""
+"""Path of the statistics in TMR's own folder, two levels above a run: per dimension, unlike HumanML3D's `Std.npy`."""
 FPS, BABEL_FPS, HEADS = 20, 30, 4
 DISTILBERT = "distilbert/distilbert-base-uncased"
 SECTIONS = ("movement_encoder", "text_encoder", "motion_encoder")
 
 
 def read_tmr(folder: Path, statistics: Path | None = None, text_model: str | None = None) -> Imported:
-    """The evaluator of a run of TMR on HumanML3D's 263 features, with DistilBERT's tokens as texts.
+    """Read the evaluator of a run of TMR on HumanML3D's 263 features, with DistilBERT's tokens as texts.
 
-    `statistics`: the folder of `mean.pt` and `std.pt` (None: where TMR's own folder has them, above the run).
-    `text_model`: where DistilBERT's weights are (None: the hub). Raises `CheckpointError` for whatever is missing or
-    does not fit.
+    Args:
+        folder: Folder of the run.
+        statistics: Folder of `mean.pt` and `std.pt`; None uses TMR's own folder, above the run.
+        text_model: Folder or hub name of DistilBERT's weights; None uses the hub.
+
+    Raises:
+        CheckpointError: If a file is missing or does not fit.
     """
     weights = _weights(folder)
     place = str(folder)
@@ -68,12 +72,12 @@ def read_tmr(folder: Path, statistics: Path | None = None, text_model: str | Non
         "text_encoder": text,
         "representation": {"_target_": "stmc.motion.representation.HumanML3DRepresentation"},
     }
-    parts = built(config, weights, folder, place, EVALUATOR_PARTS)
+    parts = build_parts(config, weights, folder, place, EVALUATOR_PARTS)
     fill(parts["network"], weights, place)
     evaluator = Evaluator(
         **parts,
         motion_statistics=read_tensor_statistics(moments / "mean.pt", moments / "std.pt", representation.width),
-        text_statistics=identity(text["width"]),
+        text_statistics=identity_statistics(text["width"]),
         fps=FPS,
         config=config,
     )
@@ -82,10 +86,13 @@ def read_tmr(folder: Path, statistics: Path | None = None, text_model: str | Non
 
 
 def read_guo(file: Path) -> GuoEvaluator:
-    """The evaluator of Guo et al. from its `finest.tar`. Raises `CheckpointError` for what is missing or no fit."""
+    """Read the networks of Guo et al. from `finest.tar`.
+
+    Raises `CheckpointError` if weights are missing or do not fit.
+    """
     content = read_checkpoint(file)
     if missing := [section for section in SECTIONS if section not in content]:
-        raise CheckpointError(f"{file} holds no {', '.join(missing)}: it is not an evaluator's finest.tar")
+        raise CheckpointError(f"{file} holds no {', '.join(missing)}; it must be the finest.tar of an evaluator")
     weights = {
         f"{section}.{name}": value
         for section in SECTIONS
@@ -114,33 +121,39 @@ def read_guo_evaluator(
     device: torch.device | str = "cpu",
     longest: int = 196,
 ) -> MatchingEvaluator:
-    """The whole evaluator of Guo et al. from their files, or that of FlowMDM's for BABEL: `weights` is
-    `text_mot_match/model/finest.tar`, `glove` the folder of the word vectors. `statistics` is the folder of the
-    evaluator's own mean and deviation, which are not HumanML3D's `Mean.npy`: `mean.npy` and `std.npy`
-    (`Comp_v6_KLD01/meta`), or `t2m_mean.npy` and `t2m_std.npy`; for BABEL its `rfeats_mean.pt` and `rfeats_std.pt`.
-    `longest` as of `MatchingEvaluator`.
+    """Read the complete evaluator of Guo et al., or FlowMDM's for BABEL, from the published files.
 
-    Raises `CheckpointError` for the weights and statistics, `ArraysError` for the word vectors, where they are missing
-    or do not fit.
+    Args:
+        weights: `text_mot_match/model/finest.tar`.
+        statistics: Folder of the evaluator's own mean and standard deviation, which differ from HumanML3D's `Mean.npy`:
+            `mean.npy` and `std.npy` (`Comp_v6_KLD01/meta`), or `t2m_mean.npy` and `t2m_std.npy`; for BABEL
+            `rfeats_mean.pt` and `rfeats_std.pt`.
+        glove: Folder of the word vectors.
+        device: Device of the networks.
+        longest: Number of frames to which motions are padded; see `MatchingEvaluator`.
+
+    Raises:
+        CheckpointError: If weights or statistics are missing or do not fit.
+        ArraysError: If word vectors are missing or do not fit.
     """
     network = read_guo(Path(weights).expanduser()).to(found_device(device))
     words, vectors = network.text_encoder.pos_emb.out_features, Glove.read(glove)
     if vectors.vectors.shape[1] != words:
-        raise ArraysError(f"{glove}: vectors of {vectors.vectors.shape[1]} numbers, but {weights} knows {words}")
+        raise ArraysError(f"{glove}: vectors have {vectors.vectors.shape[1]} numbers, but {weights} needs {words}")
     folder, babel = Path(statistics).expanduser(), BabelRepresentation()
     if network.seen == babel.width:
         names = (folder / "rfeats_mean.pt", folder / "rfeats_std.pt")
         moments = read_tensor_statistics(*names, babel.width)
         return MatchingEvaluator(network, moments, vectors, BABEL_FPS, babel, longest)
-    return MatchingEvaluator(network, _own_statistics(folder), vectors, FPS, longest=longest)
+    return MatchingEvaluator(network, _read_guo_statistics(folder), vectors, FPS, longest=longest)
 
 
-def _own_statistics(folder: Path) -> Statistics:
+def _read_guo_statistics(folder: Path) -> Statistics:
     width, moments = HumanML3DRepresentation().width, []
     prefix = "t2m_" if (folder / "t2m_mean.npy").is_file() else ""
     for name in (f"{prefix}mean.npy", f"{prefix}std.npy"):
         if not (folder / name).is_file():
-            raise CheckpointError(f"{folder / name} does not exist; it is in Comp_v6_KLD01/meta beside the evaluator")
+            raise CheckpointError(f"{folder / name} does not exist; Comp_v6_KLD01/meta next to the evaluator holds it")
         moments.append(torch.from_numpy(read_npy(folder / name)).float())
         if moments[-1].shape != (width,):
             raise CheckpointError(f"{folder / name} must hold {width} numbers, not {list(moments[-1].shape)}")
@@ -148,14 +161,14 @@ def _own_statistics(folder: Path) -> Statistics:
 
 
 def is_tmr(folder: Path) -> bool:
-    """Whether a run's folder is one of TMR: by the files of its weights, or by settings that name no diffusion."""
+    """Return whether a folder is a run of TMR: its weights have TMR's names, or its settings name no diffusion."""
     if (folder / WEIGHTS / f"{PARTS[0]}.pt").is_file():
         return True
     return (folder / "config.json").is_file() and "diffusion" not in read_json(folder / "config.json")
 
 
 def _weights(folder: Path) -> Mapping[str, Tensor]:
-    """From `last_weights`, a file for each part, or from the run's last checkpoint."""
+    """Read weights from `last_weights`, with one file per part, or from the last checkpoint of the run."""
     if (folder / WEIGHTS).is_dir():
         return {
             f"{part}.{name}": value

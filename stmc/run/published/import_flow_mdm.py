@@ -1,5 +1,8 @@
-"""FlowMDM as its authors publish it: `model000500000.pt` or `model001300000.pt`, `args.json`, and the data's mean and
-standard deviation: HumanML3D's `Mean.npy` and `Std.npy`, BABEL's `rfeats_mean.pt` and `rfeats_std.pt`."""
+"""Importer of FlowMDM: `model000500000.pt` or `model001300000.pt`, `args.json` and statistics.
+
+The statistics are those of the data: HumanML3D's `Mean.npy` and `Std.npy`, BABEL's `rfeats_mean.pt` and
+`rfeats_std.pt`.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,12 @@ from stmc.model import Model
 from stmc.run.published.torch_checkpoint import (
     CheckpointError,
     Imported,
-    built,
+    build_parts,
+    check_size,
+    drop_prefix,
+    drop_tables,
     fill,
-    identity,
+    identity_statistics,
     only_file,
     read_checkpoint,
     read_json,
@@ -27,15 +33,12 @@ from stmc.run.published.torch_checkpoint import (
     read_tensor_statistics,
     size_of,
     state_dict,
-    whole,
-    without,
-    without_tables,
 )
 from stmc.settings.records import shown
 
 
 class Data(NamedTuple):
-    """What follows from the data that it was trained on, and is not in `args.json`."""
+    """Properties that follow from the training data and are not in `args.json`."""
 
     representation: str
     fps: int
@@ -56,35 +59,40 @@ FREQUENCIES = f"{ROTARY}relative.inv_freq"
 
 
 def is_flow_mdm(args: Path) -> bool:
-    """Whether an `args.json` is one of FlowMDM's, and not MDM's: it names the window of attention."""
+    """Return whether an `args.json` is FlowMDM's and not MDM's: it names the window of attention."""
     return "rpe_horizon" in read_json(args)
 
 
 def read(path: Path, statistics: Path | None = None, text_model: str | None = None) -> Imported:
-    """The model of a `.pt` file or of the only one in a folder, with `args.json` beside it.
+    """Read the model of a `.pt` file, or of the only one in a folder, with `args.json` next to it.
 
-    `statistics`: the folder of the mean and standard deviation it was trained with (None: beside the weights).
-    `text_model`: where CLIP's weights are (a folder or a hub name; None: the published ones on the hub). Steps with
-    absolute positions, and guidance, are the paper's for the data set. Raises `CheckpointError` for what is missing,
-    strange, does not fit, or cannot be run.
+    The steps with absolute positions, and the guidance, are the paper's for the data set.
+
+    Args:
+        path: File of the weights, or its folder.
+        statistics: Folder of the mean and standard deviation of training; None uses the folder of the weights.
+        text_model: Folder or hub name of CLIP's weights; None uses the published ones on the hub.
+
+    Raises:
+        CheckpointError: If a file is missing, damaged, does not fit, or is not supported.
     """
     path = only_file(path, "model*.pt") if path.is_dir() else path
     args = path.parent / "args.json"
     settings = _settings(args)
     data = DATA[settings["dataset"]]
-    weights = without(state_dict(read_checkpoint(path), str(path)), "clip_model.")
-    config = _described(settings, weights, str(path), text_model)
-    fitting = without({name: value for name, value in weights.items() if name not in TABLES}, ROTARY)
-    parts = built(config, fitting, args, str(path))
+    weights = drop_prefix(state_dict(read_checkpoint(path), str(path)), "clip_model.")
+    config = _describe_parts(settings, weights, str(path), text_model)
+    fitting = drop_prefix({name: value for name, value in weights.items() if name not in TABLES}, ROTARY)
+    parts = build_parts(config, fitting, args, str(path))
     network, representation = parts["denoiser"], parts["representation"]
-    learned = without(without_tables(weights, TABLES, network.positions, path), ROTARY)
+    learned = drop_prefix(drop_tables(weights, TABLES, network.positions, path), ROTARY)
     _check_frequencies(weights, path)
     fill(network, learned, str(path))
     folder = path.parent if statistics is None else statistics
     model = Model(
         **parts,
         motion_statistics=_statistics(folder, settings["dataset"], representation.width),
-        text_statistics=identity(parts["text_encoder"].width),
+        text_statistics=identity_statistics(parts["text_encoder"].width),
         skeleton=representation.skeleton,
         fps=data.fps,
         longest=data.longest,
@@ -97,7 +105,7 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
         f"Weights: {path.name}.",
         f"Sampled as published: steps {first} to {steps - 1} with absolute positions, the textbook's DDPM, guidance "
         f"{data.guidance}; sequences of several texts with method=flow_mdm.",
-        "FlowMDM's licence is for research that is not commercial, and forbids to pass its files on.",
+        "FlowMDM's licence allows non-commercial research only, and forbids redistribution of its files.",
     )
     return Imported(model, "FlowMDM", facts)
 
@@ -108,14 +116,14 @@ def _settings(path: Path) -> dict[str, Any]:
         if not isinstance(settings.get(name), str) or settings[name] not in choices:
             raise CheckpointError(f"{path}: {name} must be {' or '.join(choices)}, not {shown(settings.get(name))}")
     for name in ("diffusion_steps", "rpe_horizon"):
-        whole(settings[name], name, path)
+        check_size(settings[name], name, path)
     return settings
 
 
-def _described(
+def _describe_parts(
     settings: Mapping[str, Any], weights: Mapping[str, Tensor], place: str, text_model: str | None
 ) -> dict[str, Any]:
-    """How to build the parts: sizes from the weights, everything else from the settings and the data set."""
+    """Describe the parts: sizes from the weights, everything else from the settings and the data set."""
     data, steps = DATA[settings["dataset"]], settings["diffusion_steps"]
 
     def size(name: str, dimension: int) -> int:
@@ -123,13 +131,13 @@ def _described(
 
     layers = "seqTransEncoder.attn_layers.layers."
     source = {} if text_model is None else {"source": text_model}
-    cut = {} if data.tokens is None else {"tokens": data.tokens}
+    limit = {} if data.tokens is None else {"tokens": data.tokens}
     return {
         "denoiser": {
             "_target_": "stmc.denoisers.FlowMdm",
             "features": size("output_process.poseFinal.weight", 0),
             "text_width": size("embed_text.weight", 1),
-            "absolute_from": max(0, steps - data.absolute + 1),  # of so few steps all
+            "absolute_from": max(0, steps - data.absolute + 1),  # with few steps all are absolute
             "width": size("embed_text.weight", 0),
             "feedforward": size(f"{layers}1.1.ff.0.0.weight", 0),
             "layers": sum(name.endswith(".to_q.weight") for name in weights),
@@ -139,17 +147,17 @@ def _described(
         "schedule": {"_target_": f"stmc.diffusion.Schedule.{settings['noise_schedule']}", "steps": steps},
         "text_encoder": {
             "_target_": "stmc.text.EmptyAsZeros",
-            "encoder": {"_target_": "stmc.text.Clip", "weights": "fp16"} | cut | source,
+            "encoder": {"_target_": "stmc.text.Clip", "weights": "fp16"} | limit | source,
         },
         "representation": {"_target_": f"stmc.motion.representation.{data.representation}"},
     }
 
 
 def _check_frequencies(weights: Mapping[str, Tensor], path: Path) -> None:
-    ours = frequencies(ROTARY_DIM // 2).float()
-    theirs = weights.get(FREQUENCIES, ours).float()
-    if theirs.shape != ours.shape or not torch.allclose(theirs, ours, rtol=1e-2):
-        raise CheckpointError(f"{path}: {FREQUENCIES} {list(theirs.shape)} are other rotary positions")
+    expected = frequencies(ROTARY_DIM // 2).float()
+    actual = weights.get(FREQUENCIES, expected).float()
+    if actual.shape != expected.shape or not torch.allclose(actual, expected, rtol=1e-2):
+        raise CheckpointError(f"{path}: {FREQUENCIES} {list(actual.shape)} differs from FlowMDM's rotary positions")
 
 
 def _statistics(folder: Path, dataset: str, width: int) -> Statistics:

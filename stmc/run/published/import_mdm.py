@@ -1,4 +1,4 @@
-"""MDM as its authors publish it: `model000200000.pt`, `args.json`, and HumanML3D's `Mean.npy` and `Std.npy`."""
+"""Importer of MDM: `model000200000.pt`, `args.json`, and HumanML3D's `Mean.npy` and `Std.npy`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from stmc.model import Model
 from stmc.run.published.torch_checkpoint import (
     CheckpointError,
     Imported,
-    built,
+    build_parts,
+    check_size,
+    drop_prefix,
+    drop_tables,
     fill,
-    identity,
+    identity_statistics,
     only_file,
     read_checkpoint,
     read_json,
     read_statistics,
     state_dict,
-    whole,
-    without,
-    without_tables,
 )
 from stmc.settings.records import shown
 
@@ -46,7 +46,7 @@ DEFAULTS = {
     "context_len": 0,
     "multi_target_cond": False,
 }
-"""What the published code assumes where `args.json` says nothing."""
+"""Defaults of the published code for settings that `args.json` lacks."""
 CHOICES = {
     "dataset": ("humanml",),
     "arch": ("trans_enc", "trans_dec"),
@@ -58,33 +58,38 @@ CHOICES = {
     "context_len": (0,),
     "multi_target_cond": (False,),
 }
-"""What of it this library can run."""
+"""Values that this library supports."""
 TABLES = ("sequence_pos_encoder.pe", "embed_timestep.sequence_pos_encoder.pe")
 FRAMES, FPS, FEATURES = 196, 20, 263
 DISTILBERT = "distilbert/distilbert-base-uncased"
 
 
 def read(path: Path, statistics: Path | None = None, text_model: str | None = None) -> Imported:
-    """The model of a `.pt` file or of the only one in a folder, with `args.json` beside it.
+    """Read the model of a `.pt` file, or of the only one in a folder, with `args.json` next to it.
 
-    `statistics`: the folder of the `Mean.npy` and `Std.npy` it was trained with, HumanML3D's own (None: beside the
-    weights). `text_model`: where the text encoder's weights are (a folder or a hub name; None: the published ones on
-    the hub). Raises `CheckpointError` for what is missing, strange, does not fit, or cannot be run.
+    Args:
+        path: File of the weights, or its folder.
+        statistics: Folder of the `Mean.npy` and `Std.npy` of training, HumanML3D's own; None uses the folder of the
+            weights.
+        text_model: Folder or hub name of the text encoder's weights; None uses the published ones on the hub.
+
+    Raises:
+        CheckpointError: If a file is missing, damaged, does not fit, or is not supported.
     """
     path = only_file(path, "model*.pt") if path.is_dir() else path
-    settings, said = _settings(path.parent / "args.json")
-    weights = without(_weights(read_checkpoint(path), settings, path), "clip_model.")
-    leading = _leading(settings, said)
-    config = _described(settings, leading, text_model)
+    settings, names = _settings(path.parent / "args.json")
+    weights = drop_prefix(_weights(read_checkpoint(path), settings, path), "clip_model.")
+    leading = _leading(settings, names)
+    config = _describe_parts(settings, leading, text_model)
     learned = {name: value for name, value in weights.items() if name not in TABLES}
-    parts = built(config, learned, path.parent / "args.json", str(path))
+    parts = build_parts(config, learned, path.parent / "args.json", str(path))
     network = parts["denoiser"]
-    fill(network, without_tables(weights, TABLES, network.positions, path), str(path))
+    fill(network, drop_tables(weights, TABLES, network.positions, path), str(path))
     folder = path.parent if statistics is None else statistics
     model = Model(
         **parts,
         motion_statistics=read_statistics(folder / "Mean.npy", folder / "Std.npy", FEATURES),
-        text_statistics=identity(parts["text_encoder"].width),
+        text_statistics=identity_statistics(parts["text_encoder"].width),
         skeleton=parts["representation"].skeleton,
         fps=FPS,
         longest=FRAMES,
@@ -98,46 +103,52 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
         + (", every crop with 196 frames in sight." if network.fixed_length else "."),
     ]
     if leading is not None:
-        facts.append(f"The decoder's leading token tells {leading.replace('_', ' ')}.")
+        facts.append(f"The decoder's leading token encodes the {leading.replace('_', ' ')}.")
     return Imported(model, "MDM", tuple(facts))
 
 
 def _settings(path: Path) -> tuple[dict[str, Any], set[str]]:
-    """The settings with defaults for those missing, and the names of those that the file has."""
-    said = read_json(path)
-    settings = DEFAULTS | said
-    if "unconstrained" not in said and "cond_mode" in said:  # before August 2022
-        settings["unconstrained"] = "text" not in str(said["cond_mode"])
+    """Return the settings, with defaults for missing ones, and the names of those in the file."""
+    stored = read_json(path)
+    settings = DEFAULTS | stored
+    if "unconstrained" not in stored and "cond_mode" in stored:  # before August 2022
+        settings["unconstrained"] = "text" not in str(stored["cond_mode"])
     for name, choices in CHOICES.items():
         if not any(settings[name] is choice or settings[name] == choice for choice in choices):
             raise CheckpointError(
                 f"{path}: {name} is {shown(settings[name])}, but only {' or '.join(map(repr, choices))} can be imported"
             )
     for name in ("layers", "latent_dim", "diffusion_steps"):
-        whole(settings[name], name, path)
+        check_size(settings[name], name, path)
     if settings["arch"] == "trans_enc" and settings["text_encoder_type"] == "bert":
-        raise CheckpointError(f"{path}: trans_enc with bert: the published encoder reads CLIP's sentences only")
-    return settings, set(said)
+        raise CheckpointError(
+            f"{path}: trans_enc does not support bert; the published encoder reads CLIP's sentences only"
+        )
+    return settings, set(stored)
 
 
 def _weights(content: dict[str, Any], settings: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
-    """The flat mapping of old files, or one of the two in those with a moving average."""
+    """Return the flat mapping of old files, or one of the two in files with a moving average."""
     if "model" not in content and "model_avg" not in content:
         return state_dict(content, str(path))
     name = "model_avg" if settings["use_ema"] else "model"
     if name not in content:
-        raise CheckpointError(f"{path} has no {name}, which args.json asks for (use_ema {settings['use_ema']})")
+        raise CheckpointError(f"{path} has no {name}, but args.json has use_ema {settings['use_ema']}")
     return state_dict(content[name], f"{path}: {name}")
 
 
-def _leading(settings: Mapping[str, Any], said: set[str]) -> str | None:
-    """The code that came to know several text encoders, and says which in `args.json`, tells the step alone."""
+def _leading(settings: Mapping[str, Any], names: set[str]) -> str | None:
+    """Return the kind of the leading token.
+
+    The version of the code that supports several text encoders, and names the encoder in `args.json`, encodes the step
+    alone.
+    """
     if settings["arch"] == "trans_enc" or not settings["emb_trans_dec"]:
         return None
-    return "step" if "text_encoder_type" in said else "step_and_text"
+    return "step" if "text_encoder_type" in names else "step_and_text"
 
 
-def _described(settings: Mapping[str, Any], leading: str | None, text_model: str | None) -> dict[str, Any]:
+def _describe_parts(settings: Mapping[str, Any], leading: str | None, text_model: str | None) -> dict[str, Any]:
     encoder = MdmEncoder if settings["arch"] == "trans_enc" else MdmDecoder
     bert = settings["text_encoder_type"] == "bert"
     source = {} if text_model is None else {"source": text_model}

@@ -1,4 +1,4 @@
-"""MDM-SMPL as STMC's authors publish it: a run of Lightning, `config.json` and `logs/checkpoints/last.ckpt`."""
+"""Importer of STMC's MDM-SMPL: a run of Lightning with `config.json` and `logs/checkpoints/last.ckpt`."""
 
 from __future__ import annotations
 
@@ -13,42 +13,47 @@ from stmc.model import Model
 from stmc.run.published.torch_checkpoint import (
     CheckpointError,
     Imported,
-    built,
+    build_parts,
+    check_size,
     fill,
     nudged_statistics,
     read_checkpoint,
     read_json,
     size_of,
     state_dict,
-    whole,
 )
 from stmc.settings.records import shown
 
 CHECKPOINT = Path("logs/checkpoints/last.ckpt")
 LONGEST = 10.0
-"""Seconds of the longest clips it was trained on."""
+"""Duration in seconds of the longest training clips."""
 REPRESENTATIONS = {"smplrifke": "SmplRepresentation", "guoh3dfeats": "HumanML3DRepresentation"}
 PREDICTIONS = {"x": "x0", "x0": "x0", "eps": "eps", "epsilon": "eps", "v": "v", "score": "score"}
 CLIP = ("ViT-B/32", "clip", "openai/clip-vit-base-patch32")
 
 
 def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = None) -> Imported:
-    """The model of a run directory, with the weights of `checkpoint` (None: the last one).
+    """Read the model of a run directory.
 
-    `text_model`: where the text encoder's weights are (a folder or a hub name; None: the published ones on the hub).
-    Raises `CheckpointError` for settings, weights or statistics that are missing, strange, or do not fit.
+    Args:
+        folder: Folder of the run.
+        checkpoint: File of the weights; None uses the last checkpoint.
+        text_model: Folder or hub name of the text encoder's weights; None uses the published ones on the hub.
+
+    Raises:
+        CheckpointError: If settings, weights or statistics are missing, invalid or do not fit.
     """
     checkpoint = folder / CHECKPOINT if checkpoint is None else checkpoint
     settings = read_json(folder / "config.json")
     content = read_checkpoint(checkpoint)
     if "state_dict" not in content:
-        raise CheckpointError(f"{checkpoint} has no state_dict: it is not a checkpoint of PyTorch Lightning")
+        raise CheckpointError(f"{checkpoint} has no state_dict; it must be a checkpoint of PyTorch Lightning")
     weights = state_dict(content["state_dict"], f"{checkpoint}: state_dict")
     denoiser = {
         name.removeprefix("denoiser."): value for name, value in weights.items() if name.startswith("denoiser.")
     }
-    config = _described(settings, denoiser, folder / "config.json", str(checkpoint), text_model)
-    parts = built(config, denoiser, folder / "config.json", f"{checkpoint}: denoiser")
+    config = _describe_parts(settings, denoiser, folder / "config.json", str(checkpoint), text_model)
+    parts = build_parts(config, denoiser, folder / "config.json", f"{checkpoint}: denoiser")
     network = parts["denoiser"]
     fill(network, denoiser, f"{checkpoint}: denoiser")
     rest = {name: value for name, value in weights.items() if not name.startswith("denoiser.")}
@@ -80,10 +85,10 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
     return Imported(model, "MDM-SMPL", facts)
 
 
-def _described(
+def _describe_parts(
     settings: Mapping[str, Any], weights: Mapping[str, Tensor], path: Path, place: str, text_model: str | None
 ) -> dict[str, Any]:
-    """How to build the parts: sizes from the weights, everything else from the settings."""
+    """Describe the parts: sizes from the weights, everything else from the settings."""
     features = _setting(settings, "motion_features", path)
     if not isinstance(features, str) or features not in REPRESENTATIONS:
         raise CheckpointError(f"{path}: motion_features must be {' or '.join(REPRESENTATIONS)}, not {shown(features)}")
@@ -112,13 +117,16 @@ def _described(
 
 
 def _schedule(settings: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    described = _setting(settings, "diffusion.schedule", path)
-    found = [kind for kind in ("cosine", "linear") if kind in str(described).lower()]
+    schedule = _setting(settings, "diffusion.schedule", path)
+    kinds = [kind for kind in ("cosine", "linear") if kind in str(schedule).lower()]
     steps = _setting(settings, "diffusion.timesteps", path)
-    if len(found) != 1:
-        raise CheckpointError(f"{path}: diffusion.schedule must be cosine or linear, not {shown(described)}")
-    own = {"s": described["s"]} if isinstance(described, Mapping) and "s" in described else {}
-    return {"_target_": f"stmc.diffusion.Schedule.{found[0]}", "steps": whole(steps, "diffusion.timesteps", path)} | own
+    if len(kinds) != 1:
+        raise CheckpointError(f"{path}: diffusion.schedule must be cosine or linear, not {shown(schedule)}")
+    offset = {"s": schedule["s"]} if isinstance(schedule, Mapping) and "s" in schedule else {}
+    return {
+        "_target_": f"stmc.diffusion.Schedule.{kinds[0]}",
+        "steps": check_size(steps, "diffusion.timesteps", path),
+    } | offset
 
 
 def _text_encoder(settings: Mapping[str, Any], path: Path, width: int, text_model: str | None) -> dict[str, Any]:
@@ -127,19 +135,19 @@ def _text_encoder(settings: Mapping[str, Any], path: Path, width: int, text_mode
     if name in CLIP:
         return {"_target_": "stmc.text.Clip"} | ({} if text_model is None else {"source": text_model})
     if not isinstance(name, str):
-        raise CheckpointError(f"{path}: data.text_encoder.modelname must be a model's name, not {shown(name)}")
+        raise CheckpointError(f"{path}: data.text_encoder.modelname must be the name of a model, not {shown(name)}")
     if pooled:
         raise CheckpointError(
-            f"{path}: mean_pooling of {shown(name)} is not supported; only CLIP, and tokens of any model"
+            f"{path}: mean_pooling of {shown(name)} is not supported; use CLIP, or tokens of any model"
         )
     return {"_target_": "stmc.text.Tokens", "source": text_model or name, "width": width}
 
 
 def _prediction(settings: Mapping[str, Any], path: Path) -> str:
-    named = _setting(settings, "diffusion.prediction", path)
-    if not isinstance(named, str) or named not in PREDICTIONS:
-        raise CheckpointError(f"{path}: prediction must be one of {', '.join(PREDICTIONS)}, not {shown(named)}")
-    return PREDICTIONS[named]
+    prediction = _setting(settings, "diffusion.prediction", path)
+    if not isinstance(prediction, str) or prediction not in PREDICTIONS:
+        raise CheckpointError(f"{path}: prediction must be one of {', '.join(PREDICTIONS)}, not {shown(prediction)}")
+    return PREDICTIONS[prediction]
 
 
 def _statistics(weights: Mapping[str, Tensor], side: str, width: int, path: Path) -> Statistics:
@@ -153,9 +161,9 @@ def _statistics(weights: Mapping[str, Tensor], side: str, width: int, path: Path
 
 
 def _setting(settings: Mapping[str, Any], name: str, path: Path) -> Any:
-    found: Any = settings
+    value: Any = settings
     for key in name.split("."):
-        if not isinstance(found, Mapping) or key not in found:
+        if not isinstance(value, Mapping) or key not in value:
             raise CheckpointError(f"{path} has no setting {name}")
-        found = found[key]
-    return found
+        value = value[key]
+    return value

@@ -1,4 +1,4 @@
-"""MotionDiffuse as its authors publish it: `opt.txt`, `model/latest.tar`, `meta/mean.npy` and `meta/std.npy`."""
+"""Importer of MotionDiffuse: `opt.txt`, `model/latest.tar`, `meta/mean.npy` and `meta/std.npy`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from stmc.model import Model
 from stmc.run.published.torch_checkpoint import (
     CheckpointError,
     Imported,
-    built,
+    build_parts,
+    check_size,
+    drop_prefix,
     fill,
-    identity,
+    identity_statistics,
     read_checkpoint,
     read_statistics,
     size_of,
     state_dict,
-    whole,
-    without,
 )
 
 CHECKPOINT = Path("model/latest.tar")
@@ -33,33 +33,38 @@ DEFAULTS = {
     "no_clip": "False",
     "no_eff": "False",
 }
-"""What the published code assumes where `opt.txt` says nothing."""
+"""Defaults of the published code for settings that `opt.txt` lacks."""
 CHOICES = {"dataset_name": ("t2m",), "no_clip": ("False",), "no_eff": ("False",)}
-"""What of it this library can run."""
+"""Values that this library supports."""
 FPS, FEATURES = 20, 263
 
 
 def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = None) -> Imported:
-    """The model of a folder, with the weights of `checkpoint` (None: `model/latest.tar`).
+    """Read the model of a folder.
 
-    `text_model`: where CLIP's weights are (a folder or a hub name; None: the published ones on the hub); the copy of
-    them in the checkpoint is left there. Raises `CheckpointError` for what is missing, strange, does not fit, or cannot
-    be run.
+    Args:
+        folder: Folder of the checkpoint.
+        checkpoint: File of the weights; None uses `model/latest.tar`.
+        text_model: Folder or hub name of CLIP's weights; None uses the published ones on the hub. The copy in the
+            checkpoint is ignored.
+
+    Raises:
+        CheckpointError: If a file is missing, damaged, does not fit, or is not supported.
     """
     checkpoint = folder / CHECKPOINT if checkpoint is None else checkpoint
     settings = _settings(folder / "opt.txt")
     content = read_checkpoint(checkpoint)
     if "encoder" not in content:
-        raise CheckpointError(f"{checkpoint} has no encoder: it is not a checkpoint of MotionDiffuse")
-    weights = without(state_dict(content["encoder"], f"{checkpoint}: encoder"), "clip.")
-    config = _described(settings, weights, str(checkpoint), text_model)
-    parts = built(config, weights, folder / "opt.txt", f"{checkpoint}: encoder")
+        raise CheckpointError(f"{checkpoint} has no encoder; it must be a checkpoint of MotionDiffuse")
+    weights = drop_prefix(state_dict(content["encoder"], f"{checkpoint}: encoder"), "clip.")
+    config = _describe_parts(settings, weights, str(checkpoint), text_model)
+    parts = build_parts(config, weights, folder / "opt.txt", f"{checkpoint}: encoder")
     network = parts["denoiser"]
     fill(network, weights, f"{checkpoint}: encoder")
     model = Model(
         **parts,
         motion_statistics=read_statistics(folder / "meta" / "mean.npy", folder / "meta" / "std.npy", FEATURES),
-        text_statistics=identity(parts["text_encoder"].width),
+        text_statistics=identity_statistics(parts["text_encoder"].width),
         skeleton=parts["representation"].skeleton,
         fps=FPS,
         longest=config["denoiser"]["frames"],
@@ -77,13 +82,13 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
 
 
 def _settings(path: Path) -> dict[str, Any]:
-    """The lines `name: value` of `opt.txt`, with defaults for those missing; sizes as numbers."""
+    """Read the lines `name: value` of `opt.txt`, with defaults for missing ones and sizes as numbers."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise CheckpointError(f"{path} cannot be read: {error}") from error
-    said = {name.strip(): value.strip() for name, colon, value in (line.partition(":") for line in lines) if colon}
-    settings: dict[str, Any] = DEFAULTS | said
+    stored = {name.strip(): value.strip() for name, colon, value in (line.partition(":") for line in lines) if colon}
+    settings: dict[str, Any] = DEFAULTS | stored
     for name, choices in CHOICES.items():
         if settings[name] not in choices:
             raise CheckpointError(
@@ -91,11 +96,11 @@ def _settings(path: Path) -> dict[str, Any]:
             )
     for name in ("num_layers", "latent_dim", "diffusion_steps"):
         value = settings[name]
-        settings[name] = whole(int(value) if value.isdecimal() and len(value) < 10 else value, name, path)
+        settings[name] = check_size(int(value) if value.isdecimal() and len(value) < 10 else value, name, path)
     return settings
 
 
-def _described(
+def _describe_parts(
     settings: Mapping[str, Any], weights: Mapping[str, Tensor], place: str, text_model: str | None
 ) -> dict[str, Any]:
     return {

@@ -1,6 +1,6 @@
-"""What the published formats share: tensors in PyTorch's files, settings beside them, and weights that have to fit.
+"""Common functions of the published formats: tensors in PyTorch files, settings, and checks that weights fit.
 
-Knows no network and no format in particular. Nothing is run that a file holds.
+Independent of particular networks and formats. No code of a file is executed.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ from stmc.settings.records import shown
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that is invalid or does not fit; the message names the file, what is wrong, what is right."""
+    """A checkpoint that is invalid or does not fit; the message names the file, the problem and the legal values."""
 
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """A published model (or evaluator) and what its card should say: a title, and sentences on its source and on what
-    was chosen."""
+    """A published model (or evaluator), with the title of its card and sentences on its source and its settings."""
 
     model: Model | Evaluator
     title: str
@@ -41,8 +40,11 @@ class Imported:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """The content of a file that `torch.save` wrote, on the CPU. Raises `CheckpointError` where it is damaged, no dict,
-    or holds more than tensors and plain values, which could run code."""
+    """Read a dict that `torch.save` wrote, to the CPU.
+
+    Raises `CheckpointError` if the file is damaged, is not a dict, or holds more than tensors and plain values, which
+    could execute code.
+    """
     content = _content(path)
     if not isinstance(content, dict):
         raise CheckpointError(f"{path} holds a {type(content).__name__}, not a dict of weights")
@@ -50,7 +52,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def read_tensor(path: Path) -> Tensor:
-    """The one tensor in a file that `torch.save` wrote. Raises `CheckpointError` as `read_checkpoint` does."""
+    """Read a tensor that `torch.save` wrote. Raises `CheckpointError` as `read_checkpoint` does."""
     content = _content(path)
     if not torch.is_tensor(content):
         raise CheckpointError(f"{path} holds a {type(content).__name__}, not a tensor")
@@ -66,30 +68,37 @@ def _content(path: Path) -> Any:
     except pickle.UnpicklingError as error:
         reason = str(error).split("\n")[0]
         raise CheckpointError(
-            f"{path} is damaged, or holds more than tensors, which could run code on this machine, and is not loaded: "
-            f"{reason}"
+            f"{path} is damaged, or holds more than tensors, which could execute code, and is not loaded: {reason}"
         ) from error
-    except Exception as error:  # a damaged file can raise whatever it likes
+    except Exception as error:  # a damaged file can raise any exception
         reason = cut(" ".join(str(error).split()), 200) or type(error).__name__
         raise CheckpointError(f"{path} cannot be read as a checkpoint of PyTorch: {reason}") from error
     return content
 
 
 def state_dict(content: Any, place: str) -> dict[str, Tensor]:
-    """The tensors of a dict by name, without gradients. Raises `CheckpointError` for anything else."""
+    """Return the tensors of a dict by name, without gradients. Raises `CheckpointError` for any other content."""
     if not isinstance(content, Mapping) or not content:
         raise CheckpointError(f"{place} must be a dict of tensors, not {type(content).__name__} {shown(content)}")
-    strange = [
+    invalid = [
         str(name)[:60] for name, value in content.items() if not isinstance(name, str) or not torch.is_tensor(value)
     ]
-    if strange:
-        raise CheckpointError(f"{place} must hold tensors only, but {', '.join(strange[:5])} are none")
+    if invalid:
+        raise CheckpointError(f"{place} must hold tensors only, but {', '.join(invalid[:5])} are not")
     return {name: value.detach() for name, value in content.items()}
 
 
 def fill(network: nn.Module, weights: Mapping[str, Tensor], place: str) -> None:
-    """Loads `weights` into the network, as float32. Raises `CheckpointError` that lists the first weights that are
-    missing, not known, of another shape or type, or not finite."""
+    """Load `weights` into a network, as float32.
+
+    Args:
+        network: The network.
+        weights: Its weights.
+        place: Their file, for messages.
+
+    Raises:
+        CheckpointError: With the first weights that are missing, unknown, of another shape or type, or not finite.
+    """
     wrong = misfit(specs_of(network.state_dict()), specs_of(weights))
     infinite = [name for name, value in weights.items() if not value.isfinite().all()]
     if wrong or infinite:
@@ -99,37 +108,67 @@ def fill(network: nn.Module, weights: Mapping[str, Tensor], place: str) -> None:
     network.eval().requires_grad_(False)
 
 
-def built(
+def build_parts(
     config: Mapping[str, Any],
     weights: Mapping[str, Tensor],
     settings: Path,
     place: str,
     parts: Mapping[str, Part] = PARTS,
 ) -> dict[str, Any]:
-    """The parts of a model, as `run.build_fitting` makes them of what a stranger's `settings` say. Raises
-    `CheckpointError` where they cannot be made, or the `weights` of the file at `place` do not fit."""
+    """Build the parts of a model with `run.build_fitting`, from a description of published settings.
+
+    Args:
+        config: Description of each part.
+        weights: Weights of the network.
+        settings: File of the settings, for messages.
+        place: File of the weights, for messages.
+        parts: Legal values of each part.
+
+    Raises:
+        CheckpointError: If the parts cannot be built, or the weights do not fit.
+    """
     try:
         return build_fitting(config, specs_of(weights), place, parts)
     except RunError as error:
         raise CheckpointError(str(error) if place in str(error) else f"{settings}: {error}") from error
 
 
-def whole(value: Any, name: str, path: Path, most: int = 10_000) -> int:
-    """A positive whole number of a file's settings. Raises `CheckpointError` for anything else."""
+def check_size(value: Any, name: str, path: Path, most: int = 10_000) -> int:
+    """Check that a setting is a positive integer.
+
+    Args:
+        value: The value.
+        name: Name of the setting.
+        path: File of the settings.
+        most: Maximum.
+
+    Raises:
+        CheckpointError: If it is not.
+    """
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
-        raise CheckpointError(f"{path}: {name} must be a positive whole number up to {most}, not {shown(value)}")
+        raise CheckpointError(f"{path}: {name} must be a positive integer up to {most}, not {shown(value)}")
     return value
 
 
 def size_of(weights: Mapping[str, Tensor], name: str, dimension: int, place: str) -> int:
-    """One dimension of a weight. Raises `CheckpointError` where there is no such weight."""
+    """Return one dimension of a weight.
+
+    Args:
+        weights: The weights.
+        name: Name of the weight.
+        dimension: Index of the dimension.
+        place: File of the weights, for messages.
+
+    Raises:
+        CheckpointError: If there is no such weight.
+    """
     if name not in weights or weights[name].ndim <= dimension:
-        raise CheckpointError(f"{place} has no weight {name}: it is a checkpoint of another model")
+        raise CheckpointError(f"{place} has no weight {name}; it belongs to another model")
     return weights[name].shape[dimension]
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The settings of a `.json` file. Raises `CheckpointError` where they are none."""
+    """Read the settings of a `.json` file. Raises `CheckpointError` if it holds none."""
     try:
         settings = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
@@ -140,11 +179,20 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_statistics(mean: Path, std: Path, width: int) -> Statistics:
-    """Mean and standard deviation of `width` features in two `.npy` files. Raises `CheckpointError` for any others."""
+    """Read the mean and standard deviation of `width` features from two `.npy` files.
+
+    Args:
+        mean: File of the mean.
+        std: File of the standard deviation.
+        width: Number of features.
+
+    Raises:
+        CheckpointError: If a file is missing or invalid.
+    """
     values = []
     for path in (mean, std):
         if not path.is_file():
-            raise CheckpointError(f"{path} does not exist: the weights are of no use without their mean and std")
+            raise CheckpointError(f"{path} does not exist; the weights need their mean and std")
         try:
             array = read_npy(path)
         except ArraysError as error:
@@ -159,7 +207,16 @@ def read_statistics(mean: Path, std: Path, width: int) -> Statistics:
 
 
 def read_tensor_statistics(mean: Path, std: Path, width: int) -> Statistics:
-    """As `read_statistics`, of two files that `torch.save` wrote; the deviation as in `nudged_statistics`."""
+    """Read the mean and standard deviation from two files that `torch.save` wrote; see `nudged_statistics`.
+
+    Args:
+        mean: File of the mean.
+        std: File of the standard deviation.
+        width: Number of features.
+
+    Raises:
+        CheckpointError: If a file is missing or invalid.
+    """
     values = [read_tensor(path) for path in (mean, std)]
     for path, value in zip((mean, std), values, strict=True):
         if value.shape != (width,):
@@ -168,42 +225,62 @@ def read_tensor_statistics(mean: Path, std: Path, width: int) -> Statistics:
 
 
 def nudged_statistics(mean: Tensor, std: Tensor, place: str) -> Statistics:
-    """What the code of TMR and STMC, and FlowMDM's on BABEL, normalises by: the deviation plus 1e-12.
+    """Build statistics as the code of TMR and STMC, and FlowMDM's on BABEL, uses them: the std plus 1e-12.
 
-    Raises `CheckpointError` where a mean or a deviation is invalid.
+    Args:
+        mean: The mean.
+        std: The standard deviation.
+        place: Their source, for messages.
+
+    Raises:
+        CheckpointError: If a mean or a standard deviation is invalid.
     """
     try:
         return Statistics(mean.float(), std.float() + 1e-12)
     except ValueError as error:
-        raise CheckpointError(f"{place} must be finite, with a std that is not negative") from error
+        raise CheckpointError(f"{place} must be finite, with a std of 0 or more") from error
 
 
-def identity(width: int) -> Statistics:
-    """Statistics that change nothing: of texts that a network reads as they come."""
+def identity_statistics(width: int) -> Statistics:
+    """Return statistics that change nothing, for texts that a network reads unnormalised."""
     return Statistics(torch.zeros(width), torch.ones(width))
 
 
-def without(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """The weights whose names do not start with `prefix`."""
+def drop_prefix(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Return the weights whose names do not start with `prefix`."""
     return {name: value for name, value in weights.items() if not name.startswith(prefix)}
 
 
 def only_file(folder: Path, pattern: str) -> Path:
-    """The one file of a folder that the pattern fits. Raises `CheckpointError` where there is none, or more."""
-    found = sorted(folder.glob(pattern))
-    if len(found) != 1:
-        names = ", ".join(path.name for path in found) or "none"
-        raise CheckpointError(f"{folder} should hold one {pattern}, but holds {names}: name the file itself")
-    return found[0]
+    """Return the only file of a folder that matches the pattern.
+
+    Raises `CheckpointError` if there is none, or several.
+    """
+    matches = sorted(folder.glob(pattern))
+    if len(matches) != 1:
+        names = ", ".join(path.name for path in matches) or "none"
+        raise CheckpointError(f"{folder} should hold one {pattern}, but holds {names}; name the file itself")
+    return matches[0]
 
 
-def without_tables(weights: Mapping[str, Tensor], names: Sequence[str], table: Tensor, path: Path) -> dict[str, Tensor]:
-    """The weights without the tables of positions called `names`, which follow from a formula; shorter or longer ones
-    are the same. Raises `CheckpointError` for other numbers: then the checkpoint is of another network."""
+def drop_tables(weights: Mapping[str, Tensor], names: Sequence[str], table: Tensor, path: Path) -> dict[str, Tensor]:
+    """Drop the positional tables called `names`, which follow from a formula; their lengths may differ.
+
+    Args:
+        weights: The weights.
+        names: Names of the tables.
+        table: The expected table.
+        path: File of the weights, for messages.
+
+    Raises:
+        CheckpointError: If a table has other numbers, that is, if the checkpoint belongs to another network.
+    """
     for name in names:
         if name in weights:
-            theirs = weights[name].float().reshape(len(weights[name]), -1)
-            rows = min(len(theirs), len(table))
-            if theirs.shape[1] != table.shape[1] or not torch.allclose(theirs[:rows], table[:rows], atol=1e-2):
-                raise CheckpointError(f"{path}: {name} {list(weights[name].shape)} is another table of positions")
+            published = weights[name].float().reshape(len(weights[name]), -1)
+            rows = min(len(published), len(table))
+            if published.shape[1] != table.shape[1] or not torch.allclose(published[:rows], table[:rows], atol=1e-2):
+                raise CheckpointError(
+                    f"{path}: {name} {list(weights[name].shape)} differs from the expected positional table"
+                )
     return {name: value for name, value in weights.items() if name not in names}

@@ -1,6 +1,6 @@
-"""From timelines to plans in frames: who owns each body part, crops and tiles, and rules that make plans of plans.
+"""From timelines to plans in frames: ownership of body parts, crops and tiles, and rules that transform plans.
 
-Pure data: knows no features, no denoiser and no torch.
+Pure data: independent of features, denoisers and torch.
 """
 
 from stmc.timeline.planning.assignment import Run, assign

@@ -1,4 +1,7 @@
-"""Which prompt each body part obeys at every frame (STMC, section 3.3 and Appendix B). Knows no crops, no overlap."""
+"""The prompt that owns each body part at every frame (STMC, section 3.3 and Appendix B).
+
+Independent of crops and overlaps.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +12,24 @@ from stmc.timeline.advice import advise
 from stmc.timeline.overlaps import Precedence, sweep
 
 Run = tuple[int | None, int, int]
-"""The index of a prompt, or None where no prompt holds, and the frames [start, end) it owns."""
+"""The index of a prompt, or None if no prompt holds, and the frames [start, end) it owns."""
 
 
 def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ...]]:
-    """For each body part the prompts that own it, in time order, covering [0, frames) without holes.
+    r"""Compute, for each body part, the prompts that own it, in time order, covering [0, frames) without holes.
 
-    Time is cut at every start and end; in each interval the base prompt gets the whole body and the others override the
-    parts they claim, in SINC's order (`Precedence`); neighbouring intervals of one prompt are joined. A moment without
-    a prompt belongs to None, for all five parts alike (R3). Ties fall to the file's order (R2).
+    Time is cut at every start and end. In each interval the base prompt gets the whole body and the others override the
+    parts they claim, in SINC's order (`Precedence`); adjacent intervals of one prompt are merged. A time without a
+    prompt belongs to None, for all five parts (R3). The file's order breaks ties (R2).
 
     Raises:
         TimelineError: If the timeline lasts no frame at all.
 
     Warns:
-        TimelineWarning: One, for prompts that last no frame and so own nothing.
+        TimelineWarning: Once, if prompts last no frame and so own nothing.
 
     Examples:
-        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\nwave # 1 # 3 # right arm")
         >>> stmc.assign(timeline, fps=20)[stmc.BodyPart.RIGHT_ARM]
         ((0, 0, 20), (1, 20, 60), (0, 60, 80))
     """
@@ -35,10 +38,10 @@ def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ..
     if frames == 0:
         seconds = f"{timeline.duration:g} s are less than a frame at {fps:g} fps"
         raise TimelineError(f"{timeline.place}: the timeline's {seconds}; make it longer")
-    _advise_of_moments(timeline, spans, fps)
+    _warn_of_empty_spans(timeline, spans, fps)
     precedence = Precedence([prompt.parts for prompt in timeline.prompts])
     owners: dict[BodyPart, list[Run]] = {part: [] for part in BodyPart}
-    whole = len(spans)  # a span of the whole timeline, so that a gap at its start is swept too
+    whole = len(spans)  # index of a span of the whole timeline, so that the sweep includes a gap at its start
     for start, end, ended, started in sweep([*spans, (0, frames)]):
         precedence.update(ended, [index for index in started if index != whole])
         for part, runs in owners.items():
@@ -50,9 +53,9 @@ def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ..
     return {part: tuple(runs) for part, runs in owners.items()}
 
 
-def _advise_of_moments(timeline: Timeline, spans: tuple[tuple[int, int], ...], fps: int | float) -> None:
-    moments = [prompt for prompt, (start, end) in zip(timeline.prompts, spans, strict=True) if start == end]
-    if moments:
-        first, more = moments[0], f", and {len(moments) - 1} more" if len(moments) > 1 else ""
-        what = f"{shown(first.text)} ({first.start:g} to {first.end:g} s) lasts no frame at {fps:g} fps"
-        advise(f"{what}: left out{more}")
+def _warn_of_empty_spans(timeline: Timeline, spans: tuple[tuple[int, int], ...], fps: int | float) -> None:
+    empty = [prompt for prompt, (start, end) in zip(timeline.prompts, spans, strict=True) if start == end]
+    if empty:
+        first, more = empty[0], f", and {len(empty) - 1} more" if len(empty) > 1 else ""
+        message = f"{shown(first.text)} ({first.start:g} to {first.end:g} s) lasts no frame at {fps:g} fps"
+        advise(f"{message} and is left out{more}")

@@ -1,4 +1,4 @@
-"""A plan as lines of text: its crops to scale, and which of them each body part follows at each moment."""
+"""A plan as lines of text: its crops to scale, and the crop that each body part follows at each time."""
 
 from __future__ import annotations
 
@@ -10,18 +10,25 @@ from stmc.motion.body import BodyPart
 
 COLUMNS = 64
 MOST = 30
-"""Crops that are listed; a longer plan says how many more it has."""
+"""Maximum number of listed crops; a longer plan only counts the rest."""
 
 
 def draw(frames: int, crops: Sequence[Any], tiles: Sequence[Any]) -> str:
-    """A bar for each crop, with its letter and its text, if it has one; below, for each body part, the letter of the
-    crop that it follows, and ~ where several count. Takes what a `Plan` is made of, which knows this module."""
+    """Draw a bar for each crop, with its letter and text, then a line for each body part.
+
+    The line shows the letter of the crop that the part follows, and ~ where several crops count.
+
+    Args:
+        frames: Length of the plan.
+        crops: Crops of a `Plan`; `plans` imports this module, not the reverse.
+        tiles: Tiles of the same plan.
+    """
     letters = string.ascii_letters + "?" * len(crops)
     title = f"plan: {frames} frames, {len(crops)} crops"
     more = [f"{'…':<10} and {len(crops) - MOST} more"] if len(crops) > MOST else []
     bars = [_bar(crop, letter, frames) for crop, letter in zip(crops[:MOST], letters, strict=False)]
-    owned = {part: [tile for tile in tiles if tile.part == part] for part in BodyPart}
-    parts = [f"{part!s:<10} {_followed(own, frames, letters)}" for part, own in owned.items()]
+    tiles_of = {part: [tile for tile in tiles if tile.part == part] for part in BodyPart}
+    parts = [f"{part!s:<10} {_letters_by_column(part_tiles, frames, letters)}" for part, part_tiles in tiles_of.items()]
     return "\n".join([title, *bars, *more, *parts])
 
 
@@ -33,8 +40,8 @@ def _bar(crop: Any, letter: str, frames: int) -> str:
     return f"{letter:<10} {' ' * left}{bar:<{COLUMNS - left}}  {crop.start} to {crop.end}"
 
 
-def _followed(tiles: Sequence[Any], frames: int, letters: str) -> str:
-    """At the middle of each column."""
+def _letters_by_column(tiles: Sequence[Any], frames: int, letters: str) -> str:
+    """Return the letters at the middle of each column."""
     return "".join(_letter(tiles, (2 * column + 1) * frames // (2 * COLUMNS), letters) for column in range(COLUMNS))
 
 

@@ -1,7 +1,7 @@
-"""From a timeline to a plan in frames: what a denoiser is asked, and where its answers go (STMC, section 3.3).
+"""From a timeline to a plan in frames: requests to a denoiser, and the destinations of its predictions.
 
-Pure data: knows no features and no denoiser. Whoever follows a plan adds up, at every frame and body part, the crops'
-predictions with the tiles' weights.
+See section 3.3 of STMC. Pure data: independent of features and denoisers. To follow a plan, add up the predictions of
+the crops with the weights of the tiles, at every frame and body part.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True)
 class Crop:
-    """One row of the denoiser's batch: frames [start, end) of the timeline, under a text or, for None, under none."""
+    """One row of the denoiser's batch: frames [start, end) of the timeline, with a text or, for None, without one."""
 
     text: str | None
     start: int
@@ -34,16 +34,16 @@ class Crop:
 
     @property
     def frames(self) -> int:
-        """The crop's length."""
+        """The length of the crop."""
         return self.end - self.start
 
 
 @dataclass(frozen=True)
 class Tile:
-    """Where one body part of one crop lands: frames [start, end) of the timeline, added with `weight`: 1 or -1
-    in a `plan`, anything between in the plans that `rules` make of it.
+    """The destination of one body part of one crop: frames [start, end) of the timeline, added with `weight`.
 
-    Within the crop these are the frames from `start - crop.start` on.
+    The weight is 1 or -1 in a `plan`, and any number between in plans that `rules` transform. Within the crop, the tile
+    covers the frames from `start - crop.start` on.
     """
 
     crop: int
@@ -55,19 +55,19 @@ class Tile:
 
 @dataclass(frozen=True)
 class Plan:
-    """The layout of one timeline in frames.
+    r"""The layout of one timeline in frames.
 
     Args:
         frames: Length of the timeline.
         crops: Prompts in the file's order (a long one as several crops), then gaps, then transitions, in time order.
-        tiles: By body part; `Tile.crop` is an index into `crops`.
+        tiles: Tiles by body part; `Tile.crop` is an index into `crops`.
 
     Raises:
-        ValueError: Unless every tile lies within its crop and the timeline, and the weights sum to 1 at every
-            (frame, body part). Then combining predictions of x0, of the noise or of the score is the same.
+        ValueError: Unless every tile lies within its crop and the timeline, and the weights sum to 1 at every (frame,
+            body part). Combining predictions of x0, of the noise or of the score is then equivalent.
 
     Examples:
-        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\nwave # 1 # 3 # right arm")
         >>> print(stmc.plan(timeline, fps=20, overlap=10))
         plan: 80 frames, 4 crops
         a          [walk··························································]  0 to 80
@@ -92,7 +92,7 @@ class Plan:
         changes: dict[BodyPart, dict[int, float]] = {part: {0: 0, self.frames: 0} for part in BodyPart}
         for tile in self.tiles:
             if not 0 <= tile.crop < len(self.crops):
-                raise ValueError(f"{tile} is of none of the {len(self.crops)} crops")
+                raise ValueError(f"{tile} refers to none of the {len(self.crops)} crops")
             crop = self.crops[tile.crop]
             if not crop.start <= tile.start < tile.end <= crop.end:
                 raise ValueError(f"{tile} is empty or not within {crop}")
@@ -104,40 +104,40 @@ class Plan:
             sums = accumulate(change[time] for time in times[:-1])
             for time, total in zip(times, sums, strict=False):
                 if not math.isclose(total, 1, abs_tol=1e-6):
-                    raise ValueError(f"the weights of the {part} sum to {total} and not to 1 from frame {time} on")
+                    raise ValueError(f"the weights of the {part} sum to {total} instead of 1 from frame {time} on")
 
     def __str__(self) -> str:
-        """The plan as lines of text: its crops to scale, and which of them each body part follows."""
+        """Draw the crops to scale, and the crop that each body part follows."""
         return draw(self.frames, self.crops, self.tiles)
 
 
 def plan(
     timeline: Timeline, fps: int | float, overlap: int, longest: int | None = None, once: Collection[str] = ()
 ) -> Plan:
-    """Lay a timeline out in crops and tiles.
+    r"""Lay out a timeline in crops and tiles.
 
     Every prompt, and every gap, becomes a crop, widened by half the overlap on both sides within the timeline. Around
-    each moment where some body part changes its owner lies one crop without text, `overlap` frames long, which is
-    subtracted from the parts that change there (Figure 3b; DiffCollage). An odd overlap has its longer half on the
-    right. A prompt that owns no body part anywhere is not planned (R12), an edge that moves no part is no transition
+    each frame where some body part changes its owner lies one crop without text, `overlap` frames long, which is
+    subtracted from the parts that change there (Figure 3b; DiffCollage). The longer half of an odd overlap is on the
+    right. A prompt that owns no body part anywhere is not planned (R12); an edge that moves no part is no transition
     (R3).
 
     Args:
-        timeline: Its first frame is second 0.
+        timeline: The timeline; its first frame is second 0.
         fps: Frames per second.
         overlap: Length of a transition in frames, 2 l in the paper. 0 widens nothing and plans no transitions: each
             body part is then selected from one crop, as in SINC (R11).
-        longest: Frames that the denoiser can take at once. A prompt or gap whose widened crop would be longer is split
-            into the fewest equal pieces that are not, of the same text, joined like any other transition.
-        once: Texts of what happens once, however long it is asked for: of such a prompt's pieces the first alone has
-            the text, the others have none. Nobody sits down every ten seconds.
+        longest: Maximum number of frames that the denoiser accepts. A prompt or gap whose widened crop would be longer
+            is split into the fewest equal pieces that fit, with the same text, joined like any other transition.
+        once: Texts of one-shot actions, whatever their duration. Only the first piece of such a prompt has the text,
+            the others have none: nobody sits down every ten seconds.
 
     Raises:
         TimelineError: If the timeline lasts no frame, or more than `stmc.timeline.prompts.MOST_FRAMES`.
         ValueError: If the overlap is negative, or `longest` leaves no room for a piece and its overlap.
 
     Examples:
-        >>> timeline = stmc.Timeline.parse("walk # 0 # 2\\njump # 2 # 4")
+        >>> timeline = stmc.Timeline.parse("walk # 0 # 2\njump # 2 # 4")
         >>> [(crop.text, crop.start, crop.end) for crop in stmc.plan(timeline, fps=20, overlap=10).crops]
         [('walk', 0, 45), ('jump', 35, 80), (None, 35, 45)]
     """
@@ -145,7 +145,7 @@ def plan(
     _check(frames, overlap, longest)
     window = _Window(frames, overlap, longest or frames)
     split = cache(window.split)
-    runs = {part: _pieces_owned(owners[part], spans, split) for part in BodyPart}
+    runs = {part: _cut_runs(owners[part], spans, split) for part in BodyPart}
     pieces = sorted({owned.piece for part in BodyPart for owned in runs[part]}, key=_row_order)
     changes = sorted({owned.start for part in BodyPart for owned in runs[part][1:]}) if overlap else []
     texts = [_text(timeline, piece, spans, once) for piece in pieces]
@@ -169,7 +169,7 @@ class _Piece(NamedTuple):
 
 
 class _Owned(NamedTuple):
-    """The frames of a piece that one body part obeys."""
+    """The frames of a piece that one body part follows."""
 
     piece: _Piece
     start: int
@@ -186,11 +186,11 @@ class _Window(NamedTuple):
         return max(0, start - left), min(self.frames, end + self.overlap - left)
 
     def split(self, start: int, end: int) -> list[Span]:
-        """The fewest equal pieces that are at most `longest` frames when widened.
+        """Split a span into the fewest equal pieces that have at most `longest` frames when widened.
 
-        Pieces of at most `longest - overlap` frames always are. A longer one is only where the timeline's ends clip
-        what widens it, as they do for at most `overlap + 2` pieces. So among more pieces than that, only a number just
-        below the one that is always enough leaves that few longer ones.
+        Pieces of at most `longest - overlap` frames always fit. A longer piece fits only if the ends of the timeline
+        clip its widening, which happens for at most `overlap + 2` pieces. Above that count, only numbers of pieces just
+        below the always sufficient number can have so few longer pieces.
         """
         fewest, room = math.ceil((end - start) / self.longest), self.longest - self.overlap
         enough = math.ceil((end - start) / room) if room > 0 else fewest
@@ -208,8 +208,8 @@ def _pieces(start: int, end: int, count: int) -> Iterator[Span]:
     return pairwise(start + (end - start) * piece // count for piece in range(count + 1))
 
 
-def _pieces_owned(runs: Sequence[Run], spans: Sequence[Span], split: Callable[[int, int], list[Span]]) -> list[_Owned]:
-    """One part's runs, cut where the pieces of their prompts meet. A gap is its own span."""
+def _cut_runs(runs: Sequence[Run], spans: Sequence[Span], split: Callable[[int, int], list[Span]]) -> list[_Owned]:
+    """Cut the runs of one body part where the pieces of their prompts meet. A gap is its own span."""
     owned = []
     for prompt, start, end in runs:
         pieces = split(*((start, end) if prompt is None else spans[prompt]))

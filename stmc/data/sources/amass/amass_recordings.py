@@ -1,6 +1,6 @@
-"""AMASS: its SMPL-H and SMPL-X recordings as motions, and where they lie in a folder.
+"""AMASS: its SMPL-H and SMPL-X recordings as motions, and their places in a folder.
 
-Knows AMASS's files and the names that its data sets had and have; knows no annotation and no features.
+Depends on AMASS's files and the old and new names of its data sets; independent of annotations and features.
 """
 
 from __future__ import annotations
@@ -30,32 +30,31 @@ from stmc.motion.motion import Motion
 from stmc.motion.representation import Representation
 
 COLUMNS: Mapping[str, int] = {"smplh": 156, "smplx": 165}
-"""Of `poses`, for each kind of body. Both begin with the root's and the 21 body joints' 66, in one order: SMPL-X has
-jaw, eyes and fingers after them, SMPL-H fingers only."""
+"""Number of columns of `poses` for each kind of body. Both begin with the 66 of the root and the 21 body joints, in one
+order; SMPL-X continues with jaw, eyes and fingers, SMPL-H with fingers only."""
 
 RATES = ("mocap_framerate", "mocap_frame_rate")
-"""The frame rate's name in SMPL-H files and in SMPL-X files."""
+"""Names of the frame rate in SMPL-H files and in SMPL-X files."""
 
 _LARGEST_VALUE = 1024
-"""Bytes of a frame rate or of a body's name."""
+"""Maximum size in bytes of a frame rate or of a body's name."""
 
 RENAMED: Mapping[str, str] = {
     "BioMotionLab_NTroje": "BMLrub", "DFaust_67": "DFaust", "MPI_HDM05": "HDM05", "MPI_Limits": "PosePrior",
     "MPI_mosh": "MoSh", "SSM_synced": "SSM", "TCD_handMocap": "TCDHands", "Transitions_mocap": "Transitions",
 }  # fmt: skip
-"""Data sets of AMASS: their names when HumanML3D and BABEL were made → those of later downloads."""
+"""Data sets of AMASS: their names when HumanML3D and BABEL were made → their names in later downloads."""
 
 
 class RecordingError(ValueError):
-    """A file that is no recording of AMASS, or a damaged one; the message says what it is instead."""
+    """A file that is not a recording of AMASS, or a damaged one; the message describes its content."""
 
 
 def read_recording(path: Path, skeleton: Skeleton) -> Motion:
-    """The recording's body joints at its own frame rate, on `skeleton` (float64; z up, metres).
+    """Read a recording's body joints at its own frame rate, on `skeleton` (float64; z up, metres).
 
-    The subject's shape is left aside, as published (`betas` zero). Raises `RecordingError` for everything else that
-    lies in AMASS's folders, for damaged files, and for recordings that are empty, not finite, or have no frame rate
-    that can be meant.
+    The subject's shape is ignored, as published (`betas` zero). Raises `RecordingError` for other files in AMASS's
+    folders, for damaged files, and for recordings that are empty, not finite, or without a plausible frame rate.
     """
     try:
         headers = npz_headers(path)
@@ -69,8 +68,10 @@ def read_recording(path: Path, skeleton: Skeleton) -> Motion:
 
 
 def motion_of(arrays: Mapping[str, np.ndarray], skeleton: Skeleton) -> Motion:
-    """What `read_recording` makes of a file's arrays: `poses` [frames, columns], `trans` [frames, 3], and the frame
-    rate by one of its names; raises the same."""
+    """Build the motion of a file's arrays: `poses` [frames, columns], `trans` [frames, 3], and the frame rate.
+
+    Raises `RecordingError` as `read_recording` does.
+    """
     _check_shapes(*(Header(arrays[name].shape, arrays[name].dtype) for name in ("poses", "trans")))
     _check_kind(arrays)
     fps = _rate(arrays)
@@ -81,9 +82,11 @@ def motion_of(arrays: Mapping[str, np.ndarray], skeleton: Skeleton) -> Motion:
     poses = arrays["poses"][:, : 3 * NUM_ROTATIONS].astype(np.float64)
     trans = arrays["trans"].astype(np.float64)
     for name, values in (("poses", poses), ("trans", trans)):
-        broken = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if len(broken):
-            raise RecordingError(f"not finite: {name} from frame {broken[0]} on, {len(broken)} frames of {len(values)}")
+        invalid = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if len(invalid):
+            raise RecordingError(
+                f"not finite: {name} from frame {invalid[0]} on, {len(invalid)} frames of {len(values)}"
+            )
     angles = rearrange(torch.from_numpy(poses), "frames (joints axes) -> frames joints axes", axes=3)
     pelvis = torch.from_numpy(trans) + skeleton.offsets[0].double()
     return Motion.posed(axis_angle_to_matrix(angles), pelvis, fps, skeleton)
@@ -92,17 +95,17 @@ def motion_of(arrays: Mapping[str, np.ndarray], skeleton: Skeleton) -> Motion:
 def _check_names(names: tuple[str, ...], path: Path) -> None:
     if "poses" in names and "trans" in names:
         return
-    held = f"it has {cut(', '.join(names), 200) or 'nothing'}"
+    description = f"it has {cut(', '.join(names), 200) or 'nothing'}"
     if "betas" in names and (path.stem == "shape" or path.stem.endswith("_stagei") or "markers_latent" in names):
-        raise RecordingError(f"no motion: a subject's shape alone ({held})")
+        raise RecordingError(f"no motion: a subject's shape alone ({description})")
     if any("marker" in name for name in names):
-        raise RecordingError(f"no motion: markers alone ({held})")
-    raise RecordingError(f"no motion: poses and trans are missing ({held})")
+        raise RecordingError(f"no motion: markers alone ({description})")
+    raise RecordingError(f"no motion: poses and trans are missing ({description})")
 
 
 def _check_shapes(poses: Header, trans: Header) -> None:
-    numbers = all(array.dtype.kind in "fiu" for array in (poses, trans))
-    if not numbers or len(poses.shape) != 2 or trans.shape != (poses.shape[0], 3):
+    numeric = all(array.dtype.kind in "fiu" for array in (poses, trans))
+    if not numeric or len(poses.shape) != 2 or trans.shape != (poses.shape[0], 3):
         raise RecordingError(
             f"wrong shape: poses {poses.shape} {poses.dtype} and trans {trans.shape} {trans.dtype}; they should be "
             "numbers, (frames, columns) and (frames, 3)"
@@ -112,26 +115,26 @@ def _check_shapes(poses: Header, trans: Header) -> None:
     if not poses.shape[0]:
         raise RecordingError("empty: zero frames")
     columns = poses.shape[1]
-    known = ", ".join(f"{kind} {count}" for kind, count in COLUMNS.items())
+    legal = ", ".join(f"{kind} {count}" for kind, count in COLUMNS.items())
     if columns == 72:
-        raise RecordingError(f"wrong variant: poses has 72 columns, as SMPL's without hands; AMASS's have {known}")
+        raise RecordingError(f"wrong variant: poses has 72 columns, as SMPL's without hands; AMASS's have {legal}")
     if columns not in COLUMNS.values():
-        raise RecordingError(f"wrong variant: poses has {columns} columns; AMASS's have {known}")
+        raise RecordingError(f"wrong variant: poses has {columns} columns; AMASS's have {legal}")
 
 
 def _check_small(headers: Mapping[str, Header]) -> None:
-    """Raise `RecordingError` for an array that should be one value and takes more than `_LARGEST_VALUE` bytes."""
+    """Raise `RecordingError` if an array that should be one value takes more than `_LARGEST_VALUE` bytes."""
     for name, (shape, dtype) in headers.items():
         if math.prod(shape) * dtype.itemsize > _LARGEST_VALUE:
             raise RecordingError(f"wrong shape: {name} has shape {shape} of {cut(str(dtype))}; it should be one value")
 
 
 def _check_kind(arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise `RecordingError` for a file that says it is of another body than it is."""
-    columns, known = arrays["poses"].shape[1], ", ".join(f"{kind} {count}" for kind, count in COLUMNS.items())
+    """Raise `RecordingError` if a file names another kind of body than it contains."""
+    columns, legal = arrays["poses"].shape[1], ", ".join(f"{kind} {count}" for kind, count in COLUMNS.items())
     kind = _text(arrays["surface_model_type"]) if "surface_model_type" in arrays else None
     if kind is not None and COLUMNS.get(kind) != columns:
-        raise RecordingError(f"mislabelled: surface_model_type {kind!r}, but poses has {columns} columns ({known})")
+        raise RecordingError(f"mislabelled: surface_model_type {kind!r}, but poses has {columns} columns ({legal})")
 
 
 def _rate(arrays: Mapping[str, np.ndarray]) -> float:
@@ -145,39 +148,47 @@ def _rate(arrays: Mapping[str, np.ndarray]) -> float:
 
 
 def _text(value: np.ndarray) -> str:
-    content = value.reshape(-1)[0] if value.size == 1 else value
-    return content.decode("latin1") if isinstance(content, bytes) else str(content)
+    text = value.reshape(-1)[0] if value.size == 1 else value
+    return text.decode("latin1") if isinstance(text, bytes) else str(text)
 
 
 def reposed(motion: Motion, skeleton: Skeleton, mirrored: bool = False) -> Motion:
-    """A resampled recording, or its mirror image, with `skeleton` posed again: what the published preparation makes of
-    both. Bones keep their lengths, and those of a mirror image are not mirrored.
+    """Pose `skeleton` again with a resampled recording, or with its mirror image, as in the published preparation.
 
-    The published code interpolates axis-angle vectors, `Motion.resampled` on the sphere: nearly the same, but for a
-    vector whose sign flips from one frame to the next.
+    Bones keep their lengths, and those of a mirror image are not mirrored. The published code interpolates axis-angle
+    vectors, `Motion.resampled` on the sphere: the results are nearly equal, except for a vector whose sign flips
+    between frames.
+
+    Args:
+        motion: The recording.
+        skeleton: Skeleton to pose.
+        mirrored: Whether to mirror the recording.
     """
-    moved = motion.mirrored() if mirrored else motion
-    return Motion.posed(moved.rotations, moved.translation, moved.fps, skeleton)
+    version = motion.mirrored() if mirrored else motion
+    return Motion.posed(version.rotations, version.translation, version.fps, skeleton)
 
 
 def unmirrored(path: str) -> tuple[str, bool]:
-    """A path as annotations give it, without the `M/` that names a mirror image, and whether it stood there."""
+    """Strip the `M/` of a mirror image from an annotation's path; return the path and whether it was there."""
     name = path.replace("\\", "/").removeprefix("./")
     return name.removeprefix("M/"), name.startswith("M/")
 
 
 class SmplRecording(ABC):
-    """What all recordings on AMASS's bodies have in common; see `annotated_amass.Recording`."""
+    """Common parts of all recordings on AMASS's bodies; see `annotated_amass.Recording`."""
 
     split: None = None
 
     @abstractmethod
     def recorded(self, skeleton: Skeleton) -> Motion:
-        """At its own rate. Raises `RecordingError`."""
+        """Return the motion at its own frame rate. Raises `RecordingError`."""
 
     def motion(self, skeleton: Skeleton, fps: float | int) -> Motion:
-        """The recording at `fps`. A frame stands for the middle of its time (`geometry.sampling_positions`), and both
-        rates cover the same seconds. Raises `RecordingError`, and `ValueError` for one that is too short."""
+        """Return the recording at `fps`.
+
+        A frame represents the middle of its time (`geometry.sampling_positions`), and both rates cover the same
+        seconds. Raises `RecordingError`, and `ValueError` if the recording is too short.
+        """
         recorded = self.recorded(skeleton)
         try:
             return recorded.resampled(fps)
@@ -185,32 +196,32 @@ class SmplRecording(ABC):
             raise ValueError(f"too short: {error}") from error
 
     def features(self, motion: Motion, representation: Representation) -> Float[Tensor, "frames features"]:
-        """As published: the floor is where the lowest joint of the whole recording is."""
+        """Compute features, as published: the floor is at the lowest joint of the whole recording."""
         return representation.encode(motion)
 
 
 @dataclass(frozen=True)
 class AmassRecording(SmplRecording):
-    """One recording of AMASS's."""
+    """One recording of AMASS."""
 
     path: Path
 
     @property
     def fingerprint(self) -> str:
-        """Of the file."""
+        """Digest of the file."""
         return fingerprint([self.path], [])
 
     def recorded(self, skeleton: Skeleton) -> Motion:
-        """As `read_recording` reads it."""
+        """Read the recording with `read_recording`."""
         return read_recording(self.path, skeleton)
 
 
 class Recordings:
-    """The recordings in a folder of AMASS, by the paths that annotations give; see `annotated_amass.Recordings`.
+    """The recordings in a folder of AMASS, by the paths in annotations; see `annotated_amass.RecordingSource`.
 
-    Data set, subject and recording are compared, whatever lies above them, under old and new names of the data sets and
-    with either release's endings (`_poses`, `_stageii`). Where both releases are there, SMPL-H's file is taken.
-    Raises `LayoutError` where the folder is not there or holds no recording.
+    Data set, subject and recording are compared, whatever the folders above them, under old and new names of the data
+    sets and with the endings of either release (`_poses`, `_stageii`). If both releases exist, SMPL-H's file is used.
+    Raises `LayoutError` if the folder does not exist or holds no recording.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -224,48 +235,48 @@ class Recordings:
         for path in sorted(files, key=lambda path: (path.stem.endswith("_stageii"), path)):
             self._files.setdefault(recording_key(path.relative_to(folder).with_suffix("").as_posix()), path)
         if not files:
-            raise LayoutError(f"source={folder} holds no .npz file, but {_found(folder)}")
+            raise LayoutError(f"source={folder} holds no .npz file, but {_describe_folder(folder)}")
 
     @property
     def examples(self) -> list[str]:
-        """Some of the paths that are there."""
+        """Some existing paths."""
         return ["/".join(path.parts[-3:]) for path in list(self._files.values())[:3]]
 
     def find(self, path: str) -> Path | None:
-        """The file of AMASS's path (`KIT/3/kick_high_left02_poses`, see `unmirrored`), or None."""
+        """Return the file of AMASS's path (`KIT/3/kick_high_left02_poses`, see `unmirrored`), or None."""
         return self._files.get(recording_key(path))
 
     def check(self, paths: Collection[str], representation: Representation) -> None:
-        """Raises `LayoutError` where not one of `paths` is there."""
+        """Raise `LayoutError` if none of `paths` exists."""
         if not self.inputs(paths):
             raise LayoutError(
-                f"source={self._folder} has none of the {len(paths)} annotated recordings; expected for instance "
+                f"source={self._folder} has none of the {len(paths)} annotated recordings; expected, for instance, "
                 f"{next(iter(paths))}.npz, found {', '.join(self.examples)}"
             )
 
     def inputs(self, paths: Collection[str]) -> list[Path]:
-        """The files of those paths that are there."""
+        """Return the files of the existing paths."""
         return [file for file in map(self.find, paths) if file is not None]
 
     def read(self, paths: Collection[str]) -> Iterator[tuple[str, AmassRecording | str]]:
-        """Every path with its recording, or the reason why there is none."""
+        """Yield every path with its recording, or the reason for its absence."""
         for path in paths:
             file = self.find(path)
             yield path, f"no file: {path}.npz" if file is None else AmassRecording(file)
 
 
 def recording_key(path: str) -> tuple[str, ...]:
-    """What stays the same of a recording's path from one release to the next."""
+    """Return the parts of a recording's path that are the same in all releases."""
     parts = [part.replace(" ", "_") for part in path.split("/")][-3:]
     parts[-1] = re.sub(r"_(poses|stageii)$", "", parts[-1])
     return RENAMED.get(parts[0], parts[0]).replace("_", "").lower(), *parts[1:]
 
 
-def _found(folder: Path) -> str:
-    """What a folder without recordings holds instead, and what to do about it."""
+def _describe_folder(folder: Path) -> str:
+    """Describe the content of a folder without recordings, and the remedy."""
     ends = {"".join(path.suffixes[-2:]).lower() for path in folder.rglob("*") if path.is_file()}
     if {".tar.bz2", ".tar.xz", ".zip"} & ends:
-        return "archives: unpack them there"
+        return "archives; unpack them there"
     if ".npy" in ends:
         return "HumanML3D's .npy files; AMASS's own .npz files are needed (or data=humanml3d_processed)"
     names = sorted(path.name for path in folder.iterdir())[:8]

@@ -1,8 +1,8 @@
-"""Annotations by AMASS's paths and the recordings that they are of → a cache: HumanML3D, KIT-ML and BABEL as the
-paper's training has them, or their sentences on CMU's own recordings.
+"""Annotations by AMASS's paths, and their recordings → a cache.
 
-Knows how a recording becomes clips; knows neither the recordings' files (see `amass` and `cmu_recordings`) nor the
-annotations' (see `annotations`).
+The cache holds HumanML3D, KIT-ML or BABEL as in the paper's training, or their sentences on CMU's own recordings. This
+module converts recordings to clips; it is independent of the files of recordings (see `amass_recordings` and
+`cmu_recordings`) and of annotations (see `annotations`).
 """
 
 from __future__ import annotations
@@ -27,56 +27,63 @@ from stmc.motion.motion import Motion
 from stmc.motion.representation import Representation
 
 TOLERANCE = 0.5
-"""Seconds that an annotation may go on after its recording has ended: clocks and roundings differ."""
+"""Seconds by which an annotation may exceed its recording: clocks and roundings differ."""
 
 CACHE_VERSION = 1
-"""Of what this module makes of the same files. Raise it by one with every change that makes other features, clips or
-texts of them: caches that were prepared before are then made again."""
+"""Version of the conversion of the same files. Raise it by one with every change that produces other features, clips or
+texts: caches of earlier versions are then prepared again."""
 
 
 @runtime_checkable
 class Recording(Protocol):
-    """A recording on its way to clips; it can be pickled. `split`: where it belongs whatever its annotations say, or
-    None."""
+    """A recording to convert; it can be pickled. `split` overrides that of its annotations, unless it is None."""
 
     split: str | None
 
     @property
     def fingerprint(self) -> str:
-        """A name for its contents."""
+        """Digest of its content."""
         ...
 
     def motion(self, skeleton: Skeleton, fps: float | int) -> Motion:
-        """The whole recording on `skeleton` at `fps`. Raises `ValueError` for one that cannot be used."""
+        """Return the whole recording on `skeleton` at `fps`. Raises `ValueError` if it cannot be used."""
         ...
 
     def features(self, motion: Motion, representation: Representation) -> Float[Tensor, "frames features"]:
-        """The features of this motion, or of its mirror image, above the recording's floor."""
+        """Compute the features of this motion, or of its mirror image, above the recording's floor."""
         ...
 
 
 @runtime_checkable
 class RecordingSource(Protocol):
-    """Where the recordings at AMASS's paths are to be found."""
+    """A source of recordings by AMASS's paths."""
 
     def check(self, paths: Collection[str], representation: Representation) -> None:
-        """Raises `LayoutError` where it can be told that not one is there, or can become such features."""
+        """Raise `LayoutError` if it is evident that no recording exists, or that none has such features."""
         ...
 
     def inputs(self, paths: Collection[str]) -> Iterable[Path]:
-        """The files and folders that they depend on."""
+        """Return the files and folders that recordings depend on."""
         ...
 
     def read(self, paths: Collection[str]) -> Iterator[tuple[str, Recording | str]]:
-        """Every path with its recording, or the reason why there is none; one at a time is in memory."""
+        """Yield every path with its recording, or the reason for its absence; one recording is in memory at a time."""
         ...
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """How a recording becomes clips: at `fps`, on the skeleton with these bones, as `representation`.
+    """The conversion of recordings to clips.
 
-    Segments for training and validation last `shortest` to `longest` seconds, as published; those for testing anything.
+    Segments for training and validation last `shortest` to `longest` seconds, as published; those for testing have any
+    duration.
+
+    Args:
+        fps: Frame rate of the features.
+        representation: Representation of the features.
+        offsets: Offsets of the skeleton.
+        shortest: Minimum duration in seconds.
+        longest: Maximum duration in seconds.
     """
 
     fps: float | int
@@ -86,10 +93,10 @@ class Conversion:
     longest: float | int
 
     def __call__(self, recording: Recording, entries: Sequence[Annotated]) -> Cache:
-        """The clips of one recording; every entry is left out, with the reason, where it cannot be read.
+        """Convert one recording to clips; if it cannot be read, every entry is skipped with the reason.
 
-        Features are those of the whole recording, cut at the segments' times, as published. Rotations between frames
-        are on the sphere, which is not as published.
+        Features are those of the whole recording, cut at the times of the segments, as published. Rotations between
+        frames are interpolated on the sphere, unlike published.
         """
         skeleton, builder = Skeleton(torch.tensor(self.offsets)), CacheBuilder(self.representation.width)
         name = type(self.representation).__name__.removesuffix("Representation").lower()
@@ -97,9 +104,9 @@ class Conversion:
         try:
             motion = recording.motion(skeleton, self.fps)
             for image in (False, True):
-                if chosen := [entry for entry in entries if entry.mirrored == image]:
+                if matching := [entry for entry in entries if entry.mirrored == image]:
                     features = recording.features(reposed(motion, skeleton, image), self.representation).float()
-                    builder.add(features, *(self._annotated(entry, len(features), builder) for entry in chosen))
+                    builder.add(features, *(self._annotated(entry, len(features), builder) for entry in matching))
         except ValueError as error:
             builder = CacheBuilder(self.representation.width)
             builder.skipped += [(entry.name, str(error)) for entry in entries]
@@ -115,11 +122,11 @@ class Conversion:
         return AnnotatedSpans(entry.name, entry.split, entry.mirrored, spans)
 
     def _span(self, segment: Segment, frames: int, split: str) -> tuple[int, int]:
-        """First and last frame (excluded) of a segment; `ValueError` for one that cannot be used."""
-        recorded = frames / self.fps
-        end = recorded if segment.end is None else segment.end
-        if end > recorded + TOLERANCE or int(segment.start * self.fps) >= frames:
-            raise ValueError(f"after the end: {segment.start:g} to {end:g} s of a recording of {recorded:g} s")
+        """Return the first and last frame (exclusive) of a segment; raise `ValueError` if it cannot be used."""
+        duration = frames / self.fps
+        end = duration if segment.end is None else segment.end
+        if end > duration + TOLERANCE or int(segment.start * self.fps) >= frames:
+            raise ValueError(f"after the end: {segment.start:g} to {end:g} s of a recording of {duration:g} s")
         if split != "test" and not self.shortest <= end - segment.start <= self.longest:
             kind = "too short" if end - segment.start < self.shortest else "too long"
             raise ValueError(f"{kind}: {end - segment.start:g} s, not {self.shortest:g} to {self.longest:g}")
@@ -130,20 +137,27 @@ class Conversion:
 
 
 def read_both_ways(folder: Path) -> Annotations:
-    """The annotations of a folder, and their mirror images: see `annotations`."""
+    """Read the annotations of a folder, and add their mirror images; see `annotations`."""
     return with_mirror_images(read_annotations(folder))
 
 
 @dataclass(frozen=True)
 class AnnotatedAmass:
-    """`source` is AMASS's folder, `annotations` that of `annotations.read_annotations`; a `Preparation`.
+    """A `Preparation` of annotated recordings of AMASS.
 
-    `recordings` says how to read the source: AMASS's own files, TEACH's processed ones
-    (`teach_recordings.TeachRecordings`), or the recordings of CMU's that AMASS is made of
-    (`cmu_recordings.CmuRecordings`). `body`: the folder of the SMPL-H files, or one of them, to pose the joints with
-    its neutral body (no betas), as published; without it the default skeleton's joints are posed. For `shortest` and
-    `longest` see `Conversion`. `read` makes annotations of their folder; `conversion` makes clips of a recording with
-    its entries: `Conversion`, or `babel_rows.RowConversion`.
+    Args:
+        source: Folder of the recordings.
+        annotations: Folder of `annotations.read_annotations`.
+        fps: Frame rate of the features.
+        representation: Representation of the features.
+        body: SMPL-H files, a folder or one file, whose neutral body (no betas) is posed, as published; None poses the
+            default skeleton.
+        shortest: Minimum duration in seconds; see `Conversion`.
+        longest: Maximum duration in seconds; see `Conversion`.
+        recordings: Reader of the source: AMASS's own files, TEACH's processed ones
+            (`teach_recordings.TeachRecordings`), or CMU's recordings in AMASS (`cmu_recordings.CmuRecordings`).
+        read: Reader of the annotations.
+        conversion: Converts a recording with its entries to clips: `Conversion` or `babel_rows.RowConversion`.
     """
 
     source: str | Path
@@ -173,36 +187,36 @@ class AnnotatedAmass:
 
     @cached_property
     def _jobs(self) -> dict[str, list[Annotated]]:
-        """AMASS's path → its entries."""
+        """Entries by AMASS's path."""
         jobs: dict[str, list[Annotated]] = {}
         for entry in self._annotated.entries:
             jobs.setdefault(entry.path, []).append(entry)
         return jobs
 
     def check(self) -> None:
-        """Raises `LayoutError` where a folder is not what it should be, `FileNotFoundError` where no body is."""
+        """Raise `LayoutError` if a folder has the wrong content, and `FileNotFoundError` if there is no body."""
         skipped = self._annotated.skipped
         if not self._jobs:
-            raise LayoutError(
-                f"annotations={self.annotations}: not one can be used; the first: {': '.join(skipped[0])}"
-            )
+            raise LayoutError(f"annotations={self.annotations}: none can be used; the first: {': '.join(skipped[0])}")
         self._recordings.check(self._jobs, self.representation)
-        assert self._skeleton  # read now, not after an hour
+        assert self._skeleton  # fail now rather than after an hour
 
     @cached_property
     def _settings(self) -> tuple[object, ...]:
-        """All that a piece depends on beside its recording."""
+        """Everything that a piece depends on besides its recording."""
         kind = type(self.representation).__qualname__
-        kind_of_clips = getattr(self.conversion, "func", self.conversion).__qualname__  # of a partial one, or itself
+        kind_of_clips = getattr(
+            self.conversion, "func", self.conversion
+        ).__qualname__  # of a partial function, or the class itself
         bones = self._skeleton.offsets.tolist()
         return CACHE_VERSION, self.fps, kind, bones, self.shortest, self.longest, kind_of_clips
 
     def fingerprint(self) -> str:
-        """Of every annotated recording, all annotations, the skeleton, the version of the cache and the settings."""
+        """Compute a digest of the recordings, all annotations, the skeleton, the cache version and the settings."""
         return fingerprint(self._recordings.inputs(self._jobs), [*self._settings, self._annotated])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
-        """See `Preparation`."""
+        """Build the cache; see `Preparation`."""
         offsets = tuple(tuple(row) for row in self._skeleton.offsets.tolist())
         convert = self.conversion(self.fps, self.representation, offsets, self.shortest, self.longest)
         skipped = list(self._annotated.skipped)

@@ -1,8 +1,7 @@
-"""Who does what, when, in AMASS's recordings: texts with seconds, as TMR and STMC publish them, as HumanML3D does, and
-as BABEL does.
+"""Annotations of AMASS's recordings: texts with seconds, as published with TMR and STMC, HumanML3D, and BABEL.
 
-Knows these formats of files; knows no recording and no features. An annotation that cannot be used is named and
-left out; a file that is not in the format at all is an error.
+Depends on these file formats; independent of recordings and features. An annotation that cannot be used is skipped and
+named; a file in another format is an error.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from stmc.io.untrusted import UnreadableError, read_lines
 SPLITS = ("train", "val", "test")
 
 NO_POSES = "humanact12"
-"""HumanML3D's recordings that are not AMASS's: they have joints, but no SMPL poses (STMC, section 4.1)."""
+"""HumanML3D's recordings that are not in AMASS: they have joints, but no SMPL poses (STMC, section 4.1)."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A text that says what happens from `start` to `end`, in seconds of the recording; `end` None: to its end."""
+    """A text that describes `start` to `end`, in seconds of the recording; None is the end of the recording."""
 
     text: str
     start: float
@@ -37,7 +36,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Annotated:
-    """An entry: segments of one recording, or of its mirror image. `path` is AMASS's, without `M/` and suffix."""
+    """Segments of one recording, or of its mirror image. `path` is AMASS's, without `M/` and suffix."""
 
     name: str
     path: str
@@ -48,39 +47,40 @@ class Annotated:
 
 @dataclass(frozen=True)
 class Annotations:
-    """All entries, and (name, reason) of every one that had to be left out."""
+    """All entries, and the name and reason of every skipped one."""
 
     entries: tuple[Annotated, ...]
     skipped: tuple[tuple[str, str], ...]
 
 
 def read_annotations(folder: Path) -> Annotations:
-    """The annotations in `folder`: `annotations.json` with `splits/` (TMR's and STMC's, for HumanML3D and KIT-ML),
-    HumanML3D's own `texts/` and lists with `index.csv`, or BABEL's `train.json` and `val.json`.
+    """Read the annotations in `folder`, in one of three formats.
 
-    Raises `LayoutError` for a folder that holds neither, and for files in another format.
+    These are `annotations.json` with `splits/` (TMR's and STMC's, for HumanML3D and KIT-ML), HumanML3D's own `texts/`
+    and lists with `index.csv`, and BABEL's `train.json` and `val.json`. Raises `LayoutError` if the folder has none of
+    them, or a file has another format.
     """
     folder = Path(folder)
     if (folder / "annotations.json").is_file():
-        return _published(folder)
+        return _read_published(folder)
     if (folder / "train.json").is_file() and (folder / "val.json").is_file():
-        return _babel(folder)
+        return _read_babel(folder)
     for inner in (folder, folder / "HumanML3D"):
         if (inner / "texts").is_dir() and (inner / "train.txt").is_file():
-            return _humanml3d(inner)
-    found = sorted(path.name for path in folder.iterdir())[:8] if folder.is_dir() else "no such folder"
+            return _read_humanml3d(inner)
+    names = sorted(path.name for path in folder.iterdir())[:8] if folder.is_dir() else "no such folder"
     hint = "; texts.zip must be unpacked" if any(folder.glob("**/texts.zip")) else ""
     raise LayoutError(
         f"annotations={folder}: expected annotations.json with splits/train.txt and splits/val.txt (as in TMR's and "
         f"STMC's datasets/annotations/humanml3d), HumanML3D's index.csv, texts/ and lists, or BABEL's train.json and "
-        f"val.json; found {found}{hint}"
+        f"val.json; found {names}{hint}"
     )
 
 
 def with_mirror_images(annotations: Annotations) -> Annotations:
-    """Also the mirror image of every entry for training, left and right exchanged in its texts too.
+    """Add the mirror image of every training entry, with left and right exchanged in its texts.
 
-    Unchanged where the annotations bring mirror images of their own, as HumanML3D's do.
+    Annotations with their own mirror images, such as HumanML3D's, are unchanged.
     """
     if any(entry.mirrored for entry in annotations.entries):
         return annotations
@@ -93,11 +93,13 @@ def _image(entry: Annotated) -> Annotated:
     return replace(entry, name=f"M{entry.name}", mirrored=not entry.mirrored, segments=segments)
 
 
-def _published(folder: Path) -> Annotations:
-    """Entries as the splits list them. An id `M…` is the mirror image of the id without its M, as HumanML3D names them,
-    whether it is annotated or only listed."""
-    table, entries, skipped = _object(folder / "annotations.json"), [], []
-    lists = {split: _listed(folder / "splits" / f"{split}.txt", split) for split in SPLITS}
+def _read_published(folder: Path) -> Annotations:
+    """Read the entries that the splits list.
+
+    An id `M…` is the mirror image of the id without its M, as in HumanML3D, whether it is annotated or only listed.
+    """
+    table, entries, skipped = _read_object(folder / "annotations.json"), [], []
+    lists = {split: _read_list(folder / "splits" / f"{split}.txt", split) for split in SPLITS}
     for split, names in lists.items():
         for name in names:
             original = name[1:] if name[:1] == "M" and name[1:] in table else None
@@ -116,24 +118,27 @@ def _published(folder: Path) -> Annotations:
     return Annotations(tuple(entries), tuple(skipped))
 
 
-def _humanml3d(folder: Path) -> Annotations:
-    """HumanML3D as its authors share it: `texts/` and `train.txt`, `val.txt`, `test.txt` in `folder`, `index.csv` there
-    or above. A name `M…` is the mirror image of the clip without its M, with captions of its own."""
+def _read_humanml3d(folder: Path) -> Annotations:
+    """Read HumanML3D as its authors distribute it.
+
+    `texts/`, `train.txt`, `val.txt` and `test.txt` are in `folder`, `index.csv` there or above. A name `M…` is the
+    mirror image of the clip without its M, with its own captions.
+    """
     index = next((path for path in (folder / "index.csv", folder.parent / "index.csv") if path.is_file()), None)
     if index is None:
-        raise LayoutError(
-            f"annotations={folder}: index.csv is missing, there and above; it says what a clip is cut from"
-        )
+        raise LayoutError(f"annotations={folder}: index.csv is missing, there and above; it maps clips to recordings")
     try:
         cuts = read_index(index)
     except ValueError as error:
         raise LayoutError(f"not HumanML3D's index: {error}") from error
     entries, skipped = [], []
     for split in SPLITS:
-        for name in _listed(folder / f"{split}.txt", split):
+        for name in _read_list(folder / f"{split}.txt", split):
             try:
                 image = name not in cuts and name[:1] == "M"
-                entry, wrong = _captioned(name, cuts.get(name[1:] if image else name), image, split, folder / "texts")
+                entry, wrong = _captioned_entry(
+                    name, cuts.get(name[1:] if image else name), image, split, folder / "texts"
+                )
                 skipped += [(name, reason) for reason in wrong]
                 entries.append(entry)
             except ValueError as error:
@@ -141,8 +146,10 @@ def _humanml3d(folder: Path) -> Annotations:
     return Annotations(tuple(entries), tuple(skipped))
 
 
-def _captioned(name: str, cut: Cut | str | None, image: bool, split: str, texts: Path) -> tuple[Annotated, list[str]]:
-    """The entry of a clip, and what is wrong with captions that cannot be used; `ValueError` where none can."""
+def _captioned_entry(
+    name: str, cut: Cut | str | None, image: bool, split: str, texts: Path
+) -> tuple[Annotated, list[str]]:
+    """Return the entry of a clip and the problems of unusable captions; raise `ValueError` if none is usable."""
     if not isinstance(cut, Cut):
         raise ValueError(cut or "listed but not in index.csv")
     path, _ = _path(cut.path)
@@ -152,14 +159,14 @@ def _captioned(name: str, cut: Cut | str | None, image: bool, split: str, texts:
         raise ValueError(f"no file: texts/{name}.txt") from error
     except UnreadableError as error:
         raise ValueError(f"damaged: {error}") from error
-    segments = tuple(_said(caption, cut) for caption in captions if isinstance(caption, Caption))
+    segments = tuple(_to_segment(caption, cut) for caption in captions if isinstance(caption, Caption))
     wrong = [caption for caption in captions if isinstance(caption, str)]
     if not segments:
         raise ValueError(wrong[0] if wrong else "no caption: the file is empty")
     return Annotated(name, path, image, split, segments), wrong
 
 
-def _said(caption: Caption, cut: Cut) -> Segment:
+def _to_segment(caption: Caption, cut: Cut) -> Segment:
     if (caption.start, caption.end) == WHOLE:
         return Segment(caption.text, cut.start, cut.end)
     end = cut.start + caption.end
@@ -170,12 +177,12 @@ def _entry(name: str, value: Any, split: str) -> Annotated:
     if not isinstance(value, dict) or not isinstance(value.get("annotations"), list) or not value["annotations"]:
         raise ValueError("malformed annotation: it must have a path and a list of annotations")
     path, image = _path(value.get("path"))
-    segments = tuple(_segment(each, "text", ("start", "end")) for each in value["annotations"])
+    segments = tuple(_segment(row, "text", ("start", "end")) for row in value["annotations"])
     return Annotated(name, path, image, split, segments)
 
 
 def _path(value: Any) -> tuple[str, bool]:
-    """AMASS's path without `M/` and suffix, and whether it is a mirror image's."""
+    """Return AMASS's path without `M/` and suffix, and whether it is that of a mirror image."""
     if not isinstance(value, str) or not value:
         raise ValueError(f"malformed annotation: path is {value!r}")
     bare, image = unmirrored(value)
@@ -202,9 +209,11 @@ def _segment(value: Any, text: str, times: tuple[str, str]) -> Segment:
     return Segment(" ".join(value[text].split()), float(start), float(end))
 
 
-def _babel(folder: Path) -> Annotations:
-    """Sequences with what happens in their frames, or as a whole where nobody labelled frames. Test labels are not
-    published: `val` serves as such. Transitions have no text of their own and are left out."""
+def _read_babel(folder: Path) -> Annotations:
+    """Read sequences with their frame labels or, without frame labels, their sequence labels.
+
+    Test labels are not published; `val` replaces them. Transitions have no text of their own and are omitted.
+    """
     entries, skipped = [], list[tuple[str, str]]()
     for name, path, split, value in babel_entries(folder, skipped):
         try:
@@ -218,10 +227,12 @@ def _babel(folder: Path) -> Annotations:
 
 
 def babel_entries(folder: Path, skipped: list[tuple[str, str]]) -> Iterator[tuple[str, str, str, Mapping[str, Any]]]:
-    """Every sequence of BABEL's `train.json` and `val.json`: its name, AMASS's path, its split and all that is said of
-    it; those without a path are added to the `skipped`, with the reason. Raises `LayoutError` for other files."""
+    """Yield every sequence of BABEL's `train.json` and `val.json`: name, AMASS's path, split and annotations.
+
+    Sequences without a path are added to `skipped` with the reason. Raises `LayoutError` if a file has another format.
+    """
     for split in ("train", "val"):
-        for name, value in _object(folder / f"{split}.json").items():
+        for name, value in _read_object(folder / f"{split}.json").items():
             try:
                 path, _ = _path(_without_release(value))
             except ValueError as error:
@@ -231,7 +242,7 @@ def babel_entries(folder: Path, skipped: list[tuple[str, str]]) -> Iterator[tupl
 
 
 def _without_release(value: Any) -> Any:
-    """BABEL's `feat_p` without its first part, the name of the release: `KIT/KIT/3/kick_poses.npz`."""
+    """Return BABEL's `feat_p` without its first part, the name of the release: `KIT/KIT/3/kick_poses.npz`."""
     path = value.get("feat_p") if isinstance(value, dict) else None
     return path.partition("/")[2] if isinstance(path, str) else path
 
@@ -250,18 +261,18 @@ def _labels(value: Mapping[str, Any]) -> Iterator[Segment]:
             yield replace(_segment(label | {"start_t": 0, "end_t": 1}, "raw_label", ("start_t", "end_t")), end=None)
 
 
-def _object(path: Path) -> dict[str, Any]:
+def _read_object(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise LayoutError(f"{path} is not JSON: {error}") from error
-    if not isinstance(content, dict) or not content:
+    if not isinstance(data, dict) or not data:
         raise LayoutError(f"{path} must be a JSON object with an entry for every sequence")
-    return content
+    return data
 
 
-def _listed(path: Path, split: str) -> list[str]:
-    """The names in a split's file, each once; none where there is no test split."""
+def _read_list(path: Path, split: str) -> list[str]:
+    """Read the distinct names in a split's file; an absent test split is empty."""
     if not path.is_file():
         if split == "test":
             return []

@@ -1,7 +1,7 @@
-"""BABEL as FlowMDM is trained on it (Barquero et al. 2024, section 4.1, and its code): rows of consecutive actions,
-each row a motion of its own; and for its evaluation single actions and whole recordings.
+"""BABEL for the training of FlowMDM: rows of consecutive actions, each a separate motion.
 
-Knows BABEL's labels and which of them follow each other; knows no files of recordings (see `amass`).
+See Barquero et al. (2024), section 4.1, and its code. Evaluation uses single actions and whole recordings. Depends on
+BABEL's labels and their order; independent of files of recordings (see `amass`).
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from stmc.motion.body_model import Skeleton
 from stmc.motion.representation import BabelRepresentation
 
 TRANSITION = "transition"
-"""The label of what lies between two actions."""
+"""Label of the transition between two actions."""
 
 MOST_TEXTS = 10
-"""Of a row."""
+"""Maximum number of texts of a row."""
 
 MOST_SECONDS = 1e5
-"""Of a label: longer than any recording."""
+"""Maximum time of a label in seconds, longer than any recording."""
 
 Span = tuple[int, int]
-"""First frame and the one after the last, as BABEL's seconds say; spans may overlap and leave gaps."""
+"""First frame and the frame after the last, from BABEL's seconds; spans may overlap and leave gaps."""
 
 
 def read_babel_labels(folder: str | Path, spelling: str | Path | None = None) -> Annotations:
-    """The labels of frames in a folder's `train.json` and `val.json`, as TEACH takes them: processed labels, with
-    transitions as actions, and no sequences that are labelled as a whole only. `spelling`: a file of corrections,
-    `{"wrong": "right"}` (TEACH's own are not ours to ship). Nothing is mirrored.
+    """Read the frame labels in a folder's `train.json` and `val.json`, as TEACH uses them.
 
-    Raises `LayoutError` for files in another format.
+    These are processed labels, with transitions as actions, without sequences that are labelled only as a whole.
+    Nothing is mirrored. `spelling` is a file of corrections, `{"wrong": "right"}` (we may not distribute TEACH's own).
+    Raises `LayoutError` if a file has another format.
     """
     corrections = _corrections(spelling)
     entries, skipped = [], list[tuple[str, str]]()
@@ -63,9 +63,18 @@ def read_babel_labels(folder: str | Path, spelling: str | Path | None = None) ->
 
 @dataclass(frozen=True)
 class RowConversion:
-    """How a recording becomes rows, on the skeleton with these bones: those for training last `shortest` to `longest`
-    seconds and are `chains` of actions, each with the features of a motion that begins with it; of others every action
-    is a row, and the whole recording, as it stands, is a clip without any text."""
+    """The conversion of recordings to rows.
+
+    Training rows are `chains` of actions, each with the features of a motion that begins with it. In other splits every
+    action is a row, and the whole recording, without rotation, is a clip without texts.
+
+    Args:
+        fps: Frame rate of the features.
+        representation: Representation of the features.
+        offsets: Offsets of the skeleton.
+        shortest: Minimum duration of a training row in seconds.
+        longest: Maximum duration of a training row in seconds.
+    """
 
     fps: float | int
     representation: BabelRepresentation
@@ -74,7 +83,7 @@ class RowConversion:
     longest: float | int
 
     def __call__(self, recording: Recording, entries: Sequence[Annotated]) -> Cache:
-        """The clips of one recording; every entry is left out, with the reason, where it cannot be read."""
+        """Convert one recording to clips; if it cannot be read, every entry is skipped with the reason."""
         builder, skeleton = CacheBuilder(self.representation.width), Skeleton(torch.tensor(self.offsets))
         try:
             motion = recording.motion(skeleton, self.fps)
@@ -96,43 +105,45 @@ class RowConversion:
         return builder.cache(self.fps, "babel")
 
     def _labels(self, entry: Annotated, frames: int) -> dict[Span, str]:
-        """The actions within the recording, by their frames; of two with the same frames the later one."""
+        """Return the actions within the recording by their frames; the later of two with the same frames wins."""
         spans = {}
-        for segment in sorted(entry.segments, key=lambda each: (int(each.start * self.fps), int(each.end * self.fps))):
+        for segment in sorted(
+            entry.segments, key=lambda segment: (int(segment.start * self.fps), int(segment.end * self.fps))
+        ):
             span = int(segment.start * self.fps), min(frames, int(segment.end * self.fps))
             if span[0] < span[1]:
                 spans[span] = segment.text
         return spans
 
     def _rows(self, labels: Mapping[Span, str], split: str) -> Iterator[tuple[list[int], list[str]]]:
-        """Edges between texts, and the texts."""
+        """Yield the edges between texts, and the texts."""
         shortest, longest = round(self.shortest * self.fps), round(self.longest * self.fps)
-        found = chains(labels, longest) if split == "train" else [(span,) for span in labels]
-        for chain in found:
+        rows = chains(labels, longest) if split == "train" else [(span,) for span in labels]
+        for chain in rows:
             edges, texts = consecutive(chain), [labels[span] for span in chain]
-            lasting = shortest <= edges[-1] - edges[0] <= longest and texts != [TRANSITION]
-            if (lasting or split != "train") and all(begin < end for begin, end in pairwise(edges)):
+            fits = shortest <= edges[-1] - edges[0] <= longest and texts != [TRANSITION]
+            if (fits or split != "train") and all(begin < end for begin, end in pairwise(edges)):
                 yield edges, texts
 
 
 def chains(labels: Mapping[Span, str], most_frames: int) -> list[tuple[Span, ...]]:
-    """All rows of actions that follow each other, each once, none longer than `most_frames` but single actions.
+    """Return all distinct rows of consecutive actions; only single actions may exceed `most_frames`.
 
-    One action follows another that it overlaps and outlasts, or to which a transition leads from the other; the
-    transition itself has no place in the row, but where it is what follows another. A row ends where nothing follows,
-    or before what would make it too long, and after `MOST_TEXTS`. An action that nothing follows is no row.
+    An action follows another one that it overlaps and outlasts, or from which a transition leads to it; the transition
+    itself is not part of the row, unless it is what follows. A row ends where nothing follows, before it would become
+    too long, and after `MOST_TEXTS`. An action that nothing follows is no row.
     """
     before = {span: [other for other in labels if _follows(span, other)] for span in labels}
     after = {span: [other for other in labels if _follows(other, span)] for span in labels}
 
-    def grown(last: Span, row: tuple[Span, ...]) -> Iterator[tuple[Span, ...]]:
+    def extend(last: Span, row: tuple[Span, ...]) -> Iterator[tuple[Span, ...]]:
         if labels[last] == TRANSITION and last[0] and before[last] and after[last]:
             pairs = [(*row, end) if row else (begin, end) for begin, end in product(before[last], after[last])]
-        elif acting := [span for span in after[last] if labels[span] != TRANSITION]:
-            pairs = [(*row, end) if row else (last, end) for end in acting]
+        elif actions := [span for span in after[last] if labels[span] != TRANSITION]:
+            pairs = [(*row, end) if row else (last, end) for end in actions]
         else:
             for span in after[last] if row else ():
-                yield from grown(span, row)
+                yield from extend(span, row)
             if row and not after[last]:
                 yield row
             return
@@ -140,13 +151,13 @@ def chains(labels: Mapping[Span, str], most_frames: int) -> list[tuple[Span, ...
             if pair[-1][1] - pair[0][0] > most_frames or len(pair) > MOST_TEXTS:
                 yield pair[:-1]
             else:
-                yield from grown(pair[-1], pair)
+                yield from extend(pair[-1], pair)
 
-    return list(dict.fromkeys(row for span in labels for row in grown(span, ())))
+    return list(dict.fromkeys(row for span in labels for row in extend(span, ())))
 
 
 def consecutive(row: Sequence[Span]) -> list[int]:
-    """The edges of the row's actions, where two meet in the middle of what they share or of what lies between them."""
+    """Return the edges of a row's actions; two actions meet in the middle of their overlap or gap."""
     middles, end = [], row[0][1]
     for following in row[1:]:
         middles.append(end + (following[0] - end) // 2 + 1)
@@ -173,11 +184,11 @@ def _segment(label: Any, corrections: Mapping[str, str]) -> Segment:
 def _corrections(path: str | Path | None) -> dict[str, str]:
     if path is None:
         return {}
-    place = Path(path).expanduser()
+    source = Path(path).expanduser()
     try:
-        content = json.loads(place.read_text(encoding="utf-8"))
+        corrections = json.loads(source.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise LayoutError(f"{place} is not a JSON file of corrections: {error}") from error
-    if not isinstance(content, dict) or not all(isinstance(each, str) for each in content.values()):
-        raise LayoutError(f'{place} must be an object of texts, {{"wrong": "right"}}')
-    return content
+        raise LayoutError(f"{source} is not a JSON file of corrections: {error}") from error
+    if not isinstance(corrections, dict) or not all(isinstance(word, str) for word in corrections.values()):
+        raise LayoutError(f'{source} must be an object of texts, {{"wrong": "right"}}')
+    return corrections

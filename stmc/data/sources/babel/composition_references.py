@@ -1,7 +1,7 @@
-"""The real motion that FlowMDM's evaluation compares with (Barquero et al. 2024, section 4.1): the clips of a test
-split with their texts, and windows out of its recordings.
+"""Real motion for FlowMDM's evaluation: the clips of a test split with their texts, and windows of its recordings.
 
-Knows HumanML3D's processed folder and prepared caches of BABEL; knows no evaluator.
+See Barquero et al. (2024), section 4.1. Depends on HumanML3D's processed folder and prepared caches of BABEL;
+independent of evaluators.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from stmc.data.sources.humanml3d.humanml3d_texts import Caption
 from stmc.motion.representation import BabelRepresentation
 
 TRANSITION = "transition"
-"""BABEL's label of what lies between two actions."""
+"""BABEL's label of the transition between two actions."""
 
 POSES = {"t pose": "t-pose", "tpose": "t-pose", "a pose": "a-pose", "apose": "a-pose"}
-"""Labels of one pose that are written in several ways."""
+"""Labels of one pose with several spellings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,33 +39,55 @@ class References:
 def humanml3d_references(
     folder: str | Path, split: str = "test", shortest: int = 70, longest: int = 199, window: int = 60, seed: int = 0
 ) -> References:
-    """Of HumanML3D: its clips of `shortest` to `longest` frames, and out of each clip that is as long as a window one,
-    at random. Raises `LayoutError` where there are none."""
+    """Read the references of HumanML3D: its clips, and a random window of each clip that is long enough.
+
+    Args:
+        folder: HumanML3D's processed folder.
+        split: Split of the clips.
+        shortest: Minimum length of a clip in frames.
+        longest: Maximum length of a clip in frames.
+        window: Length of a window in frames.
+        seed: Seed of the windows.
+
+    Raises:
+        LayoutError: If there are no clips or windows.
+    """
     clips, rng = read_captioned_clips(folder, split), np.random.default_rng(seed)
     windows = [_window(clip.features, window, rng) for clip in clips if len(clip.features) >= window]
-    chosen = tuple(clip for clip in clips if shortest <= len(clip.features) <= longest)
-    return _found(chosen, windows, f"{folder}, split {split}", window)
+    usable = tuple(clip for clip in clips if shortest <= len(clip.features) <= longest)
+    return _build_references(usable, windows, f"{folder}, split {split}", window)
 
 
 def babel_references(
     cache: str | Path, split: str = "val", shortest: int = 30, longest: int = 200, window: int = 30, seed: int = 0
 ) -> References:
-    """Of a prepared cache of BABEL's features: its clips of `shortest` to `longest` frames that are no transitions, and
-    out of each recording as many windows as it is long, at random, as they stand. Recordings are the clips without any
-    text, which `babel_rows.BabelRows` prepares; where there are none, those that the clips are cut from.
+    """Read the references of a prepared cache of BABEL: its clips without transitions, and windows of its recordings.
 
-    Raises `CacheError` for a folder that holds no cache, `LayoutError` for other features and where there are no clips.
+    A recording has as many random windows as its length allows. Recordings are the clips without texts, which
+    `babel_rows` prepares or, if there are none, the recordings that contain the clips.
+
+    Args:
+        cache: Folder of the prepared cache.
+        split: Split of the clips.
+        shortest: Minimum length of a clip in frames.
+        longest: Maximum length of a clip in frames.
+        window: Length of a window in frames.
+        seed: Seed of the windows.
+
+    Raises:
+        CacheError: If the folder holds no cache.
+        LayoutError: If the features are not BABEL's, or there are no clips or windows.
     """
     prepared, rng = Cache.read(Path(cache).expanduser()), np.random.default_rng(seed)
     width = BabelRepresentation().width
     if prepared.features.shape[1] != width:
-        raise LayoutError(f"{cache} holds {prepared.features.shape[1]} features, not BABEL's {width}")
+        raise LayoutError(f"{cache} holds {prepared.features.shape[1]} features; BABEL's are {width}")
     inside = [clip for clip in prepared.clips if clip.split == split and not clip.mirrored]
     recordings, windows = [clip for clip in inside if not prepared.texts[clip.texts]], []
     for start, end in dict.fromkeys(clip.whole or (clip.start, clip.end) for clip in recordings or inside):
         windows += [_window(prepared.features[start:end], window, rng) for _ in range((end - start) // window)]
     clips = (_clip(prepared, clip) for clip in inside if shortest <= clip.end - clip.start <= longest)
-    return _found(tuple(clip for clip in clips if clip.captions), windows, f"{cache}, split {split}", window)
+    return _build_references(tuple(clip for clip in clips if clip.captions), windows, f"{cache}, split {split}", window)
 
 
 def _clip(cache: Cache, clip: Clip) -> CaptionedClip:
@@ -79,7 +101,11 @@ def _window(features: Float[Tensor, "_ features"], window: int, rng: np.random.G
     return features[start : start + window]
 
 
-def _found(clips: tuple[CaptionedClip, ...], windows: Sequence[Tensor], place: str, window: int) -> References:
+def _build_references(
+    clips: tuple[CaptionedClip, ...], windows: Sequence[Tensor], place: str, window: int
+) -> References:
     if not clips or not windows:
-        raise LayoutError(f"{place}: {len(clips)} clips with texts, {len(windows)} windows of {window} frames")
+        raise LayoutError(
+            f"{place}: {len(clips)} clips with texts and {len(windows)} windows of {window} frames are too few"
+        )
     return References(clips, torch.stack(list(windows)))

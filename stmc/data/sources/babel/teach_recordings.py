@@ -1,7 +1,7 @@
-"""AMASS as TEACH's authors share it, processed for BABEL: recordings at 30 frames a second in `train.pth.tar` and
-`val.pth.tar`. FlowMDM was trained on these.
+"""AMASS as TEACH's authors distribute it for BABEL: recordings at 30 fps in `train.pth.tar` and `val.pth.tar`.
 
-Knows these files; knows no annotation and no features. They are joblib's pickles, of which nothing is run.
+FlowMDM was trained on them. The files are joblib pickles, of which no code is executed. Independent of annotations and
+features.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ FILES = ("train.pth.tar", "val.pth.tar")
 
 @dataclass(frozen=True)
 class TeachRecording(SmplRecording):
-    """One recording of TEACH's, by the arrays that `amass.motion_of` takes."""
+    """One recording of TEACH, with the arrays of `amass_recordings.motion_of`."""
 
     arrays: Mapping[str, np.ndarray]
 
     @property
     def fingerprint(self) -> str:
-        """Of its numbers."""
+        """Digest of its arrays."""
         state = hashlib.sha256()
         for name, array in self.arrays.items():
             state.update(repr((name, array.shape, array.dtype.str)).encode() + array.tobytes())
         return state.hexdigest()
 
     def recorded(self, skeleton: Skeleton) -> Motion:
-        """At 30 frames a second."""
+        """Return the motion at 30 fps."""
         return motion_of(self.arrays, skeleton)
 
 
 class TeachRecordings:
-    """The recordings in a folder with `train.pth.tar` and `val.pth.tar` (one of them is enough), by AMASS's paths; see
-    `annotated_amass.RecordingSource`. A recording that is there twice is taken from the first.
+    """The recordings in a folder with `train.pth.tar` and `val.pth.tar` (one is enough), by AMASS's paths.
 
-    Raises `LayoutError` where neither file is there.
+    A duplicate recording is taken from the first file. See `annotated_amass.RecordingSource`. Raises `LayoutError` if
+    neither file exists.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -58,37 +58,39 @@ class TeachRecordings:
 
     @cached_property
     def _entries(self) -> dict[tuple[str, ...], dict[str, np.ndarray | str]]:
-        """By what `recording_key` makes of their names; the arrays stay on the disk."""
+        """Entries by `recording_key`; the arrays stay on disk."""
         try:
-            found = [entry for file in self._files for entry in read_joblib(file, ["poses", "trans", "fps"], ["fname"])]
+            entries = [
+                entry for file in self._files for entry in read_joblib(file, ["poses", "trans", "fps"], ["fname"])
+            ]
         except ArraysError as error:
             raise LayoutError(str(error)) from error
-        return {recording_key(entry["fname"].removesuffix(".npz")): entry for entry in reversed(found)}
+        return {recording_key(entry["fname"].removesuffix(".npz")): entry for entry in reversed(entries)}
 
     def check(self, paths: Collection[str], representation: Representation) -> None:
-        """Raises `LayoutError` where not one of `paths` is there, and for files in another format."""
+        """Raise `LayoutError` if none of `paths` exists, or a file has another format."""
         if not any(recording_key(path) in self._entries for path in paths):
             examples = [entry["fname"] for entry in list(self._entries.values())[-3:]]
             raise LayoutError(
-                f"source={self._folder} has none of the {len(paths)} annotated recordings; expected for instance "
+                f"source={self._folder} has none of the {len(paths)} annotated recordings; expected, for instance, "
                 f"{next(iter(paths))}, found {', '.join(examples) or 'nothing'}"
             )
 
     def inputs(self, paths: Collection[str]) -> list[Path]:
-        """Both files as a whole."""
+        """Return both files."""
         return self._files
 
     def read(self, paths: Collection[str]) -> Iterator[tuple[str, TeachRecording | str]]:
-        """Every path with its recording, or the reason why there is none."""
+        """Yield every path with its recording, or the reason for its absence."""
         for path in paths:
             entry = self._entries.get(recording_key(path))
             if entry is None:
                 yield path, f"not in {' or '.join(file.name for file in self._files)}: {path}"
             else:
-                yield path, _copied(entry)
+                yield path, _copy(entry)
 
 
-def _copied(entry: Mapping[str, np.ndarray | str]) -> TeachRecording:
-    """From the disk, with AMASS's name of the frame rate."""
+def _copy(entry: Mapping[str, np.ndarray | str]) -> TeachRecording:
+    """Copy a recording from disk, with AMASS's name of the frame rate."""
     names = {"poses": "poses", "trans": "trans", "fps": "mocap_framerate"}
     return TeachRecording({new: np.array(entry[old]) for old, new in names.items()})

@@ -1,6 +1,6 @@
-"""The Bandai Namco Research motion dataset: its files, its skeleton, and the way from it to SMPL's.
+"""The Bandai Namco Research motion dataset: its files, its skeleton, and retargeting to SMPL's.
 
-Knows where the clips lie (the published archive or the unpacked folder), what their names say, and the constant
+Depends on the location of the clips (the published archive or the unpacked folder), their names, and the constant
 rotation between each of their joints and SMPL's. Source: Kobayashi et al. 2023, arXiv 2306.08861, CC BY-NC 4.0.
 """
 
@@ -38,16 +38,18 @@ SOURCE_JOINTS: dict[str, str] = {
     "left_hip": "UpperLeg_L", "left_knee": "LowerLeg_L", "left_ankle": "Foot_L", "left_foot": "Toes_L",
     "right_hip": "UpperLeg_R", "right_knee": "LowerLeg_R", "right_ankle": "Foot_R", "right_foot": "Toes_R",
 }  # fmt: skip
-"""SMPL's joint → the dataset's. SMPL's spine2 lies between Spine and Chest, moves with spine1; hands follow wrists."""
+"""SMPL's joint → the dataset's. SMPL's spine2 lies between Spine and Chest and moves with spine1; hands follow wrists.
+"""
 
 CLIPS = 3076
-"""How many clips the published archive holds."""
+"""Number of clips in the published archive."""
 
 FARTHEST = 1e4
-"""Metres from the origin that no person goes in a clip, nor in a second: float32 then has a millimetre left."""
+"""Distance in metres from the origin, and speed in m/s, that no person reaches in a clip; float32 then resolves a
+millimetre."""
 
 UNLABELLED = ""
-"""The key of clips that no sentence describes: they are learnt from, but not by name."""
+"""Key of clips without sentences, which serve training without a name."""
 
 MISNAMED = frozenset(
     f"dataset-2_walk-turn-{number}"
@@ -57,11 +59,11 @@ MISNAMED = frozenset(
         *("right_normal_004", "right_normal_032", "right_normal_033"),
     )
 )
-"""Turns that go to the other side than their names say, or twice as far as all others (184 to 222 degrees)."""
+"""Turns to the other side than their names say, or twice as far as all others (184 to 222 degrees)."""
 
 FOOT_SLOPE, TOES_SLOPE = math.radians(39.6), math.radians(23.0)
-"""How far the foot's and the toes' bones point below the horizontal while they stand flat: medians over all frames in
-which neither ankle nor toes moves."""
+"""Angles by which the bones of the foot and the toes point below the horizontal on a flat foot: medians over all frames
+in which neither ankle nor toes move."""
 
 
 def _pitched(slope: float) -> tuple[tuple[float, float, float], ...]:
@@ -75,13 +77,13 @@ T_POSE: dict[str, tuple[tuple[float, float, float], ...]] = {
     "Shoulder": (LEFT, UP), "UpperArm": (LEFT, UP), "LowerArm": (LEFT, UP), "Hand": (LEFT, UP),
     "UpperLeg": (DOWN, LEFT), "LowerLeg": (DOWN, LEFT), "Foot": _pitched(FOOT_SLOPE), "Toes": _pitched(TOES_SLOPE),
 }  # fmt: skip
-"""Where the local x and y axes of each joint point in SMPL's rest pose: midline and left, whose bones run along +x.
+"""Directions of the local x and y axes of each joint in SMPL's rest pose: midline and left, whose bones run along +x.
 Bones of the right side run along -x."""
 
 
 @dataclass(frozen=True)
 class ClipName:
-    """What a file's name says, as in `dataset-2_raise-up-right-hand_active_001.bvh`."""
+    """The parts of a file name such as `dataset-2_raise-up-right-hand_active_001.bvh`."""
 
     name: str
     content: str
@@ -89,34 +91,36 @@ class ClipName:
 
     @classmethod
     def parse(cls, name: str) -> ClipName:
-        """Raises `ValueError` where the name is not the dataset's, or its content or style is unknown."""
+        """Parse a name. Raises `ValueError` if it is not the dataset's, or its action or style is unknown."""
         match = re.fullmatch(r"(dataset-[12]_([a-z-]+)_([a-z-]+)_\d+)", name)
         if not match:
             raise ValueError(f"{shown(name)} is not dataset-N_content_style_NNN")
         if match[2] not in CONTENTS:
-            raise ValueError(f"unknown content {shown(match[2])}; known are {', '.join(CONTENTS)}")
+            raise ValueError(f"unknown action {shown(match[2])}; choose from {', '.join(CONTENTS)}")
         if match[3] not in STYLES:
-            raise ValueError(f"unknown style {shown(match[3])}; known are {', '.join(STYLES)}")
+            raise ValueError(f"unknown style {shown(match[3])}; choose from {', '.join(STYLES)}")
         return cls(*match.groups())
 
 
 def read_sources(source: Path) -> Iterator[tuple[str, str | UnreadableError]]:
-    """Every clip's name and BVH text, or why it cannot be read. Raises as `read_texts`, and `ValueError` for a folder
-    or an archive without BVH files."""
+    """Yield every clip's name and BVH text, or the reason why it cannot be read.
+
+    Raises as `read_texts`, and `ValueError` if a folder or an archive has no BVH files.
+    """
     name = None
-    for place, text in read_texts(Path(source), (".bvh",)):
-        name = place.stem
+    for path, text in read_texts(Path(source), (".bvh",)):
+        name = path.stem
         yield name, text
     if name is None:
         raise ValueError(f"{source} holds no .bvh file; it should be the dataset's .tar.xz or its unpacked folder")
 
 
 def rest_rotations(names: Iterable[str]) -> Float[Tensor, "joints 3 3"]:
-    """World rotation of each named joint's frame in SMPL's rest pose: the constants of the retargeting."""
+    """Return the world rotation of each joint's frame in SMPL's rest pose: the constants of the retargeting."""
     rotations = []
     for name in names:
         x, y = (torch.tensor(axis, dtype=torch.float64) for axis in T_POSE[name.removesuffix("_L").removesuffix("_R")])
-        if name.endswith("_R"):  # the right side's axes are the left side's mirror images, reversed
+        if name.endswith("_R"):  # the axes of the right side are the reversed mirror images of the left side's
             mirror = torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)
             x, y = mirror * x, mirror * y
         rotations.append(torch.stack([x, y, torch.linalg.cross(x, y)], dim=-1))
@@ -124,11 +128,11 @@ def rest_rotations(names: Iterable[str]) -> Float[Tensor, "joints 3 3"]:
 
 
 def retarget(bvh: Bvh, skeleton: Skeleton) -> Motion:
-    """The clip on SMPL's joints, at the clip's frame rate: metres, z up, the lowest joint of the clip at zero.
+    """Retarget a clip to SMPL's joints at its own frame rate: metres, z up, the lowest joint at height zero.
 
-    Each SMPL joint turns with the dataset's joint, undone by that joint's constant rotation in the rest pose; so at the
-    dataset's own proportions, forward kinematics gives the clip's own joint positions.
-    Raises `BvhError` where the clip lacks one of the joints.
+    Each SMPL joint has the rotation of the dataset's joint, corrected by that joint's constant rotation in the rest
+    pose; at the dataset's own proportions, forward kinematics reproduces the clip's joint positions. Raises `BvhError`
+    if a joint is missing.
     """
     missing = sorted(set(SOURCE_JOINTS.values()) - set(bvh.names))
     if missing:
@@ -150,9 +154,9 @@ def retarget(bvh: Bvh, skeleton: Skeleton) -> Motion:
 
 
 def split(clips: Iterable[ClipName]) -> dict[str, str]:
-    """Clip name → "train", "val" or "test", 80 : 10 : 10 within every content, spread over its styles.
+    """Assign clip names to "train", "val" or "test", 80 : 10 : 10 within every action, spread over its styles.
 
-    A pure function of the set of names. Contents of fewer than ten clips are for training alone.
+    A pure function of the set of names. Actions with fewer than ten clips are for training only.
     """
     contents: dict[str, list[ClipName]] = {}
     for clip in clips:
@@ -166,26 +170,31 @@ def split(clips: Iterable[ClipName]) -> dict[str, str]:
 
 
 def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Tensor, "frames features"]]]:
-    """One file as the rows of a cache: the clip and its mirror image at `fps`, as 205 features on the default skeleton.
+    """Convert one file to the rows of a cache: the clip and its mirror image, as 205 features on the default skeleton.
 
-    The split is still to be set. Raises `ValueError` (`BvhError` among them) with what is wrong with the file.
+    The split is not set yet. Raises `ValueError` (including `BvhError`) if the file is invalid.
+
+    Args:
+        name: Name of the clip.
+        text: Its BVH text.
+        fps: Frame rate of the features.
     """
-    named = ClipName.parse(name)
+    label = ClipName.parse(name)
     skeleton, representation = Skeleton.default(), SmplRepresentation()
     motion = retarget(parse_bvh(text), skeleton).resampled(fps)
     rows = []
-    for mirrored, content, moved in (
-        (False, named.content, motion),
-        (True, mirrored_content(named.content), motion.mirrored()),
+    for mirrored, content, version in (
+        (False, label.content, motion),
+        (True, mirrored_content(label.content), motion.mirrored()),
     ):
-        posed = Motion.posed(moved.rotations, moved.translation, fps, skeleton)
+        posed = Motion.posed(version.rotations, version.translation, fps, skeleton)
         cuts = read_segments("bandai").get(name, ())
         unlabelled = name in MISNAMED or content in {cut.content for cut in cuts}  # one of several actions
         clip = Clip(
             name=f"M/{name}" if mirrored else name,
             content=content,
-            style=named.style,
-            texts=UNLABELLED if unlabelled else f"{content}/{named.style}",
+            style=label.style,
+            texts=UNLABELLED if unlabelled else f"{content}/{label.style}",
             parts=tuple(sorted(CONTENTS[content].parts)),
             cyclic=CONTENTS[content].cyclic,
             mirrored=mirrored,
@@ -204,7 +213,7 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
 def _cut(
     clip: Clip, features: Float[Tensor, "frames features"], number: int, segment: Segment, fps: float | int
 ) -> tuple[Clip, Float[Tensor, "_ features"]]:
-    """The part of a clip that a segment names: one action of several, or its actor standing still."""
+    """Cut the part of a clip that a segment names: one action of several, or its actor standing still."""
     content = mirrored_content(segment.content) if clip.mirrored else segment.content
     part = dataclasses.replace(
         clip,
@@ -219,19 +228,27 @@ def _cut(
 
 
 def read_clips(source: Path, fps: float | int, workers: int) -> Iterator[tuple[str, list | str]]:
-    """Converts every clip, in parallel: its name, and its rows or the reason why it had to be skipped."""
-    return in_parallel(((name, (_converted, name, text, fps)) for name, text in read_sources(source)), workers)
+    """Convert every clip in parallel: yield its name, and its rows or the reason for its omission.
+
+    Args:
+        source: Archive or folder of the dataset.
+        fps: Frame rate of the features.
+        workers: Number of processes.
+    """
+    return in_parallel(((name, (_convert_text, name, text, fps)) for name, text in read_sources(source)), workers)
 
 
-def _converted(name: str, text: str | UnreadableError, fps: float | int) -> list[tuple[Clip, Tensor]]:
+def _convert_text(name: str, text: str | UnreadableError, fps: float | int) -> list[tuple[Clip, Tensor]]:
     if isinstance(text, UnreadableError):
         raise text
     return convert(name, text, fps)
 
 
 def gather(clips: Iterable[tuple[str, list | str]], fps: float | int) -> Cache:
-    """The cache of all converted clips, in the order of their names, without a fingerprint. Raises `ValueError` where
-    all were skipped."""
+    """Build the cache of all converted clips, in the order of their names, without a fingerprint.
+
+    Raises `ValueError` if all were skipped.
+    """
     converted, skipped = {}, []
     for name, rows in clips:
         if isinstance(rows, str):
@@ -241,7 +258,7 @@ def gather(clips: Iterable[tuple[str, list | str]], fps: float | int) -> Cache:
         else:
             converted[name] = rows
     if not converted:
-        raise ValueError(f"not one clip could be read; the first: {skipped[0][0]}: {skipped[0][1]}")
+        raise ValueError(f"no clip could be read; the first: {skipped[0][0]}: {skipped[0][1]}")
     splits = split(ClipName.parse(name) for name in converted)
     rows = [
         (dataclasses.replace(clip, split=splits[name]), features)
@@ -261,22 +278,22 @@ def gather(clips: Iterable[tuple[str, list | str]], fps: float | int) -> Cache:
 
 
 def measured_offsets(bvh: Bvh) -> dict[str, tuple[float, float, float]]:
-    """Every joint's rest offset to its parent, in metres and SMPL's axes: the proportions of the dataset's skeleton.
+    """Measure every joint's rest offset to its parent, in metres and SMPL's axes, as stored in `assets/skeleton.json`.
 
-    What `assets/skeleton.json` holds. The hands (8 cm beyond the wrists) and the rest position of the pelvis (SMPL's
-    neutral body's) are not the dataset's, which knows neither.
+    The hands (8 cm beyond the wrists) and the rest position of the pelvis (that of SMPL's neutral body) are not the
+    dataset's, which has neither.
     """
     index = {joint: bvh.names.index(name) for joint, name in SOURCE_JOINTS.items()}
     local = bvh.positions.mean(dim=0) * 0.01
     offsets = {"pelvis": (-0.0018, -0.2233, 0.0282), "left_hand": (0.08, 0.0, 0.0), "right_hand": (-0.08, 0.0, 0.0)}
     for joint in JOINTS[1:NUM_ROTATIONS]:
-        if joint.startswith("right_"):  # half a millimetre apart from the left ones
+        if joint.startswith("right_"):  # they differ from the left ones by half a millimetre
             x, y, z = offsets[joint.replace("right", "left")]
             offsets[joint] = (-x + 0.0, y, z)
             continue
         source = "spine3" if joint == "spine2" else joint
         parent = bvh.names[bvh.parents[index[source]]]
         offset = rest_rotations([parent])[0] @ local[index[source]]
-        offset = offset / 2 if joint in ("spine2", "spine3") else offset  # spine2 halves the way from Spine to Chest
+        offset = offset / 2 if joint in ("spine2", "spine3") else offset  # spine2 is halfway between Spine and Chest
         offsets[joint] = tuple(round(value, 4) + 0.0 for value in offset.tolist())
     return {joint: offsets[joint] for joint in JOINTS}

@@ -1,7 +1,7 @@
-"""Reads Acclaim motion capture: a skeleton (`.asf`), and what its bones do frame by frame (`.amc`).
+"""Parser of Acclaim motion capture: a skeleton (`.asf`), and the motion of its bones (`.amc`).
 
-Knows the two file formats and nothing of any body; what the bones mean is the data set's business (see `cmu`).
-Format: https://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/ASF-AMC.html
+Depends on the two file formats only; `catalogue` interprets the bones. Format:
+https://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/ASF-AMC.html
 """
 
 from __future__ import annotations
@@ -16,22 +16,30 @@ from stmc.formats.bvh_parser import MOST_VALUES, Bvh
 from stmc.io.untrusted import cut, shown
 
 MOST_WORDS, LONGEST_WORD = 4_000_000, 40
-"""Of a motion, and letters of each: twice what three minutes of 30 bones have at 120 frames per second."""
+"""Maximum number of words of a motion, and of letters per word: twice what three minutes of 30 bones have at 120 fps.
+"""
 
 LARGEST = 1e9
-"""No number of a body is as large, in whichever unit."""
+"""Maximum number, in any unit."""
 
 _ROOT = "root"
 
 
 class AcclaimError(ValueError):
-    """An ASF or AMC file that cannot be read; the message says where and why."""
+    """An ASF or AMC file that cannot be read; the message gives the place and the reason."""
 
 
 @dataclass(frozen=True)
 class Bone:
-    """`offset` is where the bone begins, from where its parent does; it turns about the axes of `frame` ("xyz" angles
-    in degrees). `channels` are those of the motion's numbers, in their order. All as in the rest pose."""
+    """A bone in the rest pose.
+
+    Args:
+        name: Name of the bone.
+        parent: Index of the parent.
+        offset: Start of the bone relative to the start of its parent.
+        frame: Angles ("xyz", degrees) of the axes that the bone rotates about.
+        channels: Channels of the motion, in order.
+    """
 
     name: str
     parent: int
@@ -41,39 +49,49 @@ class Bone:
 
 
 Acclaim = tuple[Bone, ...]
-"""A skeleton: parents stand before their children."""
+"""A skeleton; parents precede their children."""
 
 
 def parse_asf(text: str) -> Acclaim:
-    """Parses the text of one ASF file. Raises `AcclaimError` for a missing section, a bone that is described twice or
-    not at all, numbers that are none, and angles in anything but degrees."""
+    """Parse the text of one ASF file.
+
+    Raises `AcclaimError` if a section is missing, a bone is described twice or not at all, a number is invalid, or
+    angles are not in degrees.
+    """
     sections = _sections(text)
     if missing := [name for name in ("root", "bonedata", "hierarchy") if name not in sections]:
         raise AcclaimError(f"sections {', '.join(missing)} are missing: the file is truncated or not an ASF file")
     if ["angle", "deg"] not in sections.get("units", []):
         raise AcclaimError("units: angles must be in degrees")
-    described = _described(sections["bonedata"])
+    descriptions = _parse_bones(sections["bonedata"])
     root = {words[0].lower(): words[1:] for words in sections["root"]}
     bones = [Bone(_ROOT, -1, np.zeros(3), np.zeros(3), tuple(word.lower() for word in root.get("order", ())))]
-    ends, places = {_ROOT: np.zeros(3)}, {_ROOT: 0}
+    ends, indices = {_ROOT: np.zeros(3)}, {_ROOT: 0}
     for parent, *children in sections["hierarchy"]:
         if parent in ("begin", "end"):
             continue
         for child in children:
-            if parent not in places or child not in described or child in places:
+            if parent not in indices or child not in descriptions or child in indices:
                 raise AcclaimError(f"hierarchy: {shown(parent)} cannot carry {shown(child)}: unknown, or duplicated")
-            frame, channels, ends[child] = described[child]
-            places[child] = len(bones)
-            bones.append(Bone(child, places[parent], ends[parent], frame, channels))
+            frame, channels, ends[child] = descriptions[child]
+            indices[child] = len(bones)
+            bones.append(Bone(child, indices[parent], ends[parent], frame, channels))
     return tuple(bones)
 
 
 def parse_amc(text: str, skeleton: Acclaim, fps: float | int) -> Bvh:
-    """Parses the text of one AMC file, which does not say its frame rate.
+    """Parse the text of one AMC file, which does not contain its frame rate.
 
-    Joint i is where bone i begins, and turns by as much as the bone has turned from the rest pose. Raises
-    `AcclaimError` for frames that are not alike, bones that the skeleton lacks, values that are not finite, and more
-    than `MOST_VALUES` or `MOST_WORDS`.
+    Joint i is at the start of bone i and has the bone's rotation from the rest pose.
+
+    Args:
+        text: Text of the file.
+        skeleton: Its skeleton.
+        fps: Its frame rate.
+
+    Raises:
+        AcclaimError: If frames differ in their bones, bones are not in the skeleton, values are not finite, or
+            `MOST_VALUES` or `MOST_WORDS` is exceeded.
     """
     words = _words(text)
     table = words.reshape(-1, _words_of_a_frame(words))
@@ -83,14 +101,14 @@ def parse_amc(text: str, skeleton: Acclaim, fps: float | int) -> Bvh:
     if not (table[:, names] == table[0, names]).all():
         frame = int((table[:, names] != table[0, names]).any(axis=1).argmax())
         raise AcclaimError(f"frame {frame + 1} names other bones than the first")
-    positions, rotations = _posed(skeleton, table, columns)
+    positions, rotations = _pose(skeleton, table, columns)
     return Bvh(
         tuple(bone.name for bone in skeleton), tuple(bone.parent for bone in skeleton), positions, rotations, fps
     )
 
 
 def _sections(text: str) -> dict[str, list[list[str]]]:
-    """The words of every line of a section; what stands behind the section's own name counts as a line."""
+    """Split lines into words by section; words after a section's own name count as a line."""
     sections: dict[str, list[list[str]]] = {}
     lines: list[list[str]] = []
     for line in text.splitlines():
@@ -103,8 +121,8 @@ def _sections(text: str) -> dict[str, list[list[str]]]:
     return sections
 
 
-def _described(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[str, ...], np.ndarray]]:
-    """Of every bone: its axes' angles, its channels, and where it ends, from where it begins."""
+def _parse_bones(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[str, ...], np.ndarray]]:
+    """Return the axis angles, the channels and the end (relative to the start) of every bone."""
     bones: dict[str, tuple[np.ndarray, tuple[str, ...], np.ndarray]] = {}
     fields: dict[str, list[str]] = {}
     for words in lines:
@@ -130,7 +148,7 @@ def _described(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[str,
 def _vector(words: list[str]) -> np.ndarray:
     vector = np.array(words, dtype=np.float64)
     if vector.shape != (3,) or not (np.abs(vector) < LARGEST).all():
-        raise ValueError(f"{shown(' '.join(words))} is not the one or three numbers below {LARGEST:g} that are needed")
+        raise ValueError(f"{shown(' '.join(words))} must be one or three numbers below {LARGEST:g}")
     return vector
 
 
@@ -145,42 +163,42 @@ def _words(text: str) -> np.ndarray:
 
 
 def _words_of_a_frame(words: np.ndarray) -> int:
-    """How many words each frame has: its number, and bones' names with their values."""
-    again = np.flatnonzero(words == words[1]) if len(words) > 1 else np.zeros(0, dtype=int)
-    width = int(again[1] - again[0]) if len(again) > 1 else len(words)
+    """Return the number of words per frame: its index, and names of bones with their values."""
+    repeats = np.flatnonzero(words == words[1]) if len(words) > 1 else np.zeros(0, dtype=int)
+    width = int(repeats[1] - repeats[0]) if len(repeats) > 1 else len(words)
     if words[0] != "1" or len(words) % width:
         raise AcclaimError(f"{len(words)} words are not frames of {width}: the file is truncated or damaged")
     return width
 
 
 def _columns(frame: np.ndarray, skeleton: Acclaim) -> tuple[dict[str, dict[str, int]], list[int]]:
-    """Where each bone's channels stand in a frame's words, and where the names do."""
-    known = {bone.name: bone for bone in skeleton}
+    """Return the indices of each bone's channels, and of the names, among the words of a frame."""
+    bones = {bone.name: bone for bone in skeleton}
     columns: dict[str, dict[str, int]] = {}
-    names, place = [], 1
-    while place < len(frame):
-        name = str(frame[place])
-        if name not in known or name in columns:
+    names, index = [], 1
+    while index < len(frame):
+        name = str(frame[index])
+        if name not in bones or name in columns:
             raise AcclaimError(f"{shown(name)} is not a bone of the skeleton, or duplicated")
-        channels = known[name].channels
-        columns[name] = {channel: place + 1 + index for index, channel in enumerate(channels)}
-        names.append(place)
-        place += 1 + len(channels)
-    if place != len(frame):
+        channels = bones[name].channels
+        columns[name] = {channel: index + 1 + offset for offset, channel in enumerate(channels)}
+        names.append(index)
+        index += 1 + len(channels)
+    if index != len(frame):
         raise AcclaimError(f"bone {frame[names[-1]]!r} lacks values")
     return columns, names
 
 
-def _posed(
+def _pose(
     skeleton: Acclaim, table: np.ndarray, columns: dict[str, dict[str, int]]
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Every bone's position in its parent's frame and its rotation from the rest pose, [frames, bones, …]."""
+    """Compute every bone's position in its parent's frame and its rotation from the rest pose, [frames, bones, …]."""
     frames = len(table)
     positions = np.broadcast_to(np.stack([bone.offset for bone in skeleton]), (frames, len(skeleton), 3)).copy()
     rotations = np.broadcast_to(np.eye(3), (frames, len(skeleton), 3, 3)).copy()
     for index, bone in enumerate(skeleton):
-        known = columns.get(bone.name, {}).items()
-        values = {channel: _numbers(table[:, place], bone.name) for channel, place in known}
+        bone_columns = columns.get(bone.name, {}).items()
+        values = {channel: _numbers(table[:, column], bone.name) for channel, column in bone_columns}
         angles = np.stack([values.get(channel, np.zeros(frames)) for channel in ("rx", "ry", "rz")], axis=-1)
         axes = Rotation.from_euler("xyz", bone.frame, degrees=True).as_matrix()  # lower case: about fixed axes
         rotations[:, index] = axes @ Rotation.from_euler("xyz", angles, degrees=True).as_matrix() @ axes.T
@@ -195,7 +213,7 @@ def _numbers(words: np.ndarray, bone: str) -> np.ndarray:
         numbers = words.astype(np.float64)
     except ValueError as error:
         raise AcclaimError(f"bone {shown(bone)}: {error}") from error
-    finite = np.abs(numbers) < LARGEST  # NaN is not
+    finite = np.abs(numbers) < LARGEST  # also false for NaN
     if not finite.all():
         raise AcclaimError(f"bone {shown(bone)}: values must be below {LARGEST:g}; frame {int((~finite).argmax()) + 1}")
     return numbers

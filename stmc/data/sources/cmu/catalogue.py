@@ -1,9 +1,9 @@
-"""CMU's motion capture database: its recordings in the formats they are passed around in, on SMPL's joints.
+"""CMU's motion capture database: its recordings, in all common formats, on SMPL's joints.
 
-Knows the official layout (`SS/SS.asf`, `SS/SS_TT.amc`), the conversions to BVH for MotionBuilder and for Daz, and the
-way from their bones to SMPL's. Knows no contents: see `cmu_clips`. Source: mocap.cs.cmu.edu, free for all uses, not to
-be resold. "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from
-NSF EIA-0196217."
+Supports the official layout (`SS/SS.asf`, `SS/SS_TT.amc`) and the conversions to BVH for MotionBuilder and for Daz, and
+retargets their bones to SMPL's. Independent of actions: see `cmu_clips`. Source: mocap.cs.cmu.edu, free for all uses,
+not to be resold. "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with
+funding from NSF EIA-0196217."
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _SIDED = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
 def _joints(midline: str, left: str, right: str) -> dict[str, str]:
-    """SMPL's joint → the source's, from names in the order of `_MIDLINE` and `_SIDED`."""
+    """Map SMPL's joints to the source's, from names in the order of `_MIDLINE` and `_SIDED`."""
     sides = {"left": left.split(), "right": right.split()}
     pairs = {f"{side}_{joint}": name for side in sides for joint, name in zip(_SIDED, sides[side], strict=True)}
     return dict(zip(_MIDLINE, midline.split(), strict=True)) | pairs
@@ -62,43 +62,45 @@ FORMATS: tuple[Mapping[str, str], ...] = (
         "rCollar rShldr rForeArm rHand rThigh rShin rFoot",
     ),
 )
-"""Native, MotionBuilder's in two spellings, and Daz's: SMPL's joint → the source's. SMPL's spine2 moves with spine1,
-its feet with the ankles. The forearm's second half (`lwrist`, `LeftHand`) is not the hand, which begins at its end."""
+"""SMPL's joint → the source's, for the native format, MotionBuilder's in two spellings, and Daz's. SMPL's spine2 moves
+with spine1, its feet with the ankles. The hand begins at the end of the forearm's second half (`lwrist`, `LeftHand`).
+"""
 
 DAZ = FORMATS[3]
 
 DAMAGED = 9
-"""Frames behind the T-pose that Daz's conversion bent on its way to the first real one."""
+"""Number of frames after the T-pose that Daz's conversion bent towards the first real frame."""
 
 RATE, SLOW_RATE, SLOW = 120, 60, frozenset({"60", "61", "salsa"})
-"""Frames per second, which AMC does not say, and BVH says wrongly of the `SLOW` subjects' salsa."""
+"""Frames per second, which AMC does not contain; the BVH files of the `SLOW` subjects' salsa contain a wrong value."""
 
 LENT = {"13": "14"}
 ANYBODY = "16"
-"""Whose skeleton a recording is read with where its subject's own is missing."""
+"""Subject whose skeleton replaces a missing one."""
 
 MOST_SKELETONS, LONGEST_SKELETON = 1000, 2**20
-"""Files and characters of each; the database has 112 of some 10,000. Longer ones are not taken for skeletons."""
+"""Maximum number of skeletons, and of characters of each; the database has 112 of some 10,000. Longer files are not
+skeletons."""
 
 CONTACT = 0.03
-"""The floor lies where the lower toe is in this share of the frames: deeper ones are noise."""
+"""The floor is at this quantile of the height of the lower toe; deeper toes are noise."""
 
 SPIKE, SPIKE_FRAMES = 90.0, 15
-"""A bone that turns by more than so many degrees in a frame, and back within so many frames, did not."""
+"""A rotation of more than this many degrees in one frame, and back within this many frames, is an artefact."""
 
 LONGEST_LEAP = 0.6
-"""Metres that no pelvis moves within a twentieth of a second: such a recording is damaged."""
+"""Maximum distance in metres that a pelvis moves within a twentieth of a second; beyond it a recording is damaged."""
 
 LIMBS = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow", "hip", "knee"))
 
 
 class CmuError(ValueError):
-    """A recording that cannot be used; the message says why."""
+    """A recording that cannot be used; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A recording's file: its `name` as in "14_06", its text, and the text of its skeleton if it has one of its own."""
+    """The file of a recording: its `name`, such as "14_06", its text, and the text of its separate skeleton, if any."""
 
     name: str
     text: str
@@ -106,23 +108,23 @@ class Source:
 
 
 def read_sources(source: Path) -> Iterator[Source | tuple[str, str]]:
-    """Every recording below a folder or in an archive; for one that cannot be told, its name and the reason.
+    """Yield every recording below a folder or in an archive, or the name and the reason of an unreadable one.
 
-    One is in memory at a time: the whole database is several gigabytes. Raises as `read_texts`, and `ValueError` for a
-    place without recordings or with more than `MOST_SKELETONS`.
+    One is in memory at a time: the whole database has several gigabytes. Raises as `read_texts`, and `ValueError` if
+    there are no recordings or more than `MOST_SKELETONS`.
     """
     source, seen = Path(source), set()
     skeletons = _read_skeletons(source)
-    for place, text in read_texts(source, (".amc", ".bvh")):
-        name = place.stem
+    for path, text in read_texts(source, (".amc", ".bvh")):
+        name = path.stem
         if isinstance(text, UnreadableError):
             yield name, str(text)
         elif name in seen:
-            yield f"{name} ({cut(str(place))})", "a second recording of this name"
-        elif place.suffix == ".bvh":
+            yield f"{name} ({cut(str(path))})", "a second recording of this name"
+        elif path.suffix == ".bvh":
             yield Source(name, text)
-        elif found := _skeleton_of(name, skeletons):
-            yield Source(name, text, skeletons[found])
+        elif subject := _skeleton_of(name, skeletons):
+            yield Source(name, text, skeletons[subject])
         else:
             yield name, "no skeleton: neither its subject's .asf nor a known substitute is there"
         seen.add(name)
@@ -131,11 +133,11 @@ def read_sources(source: Path) -> Iterator[Source | tuple[str, str]]:
 
 
 def _read_skeletons(source: Path) -> dict[str, str]:
-    """The texts of all skeletons that can be read, by their subjects."""
+    """Read the texts of all readable skeletons, by subject."""
     skeletons: dict[str, str] = {}
-    for place, text in read_texts(source, (".asf",)):
+    for path, text in read_texts(source, (".asf",)):
         if isinstance(text, str) and len(text) <= LONGEST_SKELETON:
-            skeletons[place.stem] = text
+            skeletons[path.stem] = text
         if len(skeletons) > MOST_SKELETONS:
             raise ValueError(f"{source} holds more than {MOST_SKELETONS:,} .asf files, the limit")
     return skeletons
@@ -148,7 +150,13 @@ def _skeleton_of(name: str, skeletons: Mapping[str, str]) -> str | None:
 
 
 def read(source: Source, skeleton: Skeleton, fps: float | int) -> Motion:
-    """The recording at `fps`. Raises `CmuError`, `BvhError` or `AcclaimError` for one that cannot be used."""
+    """Read a recording at `fps`. Raises `CmuError`, `BvhError` or `AcclaimError` if it cannot be used.
+
+    Args:
+        source: File of the recording.
+        skeleton: Skeleton to retarget to.
+        fps: Frame rate of the motion.
+    """
     rate = SLOW_RATE if source.name.partition("_")[0] in SLOW else RATE
     if source.skeleton is None:
         return retarget(replace(parse_bvh(source.text), fps=rate), skeleton, fps)
@@ -156,34 +164,39 @@ def read(source: Source, skeleton: Skeleton, fps: float | int) -> Motion:
 
 
 def retarget(recording: Bvh, skeleton: Skeleton, fps: float | int) -> Motion:
-    """The recording on `skeleton` at `fps`: metres, z up, feet on the floor.
+    """Retarget a recording to `skeleton` at `fps`: metres, z up, feet on the floor.
 
-    Trunk, collars, hands and feet turn as the source's bones do from their rest pose, which has feet flat and arms
-    straight to the sides, as SMPL's. Limbs also make up for how the source's rest pose spreads them; how their hinges
-    share the twist is then read off the joints, as for any motion of joints. The path is scaled by the legs' lengths.
+    Trunk, collars, hands and feet rotate as the source's bones do from their rest pose, which has flat feet and arms
+    straight to the sides, like SMPL's. Limbs also compensate for the spread of the source's rest pose; their twists
+    then follow from the joints, as for any motion of joints. The path is scaled by the lengths of the legs.
+
+    Args:
+        recording: The recording.
+        skeleton: Skeleton to retarget to.
+        fps: Frame rate of the motion.
     """
     names = _format(recording)
     recording = _without_t_pose(recording, names)
-    turned, places = recording.world()
+    rotations, positions = recording.world()
     index = {joint: recording.names.index(name) for joint, name in names.items()}
     rest = _rest(recording, index)
     up = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)  # y up → z up
-    world = _world(up @ turned, index, rest, skeleton)
-    own = sum(float((rest[f"left_{lower}"] - rest[f"left_{upper}"]).norm()) for upper, lower in _LEG)
-    if not own > 0:
+    world = _world(up @ rotations, index, rest, skeleton)
+    source_leg = sum(float((rest[f"left_{lower}"] - rest[f"left_{upper}"]).norm()) for upper, lower in _LEG)
+    if not source_leg > 0:
         raise CmuError("the skeleton's legs have no length")
-    ours = sum(float(skeleton.offsets[JOINTS.index(f"left_{lower}")].norm()) for _, lower in _LEG)
-    hips = (places[:, index["left_hip"]] + places[:, index["right_hip"]]) / 2
+    target_leg = sum(float(skeleton.offsets[JOINTS.index(f"left_{lower}")].norm()) for _, lower in _LEG)
+    hips = (positions[:, index["left_hip"]] + positions[:, index["right_hip"]]) / 2
     steady = torch.from_numpy(median_filter(hips.numpy(), (5, 1), mode="nearest"))
     above = skeleton.offsets[[JOINTS.index("left_hip"), JOINTS.index("right_hip")]].double().mean(dim=0)
-    pelvis = steady @ up.T * (ours / own) - einsum(world[:, 0], above, "frames i j, j -> frames i")
+    pelvis = steady @ up.T * (target_leg / source_leg) - einsum(world[:, 0], above, "frames i j, j -> frames i")
     raw = Motion.posed(_local(world), pelvis, recording.fps, skeleton).resampled(fps)
-    return _on_the_floor(_posed(raw, skeleton), skeleton)
+    return _place_on_floor(_repair(raw, skeleton), skeleton)
 
 
 _LEG = (("hip", "knee"), ("knee", "ankle"))
 _NEXT = {"hip": "knee", "knee": "ankle", "shoulder": "elbow", "elbow": "wrist"}
-"""Where the bones of a limb lead."""
+"""Ends of the bones of a limb."""
 
 
 def _format(recording: Bvh) -> Mapping[str, str]:
@@ -191,11 +204,11 @@ def _format(recording: Bvh) -> Mapping[str, str]:
         if set(names.values()) <= set(recording.names):
             return names
     joints = cut(", ".join(recording.names[:6]))
-    raise CmuError(f"unknown skeleton with joints {joints}, …; known are the native one, MotionBuilder's and Daz's")
+    raise CmuError(f"unknown skeleton with joints {joints}, …; supported are the native one, MotionBuilder's and Daz's")
 
 
 def _without_t_pose(recording: Bvh, names: Mapping[str, str]) -> Bvh:
-    """Conversions begin with a frame in which neither elbows nor knees are bent at all, which nobody can do."""
+    """Remove the first frame of a conversion, in which neither elbows nor knees are bent at all, as in no real pose."""
     hinges = [recording.names.index(names[joint]) for joint in LIMBS if joint.endswith(("elbow", "knee"))]
     bent = (recording.rotations[0, hinges] - torch.eye(3, dtype=torch.float64)).abs().max() > 1e-6
     first = 0 if bent else 1 + DAMAGED * (names is DAZ)
@@ -205,27 +218,27 @@ def _without_t_pose(recording: Bvh, names: Mapping[str, str]) -> Bvh:
 
 
 def _rest(recording: Bvh, index: Mapping[str, int]) -> dict[str, Tensor]:
-    """Where each joint is while no bone is turned, in the source's axes and unit."""
-    places: list[Tensor] = []
+    """Return the position of each joint while no bone is rotated, in the source's axes and unit."""
+    positions: list[Tensor] = []
     for joint, parent in enumerate(recording.parents):
         offset = recording.positions[0, joint]
-        places.append(offset if parent < 0 else places[parent] + offset)
-    return {joint: places[place] for joint, place in index.items()}
+        positions.append(offset if parent < 0 else positions[parent] + offset)
+    return {joint: positions[row] for joint, row in index.items()}
 
 
 def _world(
-    turned: Float[Tensor, "frames _ 3 3"], index: Mapping[str, int], rest: Mapping[str, Tensor], skeleton: Skeleton
+    rotations: Float[Tensor, "frames _ 3 3"], index: Mapping[str, int], rest: Mapping[str, Tensor], skeleton: Skeleton
 ) -> Float[Tensor, "frames 22 3 3"]:
-    """World rotations of SMPL's joints."""
-    ours, columns = skeleton.rest.double(), []
+    """Compute world rotations of SMPL's joints."""
+    target_rest, columns = skeleton.rest.double(), []
     for joint in JOINTS[:NUM_ROTATIONS]:
         source = {"spine2": "spine1", "left_foot": "left_ankle", "right_foot": "right_ankle"}.get(joint, joint)
-        rotation = turned[:, index[source]]
+        rotation = rotations[:, index[source]]
         side, _, kind = joint.partition("_")
         if kind in _NEXT:
             lower = f"{side}_{_NEXT[kind]}"
-            own = normalize(ours[JOINTS.index(lower)] - ours[JOINTS.index(joint)], dim=0)
-            rotation = rotation @ shortest_arc(own, normalize(rest[lower] - rest[joint], dim=0))
+            target = normalize(target_rest[JOINTS.index(lower)] - target_rest[JOINTS.index(joint)], dim=0)
+            rotation = rotation @ shortest_arc(target, normalize(rest[lower] - rest[joint], dim=0))
         columns.append(rotation)
     return torch.stack(columns, dim=1)
 
@@ -234,8 +247,8 @@ def _local(world: Float[Tensor, "frames 22 3 3"]) -> Float[Tensor, "frames 22 3 
     return torch.cat([world[:, :1], world[:, list(PARENTS[1:NUM_ROTATIONS])].mT @ world[:, 1:]], dim=1)
 
 
-def _posed(raw: Motion, skeleton: Skeleton) -> Motion:
-    """Without spikes, and with limbs that share their twist as `joints_to_rotations` has it."""
+def _repair(raw: Motion, skeleton: Skeleton) -> Motion:
+    """Remove spikes, and distribute the twist of limbs as `joints_to_rotations` does."""
     world = without_spikes(global_rotations(raw.rotations, PARENTS[:NUM_ROTATIONS]))
     repaired = Motion.posed(_local(world), raw.translation, raw.fps, skeleton)
     hinged = global_rotations(joints_to_rotations(repaired.joints, skeleton), PARENTS[:NUM_ROTATIONS])
@@ -245,7 +258,7 @@ def _posed(raw: Motion, skeleton: Skeleton) -> Motion:
 
 
 def without_spikes(world: Float[Tensor, "frames joints 3 3"]) -> Float[Tensor, "frames joints 3 3"]:
-    """World rotations in which a bone that flips away and back has gone the direct way (see `SPIKE`)."""
+    """Interpolate the rotations of bones that flip away and back (see `SPIKE`)."""
     world = world.clone()
     for joint in range(world.shape[1]):
         jumps = (_degrees(world[:-1, joint], world[1:, joint]) > SPIKE).nonzero()[:, 0].tolist()
@@ -254,8 +267,10 @@ def without_spikes(world: Float[Tensor, "frames joints 3 3"]) -> Float[Tensor, "
             for after in (jump + 1 for jump in jumps if jump - before <= SPIKE_FRAMES):
                 if _degrees(world[before, joint], world[after, joint]) < SPIKE:
                     arc = matrix_to_axis_angle(world[before, joint].mT @ world[after, joint])
-                    share = torch.linspace(0, 1, after - before + 1, dtype=world.dtype)
-                    world[before : after + 1, joint] = world[before, joint] @ axis_angle_to_matrix(arc * share[:, None])
+                    weight = torch.linspace(0, 1, after - before + 1, dtype=world.dtype)
+                    world[before : after + 1, joint] = world[before, joint] @ axis_angle_to_matrix(
+                        arc * weight[:, None]
+                    )
                     jumps = [jump for jump in jumps if jump >= after]
                     break
     return world
@@ -266,7 +281,7 @@ def _degrees(start: Tensor, end: Tensor) -> Tensor:
     return torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1)))
 
 
-def _on_the_floor(motion: Motion, skeleton: Skeleton) -> Motion:
+def _place_on_floor(motion: Motion, skeleton: Skeleton) -> Motion:
     leaps = motion.translation.diff(dim=0).norm(dim=-1)
     if len(leaps) and leaps.max() * motion.fps / 20 > LONGEST_LEAP:
         raise CmuError(f"the pelvis leaps {leaps.max():.2f} m from one frame to the next, at {motion.fps:g} fps")

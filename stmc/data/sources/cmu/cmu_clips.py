@@ -1,7 +1,6 @@
-"""CMU's motion capture database as one of those that `stmc prepare` knows.
+"""CMU's motion capture database as a `Preparation`; `catalogue` reads and converts its recordings.
 
-Knows what preparing is and which segments of the recordings show what; how recordings are read and converted is
-`cmu`'s.
+Depends on the segments of the recordings and their actions.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from stmc.motion.motion import Motion
 from stmc.motion.representation.smpl import SmplRepresentation
 
 STYLE = "normal"
-"""Of all clips: CMU labels none."""
+"""Style of all clips: CMU has no labels."""
 
 CACHE_VERSION = 1
-"""Of what this module makes of the same files. Raise it by one with every change that makes other features, clips or
-texts of them: caches that were prepared before are then made again."""
+"""Version of the conversion of the same files. Raise it by one with every change that produces other features, clips or
+texts: caches of earlier versions are then prepared again."""
 
 Rows = list[tuple[list[Clip], Float[Tensor, "frames features"]]]
 """Parts of recordings, each with its clips, which may touch and overlap."""
@@ -36,51 +35,59 @@ Rows = list[tuple[list[Clip], Float[Tensor, "frames features"]]]
 
 @dataclass(frozen=True)
 class CmuClips:
-    """`source` is a folder with subjects' `.asf` and `.amc` files, conversions to `.bvh`, or both, in any folders below
-    it; or a `.tar.xz` of one. A `Preparation`. Takes a few minutes; nothing of a run that was killed is kept."""
+    """A `Preparation` of CMU's motion capture database, which takes a few minutes and does not resume.
+
+    Args:
+        source: Folder with subjects' `.asf` and `.amc` files, conversions to `.bvh`, or both, at any depth; or a
+            `.tar.xz` of one.
+        fps: Frame rate of the features.
+    """
 
     source: str | Path
     fps: float | int
 
     def check(self) -> Path:
-        """The archive or folder. Raises `LayoutError` where there is none."""
+        """Return the archive or folder. Raises `LayoutError` if it does not exist."""
         return find_source(self.source, "a folder of recordings or a .tar.xz")
 
     def fingerprint(self) -> str:
-        """Of the archive or every file of the folder, the version of the cache, the segments and the frame rate."""
+        """Compute a digest of the files, the cache version, the segments and the frame rate."""
         assets = Path(__file__).parents[3] / "assets"
         inputs = [self.check(), *(assets / f"{name}.json" for name in ("contents", "segments", "skeleton"))]
         return fingerprint(inputs, [self.fps, CACHE_VERSION])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
-        """See `Preparation`. Recordings without segments are left alone; others that cannot be used are named."""
-        wanted, left_out = read_segments("cmu"), list[tuple[str, str]]()
+        """Build the cache; see `Preparation`.
+
+        Recordings without segments are ignored; other unusable ones are named.
+        """
+        segments, left_out = read_segments("cmu"), list[tuple[str, str]]()
 
         def jobs() -> Iterator[tuple[str, Job]]:
             for source in cmu.read_sources(self.check()):
                 if isinstance(source, tuple):
                     left_out.append(source)
-                elif source.name in wanted:
+                elif source.name in segments:
                     yield source.name, (convert, source, self.fps)
 
-        converted = dict(watch(in_parallel(jobs(), workers), len(wanted)))
-        found = converted.keys() | {name for name, _ in left_out}
-        left_out += [(name, "not among the recordings") for name in wanted if name not in found]
+        converted = dict(watch(in_parallel(jobs(), workers), len(segments)))
+        present = converted.keys() | {name for name, _ in left_out}
+        left_out += [(name, "not among the recordings") for name in segments if name not in present]
         return gather(converted, self.fps, left_out)
 
 
 def convert(source: cmu.Source, fps: float | int) -> Rows:
-    """The segments of one recording and their mirror images as 205 features on the default skeleton: parts of it from
-    one segment on to the last that touches the others.
+    """Convert the segments of one recording and their mirror images to 205 features on the default skeleton.
 
-    The recording is encoded as a whole, and heights are those above its own floor: a segment that does not touch the
-    ground does not know where that is. Raises `ValueError` with what is wrong with the recording.
+    Each part runs from one segment to the last one that touches the others. The recording is encoded as a whole, with
+    heights above its own floor, because a segment without ground contact does not determine the floor. Raises
+    `ValueError` if the recording is invalid.
     """
     skeleton = Skeleton(Skeleton.default().offsets.double())
     motion = cmu.read(source, skeleton, fps)
     rows: Rows = []
-    for mirrored, moved in ((False, motion), (True, motion.mirrored())):
-        features = encoded(Motion.posed(moved.rotations, moved.translation, fps, skeleton))
+    for mirrored, version in ((False, motion), (True, motion.mirrored())):
+        features = encoded(Motion.posed(version.rotations, version.translation, fps, skeleton))
         clips = []
         for number, segment in enumerate(read_segments("cmu")[source.name]):
             first, last = round(segment.start * fps), min(round(segment.end * fps), len(features))
@@ -92,7 +99,7 @@ def convert(source: cmu.Source, fps: float | int) -> Rows:
 
 
 def _touching(clips: Sequence[Clip], fps: float | int) -> Iterator[list[Clip]]:
-    """Clips of one recording, those together that pass into each other."""
+    """Group the clips of one recording that continue each other."""
     part, end = list[Clip](), 0
     for clip in sorted(clips, key=lambda clip: clip.start):
         if part and clip.start - end > TOUCHING * fps:
@@ -105,13 +112,15 @@ def _touching(clips: Sequence[Clip], fps: float | int) -> Iterator[list[Clip]]:
 
 def _part(clips: list[Clip], features: Float[Tensor, "frames features"]) -> tuple[list[Clip], Tensor]:
     first, last = clips[0].start, max(clip.end for clip in clips)
-    moved = [replace(clip, start=clip.start - first, end=clip.end - first, recording=clips[0].name) for clip in clips]
-    return moved, features[first:last]
+    shifted = [replace(clip, start=clip.start - first, end=clip.end - first, recording=clips[0].name) for clip in clips]
+    return shifted, features[first:last]
 
 
 def encoded(motion: Motion) -> Float[Tensor, "frames features"]:
-    """Its features, with the pelvis' height above the floor (z = 0) and not above the motion's lowest joint. Raises
-    `CmuError` where they are not finite."""
+    """Compute features, with the height of the pelvis above the floor (z = 0) instead of the motion's lowest joint.
+
+    Raises `CmuError` if they are not finite.
+    """
     representation = SmplRepresentation()
     features = representation.encode(motion)
     features[:, representation.layout["root_height"]] = motion.translation[:, 2:]
@@ -121,24 +130,32 @@ def encoded(motion: Motion) -> Float[Tensor, "frames features"]:
 
 
 def gather(recordings: Mapping[str, Rows | str], fps: float | int, left_out: Sequence[tuple[str, str]] = ()) -> Cache:
-    """The cache of all converted recordings, in the order of their names, without a fingerprint; in the place of a
-    recording's rows may be the reason why there are none. Raises `ValueError` where none is left."""
+    """Build the cache of all converted recordings, in the order of their names, without a fingerprint.
+
+    Args:
+        recordings: Rows of each recording, or the reason for its omission.
+        fps: Frame rate of the features.
+        left_out: Further omissions.
+
+    Raises:
+        ValueError: If no recording remains.
+    """
     skipped = [*left_out, *((name, rows) for name, rows in recordings.items() if isinstance(rows, str))]
     converted = [rows for _, rows in sorted(recordings.items()) if not isinstance(rows, str)]
     if not converted:
         first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
-        raise ValueError(f"no recording could be used, {len(skipped)} were skipped{first}")
+        raise ValueError(f"no recording could be used; {len(skipped)} were skipped{first}")
     clips, start = list[Clip](), 0
     for part, features in (row for rows in converted for row in rows):
         clips += [replace(clip, start=start + clip.start, end=start + clip.end) for clip in part]
         start += len(features)
-    every = torch.cat([features for rows in converted for _, features in rows])
+    all_features = torch.cat([features for rows in converted for _, features in rows])
     texts = {clip.texts: describe(clip.content, clip.style) for clip in clips}
-    return Cache(fps, "smpl", every, tuple(clips), texts, tuple(skipped))
+    return Cache(fps, "smpl", all_features, tuple(clips), texts, tuple(skipped))
 
 
 def _clip(segment: Segment, number: int, mirrored: bool) -> Clip:
-    """Of a segment, or of its mirror image; where its frames are is still to be set."""
+    """Create the clip of a segment, or of its mirror image, without its frames."""
     name, content = f"{segment.recording}/{number}", segment.content
     content = mirrored_content(content) if mirrored else content
     return Clip(

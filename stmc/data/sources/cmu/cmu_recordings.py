@@ -1,7 +1,7 @@
-"""CMU's own recordings at AMASS's paths: what people wrote about AMASS is true of the motion capture it was made from.
+"""CMU's own recordings at AMASS's paths: annotations of AMASS also describe the motion capture behind it.
 
-Knows whose recordings have which paths; knows no annotation. A recording has the same name in both, and the same
-clock: AMASS's frames are CMU's (`docs/data.md` says how far that was checked).
+Maps recordings to paths; independent of annotations. A recording has the same name and the same clock in both: AMASS's
+frames are CMU's (`docs/data.md` describes how far that was checked).
 """
 
 from __future__ import annotations
@@ -23,37 +23,39 @@ from stmc.motion.motion import Motion
 from stmc.motion.representation import Representation, SmplRepresentation
 
 DATA_SET = "CMU"
-"""The first part of the paths."""
+"""First part of the paths."""
 
 
 @dataclass(frozen=True)
 class CmuRecording:
-    """One recording of CMU's; see `annotated_amass.Recording`. One that our own segments keep from training is kept
-    from it here, too, so that both may be trained on together."""
+    """One recording of CMU; see `annotated_amass.Recording`.
+
+    A recording that our own segments hold out from training is held out here too, so that both can be used together.
+    """
 
     source: cmu.Source
 
     @property
     def split(self) -> str | None:
-        """See `segments.splits`."""
+        """The split of `segments.splits`, or None."""
         return splits().get(self.source.name)
 
     @property
     def fingerprint(self) -> str:
-        """Of its text, that of its skeleton, and its split."""
+        """Digest of its text, its skeleton and its split."""
         return hashlib.sha256(repr((self.source, self.split)).encode()).hexdigest()
 
     def motion(self, skeleton: Skeleton, fps: float | int) -> Motion:
-        """See `cmu.read`."""
+        """Read the recording; see `catalogue.read`."""
         return cmu.read(self.source, Skeleton(skeleton.offsets.double()), fps)
 
     def features(self, motion: Motion, representation: Representation) -> Float[Tensor, "frames features"]:
-        """Above the floor that `cmu` found, as in `cmu_clips`; the representation is known to be of 205 features."""
+        """Compute 205 features above the floor that `catalogue` found, as in `cmu_clips`."""
         return encoded(motion)
 
 
 class CmuRecordings:
-    """The recordings in any folder or archive that `cmu.read_sources` reads; see `annotated_amass.RecordingSource`."""
+    """The recordings in a folder or archive of `catalogue.read_sources`; see `annotated_amass.RecordingSource`."""
 
     def __init__(self, source: Path) -> None:
         self._source = Path(source)
@@ -61,21 +63,23 @@ class CmuRecordings:
             raise LayoutError(f"source={source} does not exist; it should be a folder of CMU's recordings or a .tar.xz")
 
     def check(self, paths: Collection[str], representation: Representation) -> None:
-        """Raises `LayoutError` where not one path is CMU's, and for others than 205 features. A source is looked
-        through only once, when it is read."""
+        """Raise `LayoutError` if no path is CMU's, or the representation does not have 205 features.
+
+        The source itself is read only once, by `read`.
+        """
         if not isinstance(representation, SmplRepresentation):
             kind = type(representation).__name__
-            raise LayoutError(f"CMU's recordings become 205 features: representation is SmplRepresentation, not {kind}")
+            raise LayoutError(f"CMU's recordings have 205 features; use SmplRepresentation instead of {kind}")
         if not any(map(_recording, paths)):
             first = next(iter(paths))
-            raise LayoutError(f"not one of the {len(paths)} annotated recordings is CMU's; the first: {first}")
+            raise LayoutError(f"none of the {len(paths)} annotated recordings is CMU's; the first: {first}")
 
     def inputs(self, paths: Collection[str]) -> list[Path]:
-        """The source as a whole."""
+        """Return the source as a whole."""
         return [self._source]
 
     def read(self, paths: Collection[str]) -> Iterator[tuple[str, CmuRecording | str]]:
-        """Every path with its recording, in the source's order, or the reason why there is none."""
+        """Yield every path with its recording, in the source's order, or the reason for its absence."""
         waiting = {name: path for path in paths if (name := _recording(path))}
         for path in paths:
             if waiting.get(_recording(path)) != path:
@@ -91,6 +95,6 @@ class CmuRecordings:
 
 
 def _recording(path: str) -> str | None:
-    """The name of CMU's recording at AMASS's path: `14_06` of `CMU/14/14_06_poses`; None of other data sets' paths."""
-    places = PurePosixPath(path)
-    return places.name.removesuffix("_poses").removesuffix("_stageii") if places.parts[0] == DATA_SET else None
+    """Return the name of CMU's recording at AMASS's path, `14_06` for `CMU/14/14_06_poses`, or None."""
+    parts = PurePosixPath(path)
+    return parts.name.removesuffix("_poses").removesuffix("_stageii") if parts.parts[0] == DATA_SET else None

@@ -1,4 +1,4 @@
-"""Motions that no open recording shows, made by editing recordings: one recipe per action."""
+"""Motions of actions that no open recording shows, made by editing recordings: one recipe per action."""
 
 from stmc.data.sources.edited import arm_gestures as gestures
 from stmc.data.sources.edited import idling, jumping, kicking, locomotion

@@ -1,7 +1,7 @@
-"""Recipes of gestures: arms, heads and trunks that are led by keys on calm recorded bodies.
+"""Recipes of gestures: arms, heads and trunks that follow keys on calm recorded bodies.
 
 Goals are metres in the axes of chest or head (outwards, up, forward) of the default body, whose arm is 0.466 m long.
-Every gesture rests before it begins; those that do not return stay until the end.
+Every gesture starts at rest; gestures that do not return stay until the end.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ SCROLL = Spot((0.25, -0.04, 0.26), (0.30, 0.03, 0.30), pole=((0.15, -1, 0), (0.3
 BOW = Spot((0.08, -0.06, 0.28), (0.11, -0.03, 0.31), pole=((1, -0.4, -0.1), (1, -0.2, 0)), shrug=(0, 4))
 
 WIPING, CLAPPING, STRUMMING, BOWING, RUBBING = 20 / 24, 20 / 10, 20 / 12, 20 / 32, 20 / 12
-"""Times a second of periodic gestures: whole frames at 20 fps, and the hand always arrives at the same time, so that a
-network can learn the phase. Sizes, places and bodies differ."""
+"""Frequencies in Hz of periodic movements: whole frames at 20 fps, in phase from an arrival that is always at the same
+time, so that a network can learn the phase. Sizes, places and bodies differ."""
 
 SHORTEST, LONGEST = 3.5, 7.5
-"""Seconds of the shortest and the longest clip."""
+"""Minimum and maximum duration of a clip in seconds."""
 
 STANDING: dict[Kind, float] = {"stand": 1.0}
 ANYWHERE: dict[Kind, float] = {"stand": 0.7, "walk": 0.18, "sit": 0.12}
@@ -51,7 +51,7 @@ STANDING_OR_SEATED: dict[Kind, float] = {"stand": 0.85, "sit": 0.15}
 
 @dataclass(frozen=True)
 class _Gesture:
-    """Makes clips of one action: draws a script, a body of its length, and performs it."""
+    """Makes clips of one action: draws a script and a body of the same length, and performs the script."""
 
     script: Callable[[np.random.Generator], Script]
     kinds: dict[Kind, float]
@@ -66,12 +66,12 @@ class _Gesture:
 
 
 def _after(rng: np.random.Generator) -> float:
-    """Seconds of rest behind a gesture."""
+    """Draw the seconds of rest after a gesture."""
     return float(rng.uniform(0.3, 1.0))
 
 
 def _ended(rng: np.random.Generator, time: float, returning: float) -> tuple[tuple[WristKey, ...], float]:
-    """The key that leads a hand back, in a fraction `returning` of the draws, and the seconds of the whole clip."""
+    """Draw the key of the hand's return, with probability `returning`, and the duration of the clip in seconds."""
     if rng.uniform() >= returning:
         return (), time + rng.uniform(0.2, 0.6)
     takes = rng.uniform(0.6, 0.95)
@@ -79,7 +79,7 @@ def _ended(rng: np.random.Generator, time: float, returning: float) -> tuple[tup
 
 
 def phone(rng: np.random.Generator) -> Script:
-    """The hand goes to the ear and stays; the head leans to it and turns a little while talking."""
+    """Script a phone call: the hand goes to the ear and stays; the head leans to it and turns slightly."""
     begins, takes, stays = ONSET, rng.uniform(0.7, 0.8), rng.uniform(2.4, 3.8)
     there, ear = begins + takes, EAR.drawn(rng)
     back, seconds = _ended(rng, there + stays, 0.5)
@@ -94,7 +94,7 @@ def phone(rng: np.random.Generator) -> Script:
 
 
 def eat(rng: np.random.Generator) -> Script:
-    """From the plate to the mouth and back, three times; the head comes to meet the hand."""
+    """Script a meal: from the plate to the mouth and back, three times; the head meets the hand."""
     time, plate, mouth = ONSET + 0.7, PLATE.drawn(rng), MOUTH.drawn(rng)
     keys, nods, pitch = [plate.key(time, 0.6)], [], rng.uniform(6, 14)
     up, stay, down = 0.5, 0.3, 0.5
@@ -111,7 +111,7 @@ def eat(rng: np.random.Generator) -> Script:
 
 
 def drink(rng: np.random.Generator) -> Script:
-    """A cup is brought to the mouth once or twice, and the head tips back while the elbow comes up."""
+    """Script a drink: a cup goes to the mouth once or twice, and the head tips back while the elbow rises."""
     cup, count, time, nods = CUP.drawn(rng), int(rng.integers(1, 3)), ONSET + 0.6, []
     keys = [cup.key(time, 0.6)]
     time += 0.25
@@ -129,7 +129,7 @@ def drink(rng: np.random.Generator) -> Script:
 
 
 def touch_head(rng: np.random.Generator) -> Script:
-    """The hand goes past the ear to the back of the head and stays there, in half of the draws rubbing."""
+    """Script a touch: the hand goes past the ear to the back of the head and stays, rubbing in half of the draws."""
     begins, takes, stays = ONSET, rng.uniform(0.9, 1.0), rng.uniform(2.0, 2.8)
     there, nape = begins + takes, NAPE.drawn(rng)
     rub = Oscillation(RUBBING, (0.004, 0.014, 0.0)) if rng.uniform() < 0.5 else None
@@ -144,7 +144,7 @@ def touch_head(rng: np.random.Generator) -> Script:
 
 
 def point(rng: np.random.Generator) -> Script:
-    """The stretched arm is raised to a place ahead or aside, and the head looks there."""
+    """Script a pointing gesture: the stretched arm rises to a goal ahead or aside, and the head looks there."""
     begins, takes, stays = ONSET, rng.uniform(0.55, 0.65), rng.uniform(1.8, 2.8)
     azimuth, elevation = np.radians(rng.uniform(-15, 45)), np.radians(rng.uniform(-8, 18))
     length, there = 0.466 * rng.uniform(0.955, 0.985), begins + takes
@@ -161,7 +161,7 @@ def point(rng: np.random.Generator) -> Script:
 
 
 def wipe(rng: np.random.Generator) -> Script:
-    """A table or a pane is wiped, to and fro or in circles."""
+    """Script wiping of a table or a pane, to and fro or in circles."""
     begins, takes, hertz = ONSET, 0.7, WIPING
     there, table = begins + takes, rng.uniform() < 0.5
     wide, narrow = rng.uniform(0.075, 0.105), rng.uniform(0.01, 0.05)
@@ -180,7 +180,7 @@ def wipe(rng: np.random.Generator) -> Script:
 
 
 def look(rng: np.random.Generator) -> Script:
-    """The head turns to the left, the chest a little with it, and looks for a while."""
+    """Script a look: the head turns left, the chest slightly with it, and stays for a while."""
     begins, takes, yaw = ONSET, rng.uniform(0.5, 0.6), rng.uniform(50, 72)
     there, stays, pitch = begins + takes, rng.uniform(1.0, 2.4), rng.uniform(-6, 8)
     keys, chest = [turned(there, takes, 0.82 * yaw, pitch, skew=1.35)], [turned(there + 0.1, takes, 0.18 * yaw)]
@@ -197,7 +197,7 @@ def look(rng: np.random.Generator) -> Script:
 
 
 def applause(rng: np.random.Generator) -> Script:
-    """Both hands clap in front of the chest."""
+    """Script clapping in front of the chest."""
     begins, takes, hertz = ONSET, 0.6, CLAPPING
     there, wide, lead = begins + takes, rng.uniform(0.044, 0.052), rng.uniform(0.004, 0.02)
     back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
@@ -212,7 +212,7 @@ def applause(rng: np.random.Generator) -> Script:
 
 
 def guitar(rng: np.random.Generator) -> Script:
-    """The right hand strums, the left one changes its place on the neck every two strums."""
+    """Script guitar playing: the right hand strums, the left one moves on the neck every two strums."""
     begins, takes, hertz = ONSET, 0.7, STRUMMING
     there, neck = begins + takes, NECK.drawn(rng)
     back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
@@ -231,7 +231,7 @@ def guitar(rng: np.random.Generator) -> Script:
 
 
 def violin(rng: np.random.Generator) -> Script:
-    """The left hand holds the neck out to the side, the right one draws the bow, the head leans on the chin rest."""
+    """Script violin playing: the left hand holds the neck, the right one bows, the head leans on the chin rest."""
     begins, takes, hertz = ONSET, 0.8, BOWING
     there, size = begins + takes, rng.uniform(0.12, 0.16)
     back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
@@ -275,4 +275,4 @@ RECIPES: tuple[Recipe, ...] = (
     _recipe("golf", golf, gates.swings_club),
     _recipe("dodge", dodge, gates.dodges),
 )
-"""One for each action; right forms are the mirror images."""
+"""One recipe per action; right forms are the mirror images."""

@@ -1,6 +1,6 @@
-"""Gestures of the whole body: punches, throws, a golf swing, picking up and dodging, as scripts of keys.
+"""Gestures of the whole body as scripts of keys: punches, throws, a golf swing, picking up and dodging.
 
-Hips and weight go first, the trunk follows, the hand comes last. Feet stand where they stood, but for a thrower's step.
+Hips and weight go first, the trunk follows, the hand comes last. Feet stay in place, except for the step of a throw.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SHIELD = Spot((0.04, -0.04, 0.20), (0.10, 0.06, 0.25), pole=((0.5, -1, 0.1), (0.
 
 
 def punch(rng: np.random.Generator) -> Script:
-    """One to three straight punches from a guard: the hip turns, the trunk follows, the fist shoots out and back."""
+    """Script one to three straight punches from a guard: the hip turns, the trunk and the fist follow."""
     time, count = ONSET + 0.45, int(rng.integers(1, 4))
     guard, keys, hips, twists = GUARD.drawn(rng), [], [], []
     raised, hip, yaw = float(time), rng.uniform(10, 18), rng.uniform(16, 26)
@@ -51,7 +51,7 @@ def punch(rng: np.random.Generator) -> Script:
 
 
 def throw(rng: np.random.Generator) -> Script:
-    """An overhand throw: the hand is drawn back, the other foot steps, hips and chest come round, the arm follows."""
+    """Script an overhand throw: the hand is drawn back, the other foot steps, hips and chest turn, the arm follows."""
     winds = rng.uniform(0.68, 0.74)
     wound = ONSET + winds
     forward, follow = rng.uniform(0.28, 0.32), rng.uniform(0.30, 0.36)
@@ -90,7 +90,10 @@ def throw(rng: np.random.Generator) -> Script:
 
 
 def pick_up(rng: np.random.Generator) -> Script:
-    """The body bends in hips and knees, one hand takes something from the floor; the other is on the thigh or aside."""
+    """Script picking up: the body bends at hips and knees, and one hand goes to the floor.
+
+    The other hand is on the thigh or aside.
+    """
     takes, stays, up = rng.uniform(0.95, 1.1), rng.uniform(0.3, 0.45), rng.uniform(0.95, 1.1)
     low = ONSET + takes
     stands = low + stays + up
@@ -109,7 +112,7 @@ def pick_up(rng: np.random.Generator) -> Script:
 
 
 def golf(rng: np.random.Generator) -> Script:
-    """Address, backswing with a straight left arm, hit and a low finish of a right-handed player."""
+    """Script a golf swing: address, backswing with a straight left arm, hit and a low finish, right-handed."""
     address = ONSET + 0.9
     back, hit, pause = rng.uniform(0.8, 0.9), rng.uniform(0.27, 0.31), 0.5
     top = address + pause + back
@@ -151,12 +154,12 @@ _GRIP = {
     "left": ((-0.02, -0.345, 0.240), (-0.175, 0.10, 0.335), (0.13, -0.27, 0.30), (0.20, -0.06, 0.22)),
     "right": ((0.005, -0.385, 0.225), (0.165, 0.035, 0.30), (-0.10, -0.30, 0.28), (-0.14, -0.11, 0.25)),
 }
-"""Where the hands are at address and at impact, at the top, past the ball, and at the finish."""
+"""Positions of the hands at address and impact, at the top, past the ball, and at the finish."""
 _GRIP_POLES = {"left": (0.6, -0.9, -0.1), "right": (0.8, -1.0, -0.2)}
 
 
 def _club(side: str, swing: tuple[float, ...]) -> tuple[WristKey, ...]:
-    """The keys of one hand on the club: at address it waits, and it passes by the ball without a stop."""
+    """Return the keys of one hand on the club: it waits at address, and passes the ball without a stop."""
     address, pause, back, top, hit, impact, finish, ends = swing
     pole = _GRIP_POLES[side]
     ball, high, past, last = (Spot(goal, goal, pole=(pole, pole)) for goal in _GRIP[side])
@@ -173,9 +176,9 @@ def _club(side: str, swing: tuple[float, ...]) -> tuple[WristKey, ...]:
 
 
 def dodge(rng: np.random.Generator) -> Script:
-    """Head and trunk lean quickly back and a little aside, out of the way of a hit, and come up again.
+    """Script a dodge: head and trunk lean quickly back and slightly aside, and come up again.
 
-    One direction: of dodges to the left, to the right and back, a network learns the mean, which does not move.
+    There is one direction: of dodges to the left, to the right and back, a network learns the mean, which is still.
     """
     out, stays, back = rng.uniform(0.3, 0.34), rng.uniform(0.3, 0.5), rng.uniform(0.55, 0.7)
     away = ONSET + out

@@ -1,6 +1,6 @@
-"""Motions made by editing recordings, as one of the data sets that scripts/prepare.py knows.
+"""Motions made by editing recordings, as a `Preparation`.
 
-Knows prepared caches, recipes and texts; how a motion is made is the recipes' matter (`edited`).
+Depends on prepared caches, recipes and texts; the recipes in `edited` make the motions.
 """
 
 from __future__ import annotations
@@ -28,28 +28,30 @@ from stmc.motion.representation.smpl import SmplRepresentation
 from stmc.settings.records import SettingError
 
 MAX_DRAWS = 40
-"""Draws of one clip before it is given up."""
+"""Maximum number of draws of one clip."""
 
 SHORTEST = 1.5
-"""Seconds of the shortest clip."""
+"""Minimum duration of a clip in seconds."""
 
 CACHE_VERSION = 2
-"""Version of the clips that the same caches give. Raise it by one with every change that gives other clips, features or
-texts: caches that were prepared before are then made again."""
+"""Version of the conversion of the same caches. Raise it by one with every change that produces other clips, features
+or texts: caches of earlier versions are then prepared again."""
 
 Rows = list[tuple[Clip, Float[Tensor, "_ features"]]]
 
 
 @dataclass(frozen=True)
 class EditedClips:
-    """`source` is one folder of a prepared data set or several: a sequence, or their names with commas between. Their
-    features must be `SmplRepresentation`'s on the default skeleton. A `Preparation`. It takes minutes; a run that
-    was killed resumes."""
+    """A `Preparation` of edited motions, which takes minutes; a killed run resumes.
+
+    `source` is one or several folders of prepared data sets: a sequence, or names separated by commas. Their features
+    must be those of `SmplRepresentation` on the default skeleton.
+    """
 
     source: str | Path | Sequence[str | Path]
 
     def check(self) -> list[Path]:
-        """The folders. Raises `LayoutError` where one is missing."""
+        """Return the folders. Raises `LayoutError` if one does not exist."""
         expected = "the folders of prepared data sets, commas between them, such as cache/bandai,cache/cmu"
         if not self.source:
             raise LayoutError(f"source={self.source} is empty; it should be {expected}")
@@ -57,17 +59,17 @@ class EditedClips:
         return [find_source(name, expected) for name in names]
 
     def fingerprint(self) -> str:
-        """Of the caches, the version and the sentences."""
+        """Compute a digest of the caches, the version and the sentences."""
         assets = Path(__file__).parents[3] / "assets"
         inputs = [folder / name for folder in self.check() for name in (FEATURES, TABLE)]
         return fingerprint([*inputs, *(assets / f"{name}.json" for name in ("contents", "skeleton"))], [CACHE_VERSION])
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
-        """See `Preparation`. A recipe is a piece; a clip that no draw makes usable is skipped."""
+        """Build the cache; see `Preparation`. A recipe is a piece; a clip without a usable draw is skipped."""
         folders, inputs = tuple(self.check()), self.fingerprint()
         names = [f"{recipe.action}/{recipe.origin}" for recipe in RECIPES]
         pieces = [
-            Piece(name, fingerprint([], [inputs, name]), partial(_made_from, folders, number))
+            Piece(name, fingerprint([], [inputs, name]), partial(_make_cache, folders, number))
             for number, name in enumerate(names)
         ]
         return converted(pieces, len(pieces), scratch, workers, watch)
@@ -75,15 +77,15 @@ class EditedClips:
 
 @lru_cache(maxsize=1)
 def _read(folders: tuple[Path, ...]) -> RecordedBases:
-    """Raises `LayoutError` for recordings of other features or another body than recipes edit."""
+    """Read the recordings. Raises `LayoutError` if recipes cannot edit their features or body."""
     cache = read_caches(folders)
     if cache.representation != "smpl" or cache.skeleton is not None:
-        raise LayoutError(f"recordings to edit are 205 features on the default skeleton, not {cache.representation}")
+        raise LayoutError(f"recordings to edit need 205 features on the default skeleton, not {cache.representation}")
     return RecordedBases(cache)
 
 
-def _made_from(folders: tuple[Path, ...], number: int) -> Cache:
-    """The cache of a recipe, by its number: recipes hold functions that cannot be pickled."""
+def _make_cache(folders: tuple[Path, ...], number: int) -> Cache:
+    """Build the cache of a recipe, by its index, because recipes hold functions that cannot be pickled."""
     bases = _read(folders)
     return gather(*make(RECIPES[number], bases, bases.splits, bases.fps), bases.fps)
 
@@ -91,7 +93,7 @@ def _made_from(folders: tuple[Path, ...], number: int) -> Cache:
 class RecordedBases(Mapping[str, Sequence[Base]]):
     """The unmirrored clips of a cache as motions on the default skeleton, in double precision; see `recipe.Bases`.
 
-    An action's clips are decoded when they are first asked for. `splits` tells the split of each recording.
+    An action's clips are decoded at first use. `splits` holds the split of each recording.
     """
 
     def __init__(self, cache: Cache) -> None:
@@ -121,7 +123,7 @@ class RecordedBases(Mapping[str, Sequence[Base]]):
 
 
 def _recording(clip: Clip) -> str:
-    """The name of the recording that a clip was cut from: segments have numbers behind it."""
+    """Return the name of the recording that contains a clip: names of segments append an index."""
     return clip.name.partition("/")[0]
 
 
@@ -132,11 +134,20 @@ def _skeleton() -> Skeleton:
 def make(
     recipe: Recipe, bases: Bases, splits: Mapping[str, str], fps: float | int
 ) -> tuple[Rows, list[tuple[str, str]]]:
-    """Make all clips of a recipe and their mirror images with their features; name the clips that no draw made usable,
-    with the last reason.
+    """Make all clips of a recipe and their mirror images, with features; also return the failures.
 
-    A clip depends on the bases and on its own name alone. It has the split of the recording that it was made from; rest
-    that a recipe adds may come from a recording of another split. Raises `ValueError` if not one clip is usable.
+    A clip depends on the bases and its own name alone. It has the split of the recording that it was made from; rest
+    that a recipe adds may come from a recording of another split. A failure is the name of a clip without a usable
+    draw, with the last reason.
+
+    Args:
+        recipe: The recipe.
+        bases: Recorded clips.
+        splits: Split of each recording.
+        fps: Frame rate of the clips.
+
+    Raises:
+        ValueError: If no clip is usable.
     """
     rows, skipped = Rows(), list[tuple[str, str]]()
     for number in range(recipe.clips):
@@ -152,12 +163,12 @@ def make(
             posed = Motion.posed(motion.rotations, motion.translation, fps, _skeleton())
             rows.append((_clip(recipe, f"{name}/{draft.recording}", mirrored, split, posed.frames), encoded(posed)))
     if not rows:
-        raise ValueError(f"not one of {recipe.clips} clips could be made: {skipped[0][1]}")
+        raise ValueError(f"none of {recipe.clips} clips could be made: {skipped[0][1]}")
     return rows, skipped
 
 
 def _draw(recipe: Recipe, bases: Bases, rng: np.random.Generator) -> Draft:
-    """The first draw that is usable once its feet are clean. Raises `Unusable` after `MAX_DRAWS` of them."""
+    """Return the first draw that is usable after foot cleanup. Raises `Unusable` after `MAX_DRAWS` draws."""
     reason = ""
     for _ in range(MAX_DRAWS):
         try:
@@ -172,7 +183,7 @@ def _draw(recipe: Recipe, bases: Bases, rng: np.random.Generator) -> Draft:
             return replace(draft, motion=motion)
         else:
             reason = "not accepted"
-    raise Unusable(f"no usable draw out of {MAX_DRAWS}: the last {reason}")
+    raise Unusable(f"none of {MAX_DRAWS} draws is usable; the last: {reason}")
 
 
 def _clip(recipe: Recipe, name: str, mirrored: bool, split: str, frames: int) -> Clip:
@@ -194,7 +205,7 @@ def _clip(recipe: Recipe, name: str, mirrored: bool, split: str, frames: int) ->
 
 
 def gather(rows: Rows, skipped: Sequence[tuple[str, str]], fps: float | int) -> Cache:
-    """The cache of made clips, in their order, without a fingerprint."""
+    """Build the cache of made clips, in order, without a fingerprint."""
     clips, features = assemble(rows)
     texts = {clip.texts: describe(clip.content, "normal") for clip in clips}
     return Cache(fps, "smpl", features, clips, texts, tuple(skipped))

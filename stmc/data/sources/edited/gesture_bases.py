@@ -1,6 +1,6 @@
-"""Calm recorded bodies to put gestures on: stands, walks and seats whose own movement goes on under the gesture.
+"""Calm recorded bodies for gestures: standing, walking and sitting people who keep moving below the gesture.
 
-Knows which recorded actions leave a body at rest, and which of their arms does not rest.
+Depends on the recorded actions in which a body rests, and the arm that does not rest in each.
 """
 
 from __future__ import annotations
@@ -33,64 +33,73 @@ _ACTIONS: dict[Kind, dict[str, tuple[float, str]]] = {
     "walk": {"walk": (0.75, ""), "walk-slow": (0.25, "")},
     "sit": {"sit": (1.0, "")},
 }
-"""Recorded actions by the kind of their bases: how often each is taken, and the arm that is not at rest in it."""
+"""Recorded actions by the kind of their bases: the probability of each, and the arm that is not at rest in it."""
 
 _TRUNK: dict[Kind, float] = {"stand": 10.0, "walk": 12.0, "sit": 30.0}
-"""Degrees from upright that a trunk leans at most."""
+"""Maximum lean of a trunk from upright in degrees."""
 _HEAD: dict[Kind, float] = {"stand": 32.0, "walk": 36.0, "sit": 60.0}
 _SWAY = 0.12
-"""Metres that the pelvis of a stand or a seat moves at most."""
+"""Maximum movement of the pelvis of a standing or sitting person in metres."""
 _STANDING = 0.84
-"""Metres above the floor below which a pelvis crouches, of the default body."""
+"""Height in metres below which the pelvis of the default body crouches."""
 _TRIES = 80
 
 
 def draw_base(bases: Bases, rng: np.random.Generator, seconds: float, kind: Kind) -> Base:
-    """A calm recorded body of this length at one of its moments; an arm that moves is replaced by the other one's
-    mirror image, and stands and seats that are too short go back and forth.
+    """Draw a random part of a calm recorded body.
 
-    Raises `Unusable` where none was found.
+    A moving arm is replaced by the mirror image of the other one; standing and sitting bodies that are too short go
+    back and forth.
+
+    Args:
+        bases: Recorded clips.
+        rng: Random generator.
+        seconds: Duration in seconds.
+        kind: "stand", "walk" or "sit".
+
+    Raises:
+        Unusable: If none is found.
     """
     actions = {action: row for action, row in _ACTIONS[kind].items() if bases.get(action)}
-    shares = np.array([share for share, _ in actions.values()])
+    weights = np.array([weight for weight, _ in actions.values()])
     for _ in range(_TRIES if actions else 0):
-        action = list(actions)[rng.choice(len(actions), p=shares / shares.sum())]
+        action = list(actions)[rng.choice(len(actions), p=weights / weights.sum())]
         base = bases[action][rng.integers(len(bases[action]))]
         motion = _window(base.motion, seconds, rng, kind != "walk")
         if motion is not None and _is_calm(motion, kind, actions[action][1]):
-            return Base(base.name, base.recording, base.style, _rested(motion, actions[action][1]))
+            return Base(base.name, base.recording, base.style, _rest_arm(motion, actions[action][1]))
     raise Unusable(f"no calm base of {seconds:.1f} s to {kind} among {', '.join(_ACTIONS[kind])}")
 
 
-def _rested(motion: Motion, side: str) -> Motion:
+def _rest_arm(motion: Motion, side: str) -> Motion:
     return copy_arm(motion, side) if side else motion
 
 
 def _window(motion: Motion, seconds: float, rng: np.random.Generator, bounce: bool) -> Motion | None:
-    """`seconds` of a motion from a random moment on; of a shorter one, if it may `bounce`, back and forth."""
+    """Cut `seconds` of a motion at random; a shorter motion goes back and forth if it may `bounce`."""
     frames = round(seconds * motion.fps)
     if motion.frames >= frames:
         start = int(rng.integers(motion.frames - frames + 1))
         return motion.trimmed(start, start + frames)
     if not bounce or motion.frames < motion.fps:
         return None
-    return _bounced(motion, frames, float(rng.uniform(0, 2 * math.pi)))
+    return _bounce(motion, frames, float(rng.uniform(0, 2 * math.pi)))
 
 
-def _bounced(motion: Motion, frames: int, phase: float) -> Motion:
-    """The motion forwards and backwards, slower towards its ends, until `frames` are full."""
+def _bounce(motion: Motion, frames: int, phase: float) -> Motion:
+    """Play the motion forwards and backwards, slower towards its ends, for a number of frames."""
     last = motion.frames - 1
     angle = torch.arange(frames, dtype=torch.float64) * (math.pi / (1.5 * last)) + phase
-    at = (last - 1e-6) * (1 - torch.cos(angle)) / 2
-    before, share = at.long(), at - at.floor()
+    position = (last - 1e-6) * (1 - torch.cos(angle)) / 2
+    before, weight = position.long(), position - position.floor()
     arc = matrix_to_axis_angle(motion.rotations[before].mT @ motion.rotations[before + 1])
-    rotations = motion.rotations[before] @ axis_angle_to_matrix(arc * share[:, None, None])
-    translation = torch.lerp(motion.translation[before], motion.translation[before + 1], share[:, None])
+    rotations = motion.rotations[before] @ axis_angle_to_matrix(arc * weight[:, None, None])
+    translation = torch.lerp(motion.translation[before], motion.translation[before + 1], weight[:, None])
     return Motion.posed(rotations, translation, motion.fps, Skeleton.measured(motion.rotations, motion.joints))
 
 
 def _is_calm(motion: Motion, kind: Kind, moved: str) -> bool:
-    """Whether trunk and head are upright, the pelvis still, and the arms that are not replaced hang or lie."""
+    """Return whether trunk and head are upright, the pelvis is still, and the arms that are not replaced rest."""
     world = global_rotations(motion.rotations, PARENTS)
     if _tilt(world, "spine3") > _TRUNK[kind] or _tilt(world, "head") > _HEAD[kind]:
         return False
@@ -105,5 +114,5 @@ def _is_calm(motion: Motion, kind: Kind, moved: str) -> bool:
 
 
 def _tilt(world: Float[Tensor, "frames 24 3 3"], joint: str) -> float:
-    """The most degrees that the joint's upward axis is from the vertical."""
+    """Return the maximum angle in degrees between the joint's upward axis and the vertical."""
     return float(torch.rad2deg(torch.acos(world[:, JOINTS.index(joint), 2, 1].clamp(-1, 1))).max())

@@ -1,6 +1,6 @@
-"""Gates of made gestures: whether a finished clip shows its action, by what hands, head and pelvis do.
+"""Gates of gestures: checks whether a finished clip shows its action, from hands, head and pelvis.
 
-Knows left forms only: right ones are their mirror images.
+Left forms only; right forms are the mirror images.
 """
 
 from __future__ import annotations
@@ -16,22 +16,34 @@ from stmc.motion.motion import Motion
 
 _EAR = (0.15, 0.02, 0.06)
 _MOUTH = (0.045, -0.035, 0.175)
-"""Where a wrist is while its hand is there, in the axes of the head."""
+"""Positions of the wrist while the hand is at the ear and at the mouth, in the axes of the head."""
 
 
 def wrist(motion: Motion, side: str, frame: str) -> Float[Tensor, "frames 3"]:
-    """Where a wrist is in the axes of a part of the body; see `WristKey`."""
+    """Return the position of a wrist in the axes of a part of the body; see `WristKey`.
+
+    Args:
+        motion: The motion.
+        side: "left" or "right".
+        frame: Part of the body.
+    """
     origin, axes = body_frame(motion, frame, side)
     return ((motion.joints[:, JOINTS.index(f"{side}_wrist")] - origin)[:, None] @ axes)[:, 0]
 
 
 def wrist_speed(motion: Motion, side: str, frame: str = "chest") -> Float[Tensor, " _"]:
-    """Metres a second of a wrist as seen from the body."""
+    """Return the speed of a wrist relative to the body in m/s.
+
+    Args:
+        motion: The motion.
+        side: "left" or "right".
+        frame: Part of the body.
+    """
     return wrist(motion, side, frame).diff(dim=0).norm(dim=-1) * motion.fps
 
 
 def count_swings(values: Float[Tensor, " frames"], size: float) -> int:
-    """How often values go up or down by at least `size` before they turn."""
+    """Count the rises and falls of values by at least `size` between turning points."""
     turns, extreme, direction = 0, float(values[0]), 0
     for value in values.tolist():
         if direction * (value - extreme) > 0:
@@ -42,7 +54,7 @@ def count_swings(values: Float[Tensor, " frames"], size: float) -> int:
 
 
 def visits(near: Bool[Tensor, " frames"]) -> list[int]:
-    """The lengths in frames of the runs in which something is near."""
+    """Return the lengths in frames of the runs of True."""
     runs, length = [], 0
     for inside in [*near.tolist(), False]:
         if not inside and length:
@@ -61,7 +73,7 @@ def _near(motion: Motion, place: tuple[float, float, float], metres: float) -> B
 
 
 def _extension(motion: Motion, side: str) -> Float[Tensor, " frames"]:
-    """How far the wrist is from its shoulder, as a fraction of the arm's length."""
+    """Return the distance of the wrist from its shoulder, as a fraction of the arm's length."""
     shoulder, elbow, hand = (
         motion.joints[:, JOINTS.index(f"{side}_{name}")] for name in ("shoulder", "elbow", "wrist")
     )
@@ -74,31 +86,31 @@ def _feet_stay(motion: Motion, metres: float = 0.06) -> bool:
 
 
 def _axis(motion: Motion, joint: str, column: int) -> Float[Tensor, "frames 3"]:
-    """An axis of a joint (0 left, 1 up, 2 forward) in the world."""
+    """Return an axis of a joint (0 left, 1 up, 2 forward) in the world."""
     return global_rotations(motion.rotations, PARENTS)[:, JOINTS.index(joint), :, column]
 
 
 def _yaw(motion: Motion, joint: str) -> Float[Tensor, " frames"]:
-    """Degrees by which a joint looks to the left of the pelvis."""
+    """Return the angle in degrees by which a joint faces to the left of the pelvis."""
     ahead, left = motion.facing, body_frame(motion, "ground", "left")[1][..., 0]
     forward = _axis(motion, joint, 2)
     return torch.rad2deg(torch.atan2((forward * left).sum(dim=-1), (forward * ahead).sum(dim=-1)))
 
 
 def phones(motion: Motion) -> bool:
-    """The hand goes to the ear once and stays there."""
+    """Return whether the hand goes to the ear once and stays there."""
     runs = _seconds(motion, _near(motion, _EAR, 0.10))
     return len(runs) == 1 and runs[0] > 1.5
 
 
 def eats(motion: Motion) -> bool:
-    """The hand visits the mouth two to five times, and goes well away between."""
+    """Return whether the hand visits the mouth two to five times, and goes well away in between."""
     away = wrist(motion, "left", "head")[:, 1]
     return 2 <= len(_seconds(motion, _near(motion, _MOUTH, 0.07))) <= 5 and count_swings(away, 0.15) >= 4
 
 
 def drinks(motion: Motion) -> bool:
-    """The hand is held at the mouth once or twice, and the head tips back meanwhile."""
+    """Return whether the hand is held at the mouth once or twice while the head tips back."""
     near = _near(motion, _MOUTH, 0.08)
     runs = [run for run in _seconds(motion, near) if run > 0.2]
     up = _axis(motion, "head", 2)[:, 2]
@@ -106,14 +118,14 @@ def drinks(motion: Motion) -> bool:
 
 
 def touches_head(motion: Motion) -> bool:
-    """The hand stays behind the head."""
+    """Return whether the hand stays behind the head."""
     hand = wrist(motion, "left", "head")
     runs = _seconds(motion, (hand[:, 2] < 0.0) & (hand.norm(dim=-1) < 0.24) & (hand[:, 1] > 0))
     return bool(runs) and max(runs) > 1.2
 
 
 def points(motion: Motion) -> bool:
-    """The arm is stretched forwards or outwards, about level, for a while."""
+    """Return whether the arm is stretched forwards or outwards, roughly level, for a while."""
     level = wrist(motion, "left", "shoulder")
     stretched = (_extension(motion, "left") > 0.93) & (level[:, 1] > -0.12) & (level[:, 2] > 0.25)
     runs = _seconds(motion, stretched)
@@ -121,33 +133,33 @@ def points(motion: Motion) -> bool:
 
 
 def wipes(motion: Motion) -> bool:
-    """The hand goes to and fro in front of the body."""
+    """Return whether the hand moves to and fro in front of the body."""
     hand = wrist(motion, "left", "chest")
     return count_swings(hand[:, 0], 0.1) >= 6 and bool(hand[len(hand) // 2, 2] > 0.2)
 
 
 def claps(motion: Motion) -> bool:
-    """The hands come together and part, again and again."""
+    """Return whether the hands come together and part repeatedly."""
     left, right = (motion.joints[:, JOINTS.index(f"{side}_wrist")] for side in ("left", "right"))
     gap = (left - right).norm(dim=-1)
     return count_swings(gap, 0.12) >= 8 and bool(0.07 < gap.min() < 0.15)
 
 
 def plays_guitar(motion: Motion) -> bool:
-    """The right hand strums in front of the body; the left one is on the neck, out to the side."""
+    """Return whether the right hand strums in front of the body while the left one is on the neck, out to the side."""
     strum, neck = wrist(motion, "right", "chest"), wrist(motion, "left", "chest")
     return count_swings(strum[:, 1], 0.06) >= 8 and bool(neck[len(neck) // 2, 0] > 0.18) and not plays_violin(motion)
 
 
 def plays_violin(motion: Motion) -> bool:
-    """The right hand draws a bow; the left one stays out in front at the height of the shoulder."""
+    """Return whether the right hand bows while the left one stays out in front at shoulder height."""
     bow, neck = wrist(motion, "right", "chest"), wrist(motion, "left", "chest")
     held = (neck[:, 1] > -0.12) & (neck[:, 2] > 0.2)
     return count_swings(bow[:, 0], 0.15) >= 4 and bool(held[len(held) // 2]) and bool(held.double().mean() > 0.4)
 
 
 def swings_club(motion: Motion) -> bool:
-    """The hands are together, go to the right, and come fast to the left."""
+    """Return whether the hands are together, go to the right, and come fast to the left."""
     left, right = (motion.joints[:, JOINTS.index(f"{side}_wrist")] for side in ("left", "right"))
     together = (left - right).norm(dim=-1) < 0.17
     turn = _yaw(motion, "spine3") + torch.rad2deg(motion.heading - motion.heading[0])
@@ -160,7 +172,7 @@ def swings_club(motion: Motion) -> bool:
 
 
 def throws(motion: Motion) -> bool:
-    """The hand is drawn back behind the shoulders and comes forward fast."""
+    """Return whether the hand is drawn back behind the shoulders and comes forward fast."""
     hand, pace = wrist(motion, "left", "ground"), wrist_speed(motion, "left", "ground")
     shoulder = motion.joints[:, JOINTS.index("left_shoulder")]
     _, axes = body_frame(motion, "ground", "left")
@@ -171,7 +183,7 @@ def throws(motion: Motion) -> bool:
 
 
 def punches(motion: Motion) -> bool:
-    """The arm shoots forward from a guard once to three times."""
+    """Return whether the arm shoots forward from a guard one to three times."""
     hand = wrist(motion, "left", "shoulder")
     runs = visits((_extension(motion, "left") > 0.88) & (hand[:, 1] > -0.15) & (hand[:, 2] > 0.3))
     return (
@@ -180,7 +192,7 @@ def punches(motion: Motion) -> bool:
 
 
 def picks_up(motion: Motion) -> bool:
-    """The left hand goes down to the floor, the right one clearly less; the feet stay."""
+    """Return whether the left hand goes down to the floor, the right one clearly less, and the feet stay."""
     left, right = (motion.joints[:, JOINTS.index(f"{side}_wrist"), 2] for side in ("left", "right"))
     low = int(left.argmin())
     sunk = motion.translation[0, 2] - motion.translation[:, 2].min()
@@ -188,13 +200,13 @@ def picks_up(motion: Motion) -> bool:
 
 
 def looks(motion: Motion) -> bool:
-    """The head turns far to the left, stays there for a while, and does not turn to the right."""
+    """Return whether the head turns far to the left, stays there for a while, and does not turn right."""
     yaw = _yaw(motion, "head")
     return max(_seconds(motion, yaw > 38), default=0.0) > 0.6 and bool(yaw.min() > -25)
 
 
 def dodges(motion: Motion) -> bool:
-    """The head gets out of the way within half a second, beside the pelvis, and comes back."""
+    """Return whether the head moves away within half a second, relative to the pelvis, and comes back."""
     head = motion.joints[:, JOINTS.index("head")] - motion.translation
     away, half = (head - head[0]).norm(dim=-1), round(motion.fps / 2)
     quick = (head[half:] - head[:-half]).norm(dim=-1).max()

@@ -1,6 +1,6 @@
-"""The recipe of standing about: recorded people who stand, breathe and shift their weight.
+"""The recipe of idling: recorded people who stand, breathe and shift their weight.
 
-Knows bases and editing; knows no caches and no texts.
+Depends on bases and editing; independent of caches and texts.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from stmc.motion.motion import Motion
 
 
 def idle(bases: Bases, rng: np.random.Generator) -> Draft:
-    """Two or three recordings of people who stand, one behind the other with the feet in their places: who waits
-    breathes, shifts the weight, looks about and changes the posture now and then."""
+    """Join two or three recordings of standing people, with their feet in place.
+
+    A waiting person breathes, shifts the weight, looks about and changes posture now and then.
+    """
     first = draw_standing(bases, rng, rng.uniform(2.4, 3.8), busy=0.7)
     motion = first.motion
     for _ in range(int(rng.integers(1, 3))):
@@ -29,4 +31,4 @@ def _is_idle(motion: Motion) -> bool:
 
 
 RECIPES = (Recipe("idle", "edited", idle, _is_idle, clips=80, once=False),)
-"""In the order of the data set."""
+"""Recipes in the order of the data set."""

@@ -1,6 +1,6 @@
-"""Recipes of jumps backwards and hops to the side: recorded jumps forward, played backwards or sheared.
+"""Recipes of backward jumps and sideways hops: recorded forward jumps, reversed or sheared.
 
-Knows bases and editing; knows no caches and no texts.
+Depends on bases and editing; independent of caches and texts.
 """
 
 from __future__ import annotations
@@ -23,40 +23,48 @@ from stmc.motion.motion import Motion
 
 
 def _draw(bases: Bases, rng: np.random.Generator, shortest: float, longest: float) -> Base:
-    """A recorded jump forward of such a length in metres, mirrored as often as not."""
-    found = bases["jump-forward"]
-    base = found[rng.integers(len(found))]
+    """Draw a recorded forward jump of a length (in metres) in a range, mirrored half of the time."""
+    candidates = bases["jump-forward"]
+    base = candidates[rng.integers(len(candidates))]
     if not shortest < distance(base.motion) < longest:
         raise Unusable(f"{base.name} goes {distance(base.motion):.2f} m")
     return Base(base.name, base.recording, base.style, base.motion.mirrored() if rng.random() < 0.5 else base.motion)
 
 
 def rested(motion: Motion, bases: Bases, rng: np.random.Generator) -> Motion:
-    """The motion with rest before and after it."""
+    """Add rest before and after a motion.
+
+    Args:
+        motion: The motion.
+        bases: Recorded clips.
+        rng: Random generator.
+    """
     before, after = ONSET, rng.uniform(1.1, 2.3)
     return add_rest(motion, draw_standing(bases, rng, after + 0.2).motion, before, after)
 
 
 def soften(motion: Motion, share: float) -> Motion:
-    """A jump whose crouches before and after are less deep: while the feet stand, the pose is so much nearer to that of
-    the first frame, or of the last."""
+    """Make the crouches before and after a jump less deep.
+
+    While the feet stand, the pose moves by the fraction `share` towards that of the first or last frame.
+    """
     body, skeleton = exact(motion)
     stands = torch.nn.functional.pad(both_stand(body).double()[None], (1, 0), mode="replicate")[0]
     weight = share * smooth(stands, 1.5)
     apex = int(body.translation[:, 2].argmax())
     late = torch.arange(body.frames) >= apex
     goal = torch.where(late[:, None, None, None], body.rotations[-1], body.rotations[0])
-    place = torch.where(late[:, None], body.translation[-1], body.translation[0])
+    position = torch.where(late[:, None], body.translation[-1], body.translation[0])
     rotations = body.rotations @ axis_angle_to_matrix(
         weight[:, None, None] * matrix_to_axis_angle(body.rotations.mT @ goal)
     )
-    posed = Motion.posed(rotations, torch.lerp(body.translation, place, weight[:, None]), body.fps, skeleton)
+    posed = Motion.posed(rotations, torch.lerp(body.translation, position, weight[:, None]), body.fps, skeleton)
     feet = of_legs(global_rotations(body.rotations, PARENTS), "ankle")
     return reach_with_legs(posed, of_legs(body.joints, "ankle"), feet, skeleton)
 
 
 def jump_back(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A jump forward played backwards, shorter; it lands less deep than the other one took off."""
+    """Reverse and shorten a forward jump, and make its landing less deep than the original take-off."""
     base = _draw(bases, rng, 0.5, 1.3)
     stride = rng.uniform(0.4, 0.8) / distance(base.motion)
     motion = change_pace(reverse(base.motion), tempo=rng.uniform(0.95, 1.1), stride=min(1.0, stride))
@@ -69,12 +77,12 @@ def _is_jump_back(motion: Motion) -> bool:
 
 
 def hop(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A jump forward sheared to the left, in a third of the draws twice or three times."""
+    """Shear a forward jump to the left, in a third of the draws two or three times."""
     base = _draw(bases, rng, 0.4, 1.3)
     times = int(rng.choice([1, 2, 3], p=[0.66, 0.22, 0.12]))
-    way = rng.uniform(0.18, 0.35) if rng.random() < 0.4 or times > 1 else rng.uniform(0.35, 0.7)
+    offset = rng.uniform(0.18, 0.35) if rng.random() < 0.4 or times > 1 else rng.uniform(0.35, 0.7)
     motion = change_pace(_lively(base.motion) if times > 1 else base.motion, tempo=rng.uniform(0.95, 1.2))
-    motion = soften(shift_sideways(motion, way, forward=rng.uniform(0.0, 0.1)), rng.uniform(0.35, 0.65))
+    motion = soften(shift_sideways(motion, offset, forward=rng.uniform(0.0, 0.1)), rng.uniform(0.35, 0.65))
     hops = motion
     for _ in range(times - 1):
         hops = follow(hops, motion)
@@ -82,7 +90,7 @@ def hop(bases: Bases, rng: np.random.Generator) -> Draft:
 
 
 def _lively(motion: Motion) -> Motion:
-    """Without the standing before and after: from when the pelvis begins to sink to when it has come up."""
+    """Cut the standing before and after: from the beginning of the crouch to the end of the rise."""
     height = motion.translation[:, 2]
     sinks = (height[0] - height > 0.02).nonzero()[:, 0]
     rises = (abs(height - height[-1]) > 0.02).nonzero()[:, 0]
@@ -99,15 +107,14 @@ def _is_hop(motion: Motion) -> bool:
 
 @dataclass(frozen=True)
 class Rested:
-    """The `make` of a recorded jump as it is, with rest before and after it: whoever has landed breathes and shifts the
-    weight."""
+    """The `make` of an unedited recorded jump with rest before and after it."""
 
     action: str
 
     def __call__(self, bases: Bases, rng: np.random.Generator) -> Draft:
-        """A draw."""
-        found = bases[self.action]
-        base = found[rng.integers(len(found))]
+        """Draw a jump."""
+        candidates = bases[self.action]
+        base = candidates[rng.integers(len(candidates))]
         return Draft(rested(base.motion.mirrored() if rng.random() < 0.5 else base.motion, bases, rng), base.recording)
 
 
@@ -121,4 +128,4 @@ RECIPES = (
     Recipe("jump-forward", "edited", Rested("jump-forward"), _lands, clips=40),
     Recipe("jump-up", "edited", Rested("jump-up"), _lands, clips=40),
 )
-"""In the order of the data set."""
+"""Recipes in the order of the data set."""

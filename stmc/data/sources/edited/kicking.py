@@ -1,6 +1,6 @@
-"""Recipes of kicks with the left foot: single recorded ones, sided by geometry, and low kicks of bodies that stand.
+"""Recipes of kicks with the left foot: single recorded kicks, sided by geometry, and low kicks of standing bodies.
 
-Knows bases and editing; knows no caches and no texts.
+Depends on bases and editing; independent of caches and texts.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from stmc.motion.kinematics import joint
 from stmc.motion.motion import Motion
 
 _APART = 0.15
-"""Metres by which the kicking foot goes higher than the other one."""
+"""Minimum height in metres of the kicking foot above the other one."""
 
 
 def _top(motion: Motion, side: str) -> float:
@@ -35,10 +35,12 @@ def _top(motion: Motion, side: str) -> float:
 
 
 def _draw(bases: Bases, rng: np.random.Generator, actions: tuple[str, ...], longest: float) -> Base:
-    """A recorded kick, mirrored if it is one of the right foot. Raises `Unusable` for several kicks, and for a kick
-    whose side is not certain."""
-    found = [base for action in actions for base in bases[action]]
-    base = found[rng.integers(len(found))]
+    """Draw a recorded kick, mirrored if it is one of the right foot.
+
+    Raises `Unusable` for several kicks, and for a kick of an uncertain side.
+    """
+    candidates = [base for action in actions for base in bases[action]]
+    base = candidates[rng.integers(len(candidates))]
     motion = base.motion if _top(base.motion, "left") > _top(base.motion, "right") else base.motion.mirrored()
     if motion.duration > longest or _top(motion, "left") < _top(motion, "right") + _APART:
         raise Unusable(f"{base.name} is not one kick of one foot")
@@ -46,7 +48,7 @@ def _draw(bases: Bases, rng: np.random.Generator, actions: tuple[str, ...], long
 
 
 def high_kick(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A recorded high kick and rest."""
+    """Draw a recorded high kick, and add rest."""
     base = _draw(bases, rng, ("kick",), 2.5)
     motion = change_pace(base.motion, tempo=rng.uniform(0.88, 1.1), stride=rng.uniform(0.7, 1.1))
     return Draft(rested(motion, bases, rng), base.recording)
@@ -59,13 +61,13 @@ def _is_high(motion: Motion) -> bool:
 
 
 def kicked_ball(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A recorded kick of a ball."""
+    """Draw a recorded kick of a ball."""
     base = _draw(bases, rng, ("kick-ball",), 2.5)
     return Draft(change_pace(base.motion, tempo=rng.uniform(0.85, 1.05)), base.recording)
 
 
 def low_kick(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A standing body that swings its left leg back and forward."""
+    """Draw a standing body, and swing its left leg back and forward."""
     start = ONSET
     base = draw_standing(bases, rng, start + rng.uniform(2.8, 4.2))
     kick = LowKick(
@@ -87,7 +89,10 @@ def _is_low(motion: Motion) -> bool:
 
 @dataclass(frozen=True)
 class LowKick:
-    """A kick of the left leg, as angles of the leg about the hip (radians, `back` and `forward`) and seconds."""
+    """A kick of the left leg.
+
+    `back` and `forward` are angles of the leg about the hip in radians; the other fields are times in seconds.
+    """
 
     start: float
     back: float
@@ -98,24 +103,24 @@ class LowKick:
     hold: float
 
     _OVER = 0.75
-    """How much of its way over the standing foot the pelvis comes."""
+    """Fraction of the way to the standing foot that the pelvis moves."""
     _BENT, _STRETCHED, _CLEAR = 0.8, 0.975, 0.1
-    """The leg at the end of the windup, at the end of the swing, and how much it shortens on its way back: shares of
-    its length."""
+    """Length of the leg at the end of the windup, at the end of the swing, and its reduction on the way back, as
+    fractions of the full length."""
     _LEAN, _TWIST, _ARMS = 0.14, 0.2, 0.45
-    """What the trunk leans back, the pelvis turns and the arms swing per radian of the leg."""
+    """Lean of the trunk, turn of the pelvis and swing of the arms per radian of the leg."""
 
     def __call__(self, motion: Motion) -> Motion:
-        """The motion of a standing body with the kick."""
+        """Add the kick to the motion of a standing body."""
         body, skeleton = exact(motion)
         swing, reach, weight = self._course(body)
         lateral, ahead = body.rotations[0, 0, :, 0], body.facing[0]
         ankles = of_legs(body.joints, "ankle")
         over = (ankles[:, 1] - body.translation) * body.translation.new_tensor([1.0, 1.0, 0.0])
         across = over - (over @ ahead)[:, None] * ahead
-        places = body.translation + self._OVER * weight[:, None] * across
+        positions = body.translation + self._OVER * weight[:, None] * across
         rotations = self._counter(body.rotations, lateral, smooth(swing, 1.5))
-        posed = Motion.posed(rotations, places, body.fps, skeleton)
+        posed = Motion.posed(rotations, positions, body.fps, skeleton)
         hip = joint(posed, "left_hip")
         rest = ankles[:, 0] - hip
         leg = float(skeleton.offsets[[JOINTS.index("left_knee"), JOINTS.index("left_ankle")]].norm(dim=-1).sum())
@@ -133,7 +138,9 @@ class LowKick:
         return reach_with_legs(posed, targets, feet, skeleton)
 
     def _course(self, motion: Motion) -> tuple[Tensor, Tensor, Tensor]:
-        """Over time: the leg's angle (forward positive), the share of its length, and of the weight on the right."""
+        """Return the leg's angle (forward positive), the fraction of its length, and the weight on the right foot, over
+        time.
+        """
         times = torch.arange(motion.frames, dtype=torch.float64) / motion.fps
         ends = np.cumsum([self.start, self.windup, self.swing, self.hold, self.recovery])
         swing, reach = torch.zeros_like(times), torch.ones_like(times)
@@ -142,15 +149,15 @@ class LowKick:
             (ends[1:3], self.forward, self._STRETCHED),
             (ends[3:5], 0.0, 1.0),
         ):
-            share = _eased((times - begin) / (end - begin))
-            swing, reach = torch.lerp(swing, torch.full_like(swing, angle), share), reach + share * (length - reach)
+            weight = _ease((times - begin) / (end - begin))
+            swing, reach = torch.lerp(swing, torch.full_like(swing, angle), weight), reach + weight * (length - reach)
         back = ((times - ends[3]) / self.recovery).clamp(0, 1)
         reach = reach - self._CLEAR * (math.pi * back).sin().square()
-        weight = _eased((times - ends[0] + 0.15) / 0.35) * _eased((ends[4] + 0.1 - times) / 0.35)
+        weight = _ease((times - ends[0] + 0.15) / 0.35) * _ease((ends[4] + 0.1 - times) / 0.35)
         return swing, reach, weight
 
     def _counter(self, rotations: Tensor, lateral: Tensor, swing: Tensor) -> Float[Tensor, "frames 22 3 3"]:
-        """Trunk, pelvis and arms against the swing of the leg."""
+        """Rotate trunk, pelvis and arms against the swing of the leg."""
         up = lateral.new_tensor([0.0, 0.0, 1.0])
         rotations = rotations.clone()
         rotations[:, 0] = _about(up, -self._TWIST * swing) @ _about(lateral, -self._LEAN * swing) @ rotations[:, 0]
@@ -172,8 +179,8 @@ def _about(axis: Float[Tensor, " 3"], angle: Float[Tensor, " frames"]) -> Float[
     return axis_angle_to_matrix(angle[:, None] * axis)
 
 
-def _eased(share: Tensor) -> Tensor:
-    return minimum_jerk(share.clamp(0, 1))
+def _ease(fraction: Tensor) -> Tensor:
+    return minimum_jerk(fraction.clamp(0, 1))
 
 
 RECIPES = (
@@ -181,4 +188,4 @@ RECIPES = (
     Recipe("low-kick-left", "edited", kicked_ball, _is_low, clips=20),
     Recipe("low-kick-left", "authored", low_kick, _is_low, clips=70),
 )
-"""In the order of the data set."""
+"""Recipes in the order of the data set."""

@@ -1,6 +1,6 @@
 """Recipes of walking, jogging and turning: recorded walks and runs on other paths, at other paces and backwards.
 
-Knows bases and editing; knows no caches and no texts.
+Depends on bases and editing; independent of caches and texts.
 """
 
 from __future__ import annotations
@@ -21,24 +21,26 @@ from stmc.motion.kinematics import joint
 from stmc.motion.motion import Motion
 
 _EVEN = ("normal", "active", "feminine", "masculine", "youthful", "happy")
-"""Styles whose walks are nothing but walks."""
+"""Styles of plain walks."""
 _CALM = ("normal", "feminine", "masculine", "youthful", "happy")
-"""Those whose arms are not a runner's."""
+"""Styles whose arms are not a runner's."""
 _SLOW = (*_CALM, "old", "elderly", "tired", "not-confident", "proud", "sad")
-"""Styles of slow walks, too."""
+"""Styles that include slow walks."""
 _LONGEST = 9.5
-"""Seconds of the longest clip of what goes on."""
+"""Maximum duration in seconds of a clip of a cyclic action."""
 
 
 def _draw(
     bases: Bases, rng: np.random.Generator, actions: Collection[str], styles: Collection[str], seconds: float
 ) -> Base:
-    """A part that goes at an even speed, of a recording of one of these actions, mirrored as often as not. Raises
-    `Unusable` for one that is shorter than `seconds`."""
-    found = [base for action in actions for base in bases.get(action, ()) if base.style in styles]
-    if not found:
+    """Draw the steady part of a recording of one of these actions, mirrored half of the time.
+
+    Raises `Unusable` if it is shorter than `seconds`.
+    """
+    candidates = [base for action in actions for base in bases.get(action, ()) if base.style in styles]
+    if not candidates:
         raise Unusable(f"no recording of {', '.join(actions)}")
-    base = found[rng.integers(len(found))]
+    base = candidates[rng.integers(len(candidates))]
     motion = base.motion.trimmed(*steady(base.motion))
     if motion.duration < seconds:
         raise Unusable(f"{base.name} is shorter than {seconds:g} s")
@@ -46,7 +48,7 @@ def _draw(
 
 
 def _part(motion: Motion, rng: np.random.Generator, seconds: float) -> Motion:
-    """A random part of so many seconds at most."""
+    """Cut a random part of at most `seconds`."""
     frames = min(motion.frames, round(seconds * motion.fps))
     start = int(rng.integers(motion.frames - frames + 1))
     return motion.trimmed(start, start + frames)
@@ -57,7 +59,7 @@ def _is_straight(motion: Motion) -> bool:
 
 
 def circle(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A walk bent by 48 to 72 degrees a second."""
+    """Bend a walk by 48 to 72 degrees per second."""
     base = _draw(bases, rng, ("walk",), _EVEN, 5.5)
     change = rng.uniform(0.85, 1.3) / pace(base.motion)
     tempo = float(np.clip(change, 0.8, 1.05))
@@ -68,12 +70,12 @@ def circle(bases: Bases, rng: np.random.Generator) -> Draft:
 
 
 def _circles(motion: Motion) -> bool:
-    way = turned(motion)
-    return way[-1] > 340 and 0.75 < pace(motion) < 1.5
+    angle = turned(motion)
+    return angle[-1] > 340 and 0.75 < pace(motion) < 1.5
 
 
 def quarter(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A walk of 3.5 to 6 seconds bent by a right angle."""
+    """Bend a walk of 3.5 to 6 seconds by a right angle."""
     base = _draw(bases, rng, ("walk",), _EVEN, 3.6)
     motion = change_pace(base.motion, tempo=rng.uniform(0.85, 1.05), stride=rng.uniform(0.85, 1.0))
     motion = _part(motion, rng, rng.uniform(3.6, 6.2))
@@ -83,30 +85,30 @@ def quarter(bases: Bases, rng: np.random.Generator) -> Draft:
 
 
 def _is_quarter(motion: Motion) -> bool:
-    way = turned(motion)
-    return 72 < way[-1] < 108 and way.max() < 115 and distance(motion) > 1.5
+    angle = turned(motion)
+    return 72 < angle[-1] < 108 and angle.max() < 115 and distance(motion) > 1.5
 
 
 def slow(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A walk with fewer and shorter steps."""
+    """Make a walk with fewer and shorter steps."""
     base = _draw(bases, rng, ("walk", "walk-slow"), _SLOW, 2.5)
     return Draft(_at_speed(base.motion, rng, rng.uniform(0.3, 0.65), (0.58, 0.95)), base.recording)
 
 
 def fast(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A walk with more and longer steps."""
+    """Make a walk with more and longer steps."""
     base = _draw(bases, rng, ("walk",), ("normal", "active", "feminine", "masculine", "youthful"), 3.0)
     return Draft(_at_speed(base.motion, rng, rng.uniform(1.65, 2.05), (1.12, 1.38)), base.recording)
 
 
 def back_slow(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A walk backwards, or a walk played backwards, with fewer and shorter steps."""
+    """Make a backward walk, recorded or reversed, with fewer and shorter steps."""
     motion, recording = _backwards(bases, rng)
     return Draft(_at_speed(motion, rng, rng.uniform(0.25, 0.45), (0.58, 0.95)), recording)
 
 
 def back_fast(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A walk backwards, or a walk played backwards, with more steps."""
+    """Make a backward walk, recorded or reversed, with more steps."""
     motion, recording = _backwards(bases, rng)
     return Draft(_at_speed(motion, rng, rng.uniform(1.1, 1.5), (1.1, 1.4)), recording)
 
@@ -119,18 +121,18 @@ def _backwards(bases: Bases, rng: np.random.Generator) -> tuple[Motion, str]:
     return reverse(base.motion), base.recording
 
 
-def _at_speed(motion: Motion, rng: np.random.Generator, wanted: float, tempos: tuple[float, float]) -> Motion:
-    """The motion at a speed in metres a second; about half of the change is in its tempo, the rest in its stride."""
-    change = wanted / pace(motion)
+def _at_speed(motion: Motion, rng: np.random.Generator, speed: float, tempos: tuple[float, float]) -> Motion:
+    """Change a motion to a speed in m/s, about half by its tempo and the rest by its stride."""
+    change = speed / pace(motion)
     tempo = float(np.clip(change ** rng.uniform(0.4, 0.6), *tempos))
     stride = change / tempo
     if not 0.35 < stride < 1.2:
-        raise Unusable(f"steps {stride:.2f} times as long would be needed")
+        raise Unusable(f"the speed needs steps {stride:.2f} times as long")
     return _part(change_pace(motion, tempo, stride), rng, rng.uniform(5.0, _LONGEST))
 
 
 def jog_back(bases: Bases, rng: np.random.Generator) -> Draft:
-    """A run played backwards with short steps."""
+    """Reverse a run, with short steps."""
     styles = ("normal", "active", "feminine", "masculine", "youthful", "happy", "exhausted")
     base = _draw(bases, rng, ("run",), styles, 1.9)
     motion = change_pace(reverse(base.motion), tempo=rng.uniform(0.92, 1.08), stride=rng.uniform(0.42, 0.62))
@@ -144,7 +146,7 @@ class HalfTurn:
     pivot: str
 
     def make(self, bases: Bases, rng: np.random.Generator) -> Draft:
-        """A draw: a body that stands and is turned in two steps."""
+        """Draw a standing body, and turn it in two steps."""
         seconds, steps, start = rng.uniform(0.6, 0.75), 2, ONSET
         total = start + steps * seconds + rng.uniform(1.0, 2.2)
         base = draw_standing(bases, rng, float(np.clip(total, 3.6, 6.0)))
@@ -152,16 +154,16 @@ class HalfTurn:
         return Draft(turn_on_spot(base.motion, angle, self.pivot, steps, start, seconds, lift), base.recording)
 
     def accept(self, motion: Motion) -> bool:
-        """Whether it turns half, neither farther nor back, about a foot that stays, and the other foot walks round."""
-        way, ball = turned(motion), joint(motion, f"{self.pivot}_foot")[:, :2]
+        """Return whether the body makes a half turn about a foot that stays, while the other foot walks around it."""
+        angle, ball = turned(motion), joint(motion, f"{self.pivot}_foot")[:, :2]
         other = "right" if self.pivot == "left" else "left"
         walks = float(foot_speed(motion, other).sum() / motion.fps) > 0.5
         stays = float((ball - ball[0]).norm(dim=-1).max()) < 0.05
-        return 160 < way[-1] < 200 and way.max() < 205 and way.min() > -10 and stays and walks
+        return 160 < angle[-1] < 200 and angle.max() < 205 and angle.min() > -10 and stays and walks
 
 
 def _walks(slowest: float, fastest: float, backwards: bool = False) -> Callable[[Motion], bool]:
-    """A gate: straight ahead, or straight back, between these speeds."""
+    """Return a gate for straight forward or backward walks between two speeds."""
 
     def accept(motion: Motion) -> bool:
         ahead = forward(motion) * (-1 if backwards else 1)
@@ -181,4 +183,4 @@ RECIPES = (
     Recipe("walk-back-fast", "edited", back_fast, _walks(1.0, 1.7, backwards=True), clips=80, once=False),
     Recipe("jog-back", "edited", jog_back, _walks(0.9, 2.0, backwards=True), clips=80, once=False),
 )
-"""In the order of the data set."""
+"""Recipes in the order of the data set."""

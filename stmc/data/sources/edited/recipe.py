@@ -1,6 +1,6 @@
-"""What a recipe is: how to make one clip of an action from recorded motions, and how to tell that it came out right.
+"""The interface of recipes: making one clip of an action from recorded motions, and checking the result.
 
-Knows motions; knows no caches, no features and no texts.
+Depends on motions; independent of caches, features and texts.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 from stmc.motion.motion import Motion
 
 Origin = Literal["recorded", "edited", "authored"]
-"""Where a clip's movement comes from: a recording as it is (cut, mirrored); a recording with another path, pace or
-direction; or limbs moved by a recipe on a recorded body."""
+"""Origin of a clip's movement: an unedited recording (cut or mirrored); a recording with another path, pace or
+direction; or limbs that a recipe moves on a recorded body."""
 
 
 class Unusable(ValueError):
-    """A draw that gives no usable clip, such as a base that is too short; the recipe is drawn again."""
+    """A draw without a usable clip, for example with a base that is too short; the recipe draws again."""
 
 
 @dataclass(frozen=True)
 class Base:
-    """A recorded clip to edit: its name, its `recording` (mirrored clips share it), its style and its motion."""
+    """A recorded clip to edit: its name, its `recording` (shared by mirrored clips), its style and its motion."""
 
     name: str
     recording: str
@@ -34,24 +34,28 @@ class Base:
 
 @dataclass(frozen=True)
 class Draft:
-    """One made clip: its motion and the recording of the base that it was made from."""
+    """A made clip: its motion, and the recording of its base."""
 
     motion: Motion
     recording: str
 
 
 Bases = Mapping[str, Sequence[Base]]
-"""Recorded clips by the name of their action, unmirrored ones only, on the default skeleton at the data set's rate."""
+"""Recorded clips by the name of their action, unmirrored, on the default skeleton, at the data set's frame rate."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How clips of one action are made. `action` is the name in `assets/contents.json`, for actions with a side the
-    left one: the right one's clips are the mirror images.
+    """A recipe for clips of one action.
 
-    `make` draws one clip; it raises `Unusable` for a draw that cannot be used. `accept` is the gate that a finished
-    clip must pass. `clips` is the number of clips to make, `once` means that the action happens once, with rest before
-    and after it, so that training must not trim the clip.
+    Args:
+        action: Name in `assets/contents.json`; for actions with a side the left one, whose mirror images are the right
+            one's clips.
+        origin: Origin of the movement.
+        make: Draws one clip; raises `Unusable` if the draw cannot be used.
+        accept: Gate that a finished clip must pass.
+        clips: Number of clips to make.
+        once: Whether the action is one-shot, with rest before and after it, so that training must not trim the clip.
     """
 
     action: str

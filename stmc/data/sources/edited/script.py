@@ -1,6 +1,6 @@
-"""What a gesture is made of: keys of arms, head, trunk, pelvis and feet, drawn from spreads, and their performance.
+"""Scripts of gestures: keys of arms, head, trunk, pelvis and feet, drawn from ranges, and their performance.
 
-Knows the editing functions; knows no action (see `gestures`) and no recording.
+Depends on the editing functions; independent of actions (see `arm_gestures`) and recordings.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ ONSET = 0.5
 and hands that should clap stand still (measured: applause, guitar and violin 0 of 4 samples after 5,000 steps)."""
 
 Spread = tuple[float | int, float | int]
-"""The least and the greatest value of something that is drawn evenly."""
+"""Minimum and maximum of a uniform draw."""
 
 
 @dataclass(frozen=True)
 class Script:
-    """One drawn gesture of a left-handed person that lasts `seconds`; see the keys' own classes."""
+    """One drawn gesture of a left-handed person that lasts `seconds`; see the classes of the keys."""
 
     seconds: float
     left: tuple[WristKey, ...] = ()
@@ -47,10 +47,11 @@ class Script:
     left_foot: tuple[FootKey, ...] = ()
     gaze: float | int = 0.0
     tremor: Spread = (0.0005, 0.0011)
-    """Metres; recorded hands that reach have 30 to 100 m/s³ of jerk, minimum jerk alone a half of that."""
+    """Amplitude in metres; recorded hands that reach have a jerk of 30 to 100 m/s³, minimum jerk alone has half of
+    that."""
 
     def perform(self, motion: Motion, rng: np.random.Generator) -> Motion:
-        """The motion with the gesture on it: pelvis, feet, trunk and head first, so that hands reach goals on them."""
+        """Add the gesture to a motion: pelvis, feet, trunk and head first, so that hands reach goals on them."""
         motion = shift_pelvis(motion, self.pelvis)
         motion = step(step(motion, "right", self.right_foot), "left", self.left_foot)
         motion = turn_head(turn_trunk(motion, self.trunk, self.gaze), self.head)
@@ -63,7 +64,7 @@ class Script:
 
 @dataclass(frozen=True)
 class Spot:
-    """A goal of a wrist with its spreads: goal, elbow pole and raised collar bone (degrees) lie between two corners."""
+    """A goal of a wrist with ranges: goal, elbow pole and raised collar bone (degrees) lie between two corners."""
 
     low: Triple
     high: Triple
@@ -73,13 +74,13 @@ class Spot:
     arc: Triple = (0.0, 0.0, 0.0)
 
     def drawn(self, rng: np.random.Generator) -> Spot:
-        """One of the goals, as a spot without spread."""
+        """Draw a goal, as a spot without ranges."""
         goal = _between(rng, self.low, self.high)
         pole, shrug = _between(rng, *self.pole), rng.uniform(*self.shrug)
         return Spot(goal, goal, self.frame, (pole, pole), (shrug, shrug), self.arc)
 
     def near(self, rng: np.random.Generator, metres: float | int) -> Spot:
-        """A goal as near to this drawn one as a hand comes back to it."""
+        """Draw a goal near this one, at the precision of a hand that returns to it."""
         goal = tuple(float(value + rng.uniform(-metres, metres)) for value in self.low)
         return Spot(goal, goal, self.frame, self.pole, self.shrug, self.arc)
 
@@ -91,10 +92,18 @@ class Spot:
         oscillation: Oscillation | None = None,
         roundness: float | int = 0.5,
     ) -> WristKey:
-        """The key of a drawn spot."""
+        """Create the key of a drawn spot.
+
+        Args:
+            time: Time of arrival in seconds.
+            takes: Duration of the movement in seconds.
+            skew: Skew of the velocity profile.
+            oscillation: Oscillation after arrival, or None.
+            roundness: Roundness of the path.
+        """
         shrug = math.radians(self.shrug[0])
-        how = {"skew": skew, "arc": self.arc, "shrug": shrug, "roundness": roundness, "oscillation": oscillation}
-        return WristKey(time, takes, self.low, self.frame, self.pole[0], **how)
+        settings = {"skew": skew, "arc": self.arc, "shrug": shrug, "roundness": roundness, "oscillation": oscillation}
+        return WristKey(time, takes, self.low, self.frame, self.pole[0], **settings)
 
 
 def turned(
@@ -105,7 +114,16 @@ def turned(
     roll: float | int = 0.0,
     skew: float | int = 1.15,
 ) -> TurnKey:
-    """A `TurnKey` in degrees."""
+    """Create a `TurnKey` from angles in degrees.
+
+    Args:
+        time: Time of arrival in seconds.
+        takes: Duration of the movement in seconds.
+        yaw: Yaw in degrees.
+        pitch: Pitch in degrees.
+        roll: Roll in degrees.
+        skew: Skew of the velocity profile.
+    """
     return TurnKey(time, takes, math.radians(yaw), math.radians(pitch), math.radians(roll), skew)
 
 
@@ -118,7 +136,17 @@ def shifted(
     roll: float | int = 0.0,
     skew: float | int = 1.1,
 ) -> PelvisKey:
-    """A `PelvisKey` in degrees."""
+    """Create a `PelvisKey` from angles in degrees.
+
+    Args:
+        time: Time of arrival in seconds.
+        takes: Duration of the movement in seconds.
+        offset: Offset of the pelvis in metres.
+        yaw: Yaw in degrees.
+        pitch: Pitch in degrees.
+        roll: Roll in degrees.
+        skew: Skew of the velocity profile.
+    """
     return PelvisKey(time, takes, offset, math.radians(yaw), math.radians(pitch), math.radians(roll), skew)
 
 

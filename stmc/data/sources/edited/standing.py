@@ -1,8 +1,8 @@
 """Recorded people who stand with their arms down: bodies that rest before and after an action, and turn on the spot.
 
-Few recordings show that and nothing else. So these are people who do something with their arms, and stand on both feet:
-of a wave of one hand, the waving arm is the mirror image of the resting one; of the others both arms are those of such
-a wave. Kept are those in which the body stays calm: others lean against a wave that is no longer there.
+Few recordings show only that. The bodies are therefore people who use their arms and stand on both feet: in a wave of
+one hand, the waving arm is replaced by the mirror image of the resting one; in other actions both arms are those of
+such a wave. Only calm bodies are used, because others lean against a wave that no longer exists.
 """
 
 from __future__ import annotations
@@ -34,23 +34,33 @@ BUSY = (
 """Actions of the arms in which people stand, shift their weight and look about."""
 
 _DRAWS = 40
-"""Draws of one kind before it is given up."""
+"""Maximum number of draws of one kind."""
 _UPRIGHT = {"pelvis": 12.0, "spine3": 14.0, "head": 20.0}
-"""Degrees by which these are farthest from upright in a calm body."""
+"""Maximum tilt in degrees in a calm body."""
 _SWAY, _SHUFFLE = 0.15, 0.03
-"""Metres by which the pelvis of a calm body moves at most, and its feet."""
+"""Maximum movement in metres of the pelvis and of the feet of a calm body."""
 _RESTLESS = 0.045
-"""Metres a second of all joints on average: more is a wave that goes on without the arm."""
+"""Mean speed of all joints in m/s above which a wave continues without its arm."""
 _STRAIGHT, _HANGING = 0.4, 0.36
-"""Metres from the shoulder to the wrist of an arm that hangs, and metres down; stretched it has 0.466 m."""
+"""Distance in metres between shoulder and wrist of a hanging arm, and its vertical part; a stretched arm has 0.466 m.
+"""
 _STANCE = 0.45
-"""Metres between the feet at most."""
+"""Maximum distance between the feet in metres."""
 _ARMS = {part: [JOINTS.index(name) for name in part.joints if not name.endswith("hand")] for part in BodyPart}
 
 
 def draw_standing(bases: Bases, rng: np.random.Generator, seconds: float, busy: float = 0.4) -> Base:
-    """Somebody who stands for so long, arms hanging, mirrored as often as not; of the draws, a share `busy` are of
-    `BUSY` people. Raises `Unusable` where no draw is long enough and calm."""
+    """Draw a standing person with hanging arms, mirrored half of the time.
+
+    Args:
+        bases: Recorded clips.
+        rng: Random generator.
+        seconds: Duration in seconds.
+        busy: Fraction of the draws from `BUSY` actions.
+
+    Raises:
+        Unusable: If no draw is long enough and calm.
+    """
     draw = _busy if rng.random() < busy else _resting
     for _ in range(_DRAWS):
         try:
@@ -58,20 +68,20 @@ def draw_standing(bases: Bases, rng: np.random.Generator, seconds: float, busy: 
         except Unusable:
             continue
         if is_calm(base.motion):
-            turned = base.motion.mirrored() if rng.random() < 0.5 else base.motion
-            return Base(base.name, base.recording, base.style, turned)
+            motion = base.motion.mirrored() if rng.random() < 0.5 else base.motion
+            return Base(base.name, base.recording, base.style, motion)
     raise Unusable(f"nobody stands calmly for {seconds:.1f} s in {_DRAWS} draws")
 
 
 def _busy(bases: Bases, rng: np.random.Generator, seconds: float) -> Base:
-    """A part of what `BUSY` people do, with the arms of somebody who rests."""
+    """Draw a part of a `BUSY` action, with the arms of a resting person."""
     base, other = _part(bases, BUSY[rng.integers(len(BUSY))], rng, seconds), _resting(bases, rng, seconds)
     arms = (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)
     return Base(base.name, base.recording, base.style, _with_arms(base.motion, other.motion, arms))
 
 
 def _resting(bases: Bases, rng: np.random.Generator, seconds: float) -> Base:
-    """A part of a wave, without the wave."""
+    """Draw a part of a wave, without the wave."""
     action = WAVES[rng.integers(len(WAVES))]
     base = _part(bases, action, rng, seconds)
     arm = BodyPart.LEFT_ARM if action == WAVES[0] else BodyPart.RIGHT_ARM
@@ -79,11 +89,11 @@ def _resting(bases: Bases, rng: np.random.Generator, seconds: float) -> Base:
 
 
 def _part(bases: Bases, action: str, rng: np.random.Generator, seconds: float) -> Base:
-    """Any part of any clip of an action."""
-    found = bases.get(action, ())
-    if not found:
-        raise Unusable(f"nothing is recorded of {action}")
-    base = found[rng.integers(len(found))]
+    """Draw any part of any clip of an action."""
+    candidates = bases.get(action, ())
+    if not candidates:
+        raise Unusable(f"no recording of {action}")
+    base = candidates[rng.integers(len(candidates))]
     frames = round(seconds * base.motion.fps)
     spare = base.motion.frames - frames
     if spare < 0:
@@ -93,7 +103,7 @@ def _part(bases: Bases, action: str, rng: np.random.Generator, seconds: float) -
 
 
 def _with_arms(motion: Motion, other: Motion, arms: tuple[BodyPart, ...]) -> Motion:
-    """The motion with these arms of another one, as they are relative to the chest."""
+    """Copy arms from another motion, relative to the chest."""
     rotations = motion.rotations.clone()
     for arm in arms:
         rotations[:, _ARMS[arm]] = other.rotations[:, _ARMS[arm]]
@@ -101,7 +111,7 @@ def _with_arms(motion: Motion, other: Motion, arms: tuple[BodyPart, ...]) -> Mot
 
 
 def is_calm(motion: Motion) -> bool:
-    """Whether somebody stands upright on both feet, the arms hanging, and moves little."""
+    """Return whether a person stands upright on both feet with hanging arms, and moves little."""
     pelvis, up = joint(motion, "pelvis"), global_rotations(motion.rotations, PARENTS)[:, :, 2, 1]
     sides = ("left", "right")
     feet = torch.stack([joint(motion, f"{side}_foot") for side in sides], dim=1)
@@ -120,12 +130,14 @@ def is_calm(motion: Motion) -> bool:
 
 
 def _restlessness(motion: Motion) -> float:
-    """Mean speed of the joints as seen from the pelvis, in metres a second; 0.01 to 0.05 in recordings of people who
-    stand."""
+    """Return the mean speed of the joints relative to the pelvis in m/s.
+
+    It is 0.01 to 0.05 in recordings of standing people.
+    """
     seen = motion.joints - motion.joints[:, :1]
     return float(seen.diff(dim=0).norm(dim=-1).mean()) * motion.fps
 
 
 def _range(points: torch.Tensor) -> float:
-    """The widest that points go on the ground, in metres."""
+    """Return the maximum extent of points on the ground, in metres."""
     return float((points[..., :2].amax(dim=0) - points[..., :2].amin(dim=0)).norm(dim=-1).max())

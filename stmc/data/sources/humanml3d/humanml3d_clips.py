@@ -1,6 +1,6 @@
-"""HumanML3D's clips with their captions as its benchmark takes them: real motion to compare with, texts to ask for.
+"""HumanML3D's clips with their captions for its benchmark: real motion for comparison, and texts.
 
-Knows which clips of a processed folder count, and as how many; how they are read is `humanml3d`'s matter.
+Selects the clips of a processed folder and their parts; `humanml3d_folder` reads them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class CaptionedClip:
-    """Raw features, and all captions that are true of them."""
+    """Raw features, and all captions that describe them."""
 
     name: str
     features: Float[Tensor, "_ features"]
@@ -30,11 +30,11 @@ class CaptionedClip:
 
 
 def read_captioned_clips(folder: str | Path, split: str = "test") -> list[CaptionedClip]:
-    """The clips of a split of the folder `HumanML3D/`, as its authors' evaluation takes them: one of 40 to 199 frames
-    with all captions of the whole of it, and for each caption of some of its seconds those frames, if they are as many.
+    """Read the clips of a split of the folder `HumanML3D/`, as its authors' evaluation does.
 
-    What cannot be used is left out, and logged. Raises `LayoutError` for a folder without the split, or without any
-    clip of it.
+    A clip of 40 to 199 frames has all captions of the whole clip; each caption of a part of it gives a clip of those
+    frames, if their number is in the same range. Unusable clips are skipped and logged. Raises `LayoutError` if the
+    folder lacks the split, or the split has no usable clip.
     """
     folder = Path(folder).expanduser()
     listed = folder / f"{split}.txt"
@@ -47,7 +47,7 @@ def read_captioned_clips(folder: str | Path, split: str = "test") -> list[Captio
         except (ValueError, OSError) as error:
             skipped.append(f"{name}: {error}")
     if not clips:
-        raise LayoutError(f"{listed}: not one clip can be used{'; ' + skipped[0] if skipped else ''}")
+        raise LayoutError(f"{listed}: no clip can be used{'; ' + skipped[0] if skipped else ''}")
     if skipped:
         logger.warning("%d of the clips in %s are left out; the first: %s", len(skipped), listed, skipped[0])
     return clips

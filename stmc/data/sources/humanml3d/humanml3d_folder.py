@@ -1,7 +1,7 @@
-"""HumanML3D's processed folder, as its own notebooks leave it → a cache of the 263 features.
+"""HumanML3D's processed folder, as its own notebooks produce it → a cache of the 263 features.
 
-Knows that folder: `new_joint_vecs/`, `new_joints/`, `texts/`, `Mean.npy`, `Std.npy` and the lists of names. Knows no
-formula of the features (see `representation.humanml3d`) and nothing of AMASS.
+The folder holds `new_joint_vecs/`, `new_joints/`, `texts/`, `Mean.npy`, `Std.npy` and the lists of names. Independent
+of the formulas of the features (see `representation.humanml3d`) and of AMASS.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from stmc.io.untrusted import UnreadableError, read_lines
 from stmc.motion.representation.layout import HUMANML3D_LAYOUT
 
 CACHE_VERSION = 1
-"""Of what this module makes of the same files. Raise it by one with every change that makes other features, clips or
-texts of them: caches that were prepared before are then made again."""
+"""Version of the conversion of the same files. Raise it by one with every change that produces other features, clips or
+texts: caches of earlier versions are then prepared again."""
 
 FPS = 20
 
@@ -36,22 +36,28 @@ Span = tuple[int, int]
 """Frames [start, end) of a clip."""
 
 SHORTEST, LONGEST = 40, 199
-"""Frames of the clips that are used, both included: as all published training on HumanML3D."""
+"""Minimum and maximum length of clips in frames, as in all published training on HumanML3D."""
 
 KIT_WIDTH = 251
-"""Features of KIT-ML's clips, which have 21 joints of another skeleton."""
+"""Number of features of KIT-ML's clips, which have 21 joints of another skeleton."""
 
 AT_ONCE = 256
-"""Clips that are converted together: each is too small for a piece of its own."""
+"""Number of clips per piece; each clip is too small for its own."""
 
 _FOLDERS, _FILES = ("new_joint_vecs", "texts"), ("Mean.npy", "Std.npy", "train.txt", "val.txt", "test.txt")
 
 
 @dataclass(frozen=True)
 class ProcessedHumanML3D:
-    """`source` is the folder `HumanML3D/`; a `Preparation`. Its own mean and std go with the cache. Clips have
-    `shortest` to `longest` frames. `part_entries`: a caption of a part of a clip makes an entry of its own, which comes
-    once an epoch, as in the published loaders; else it is one of the clip's."""
+    """A `Preparation` of HumanML3D's processed folder. The cache has the folder's own mean and std.
+
+    Args:
+        source: The folder `HumanML3D/`.
+        shortest: Minimum length of a clip in frames.
+        longest: Maximum length of a clip in frames.
+        part_entries: Whether a caption of a part of a clip is an entry of its own, drawn once per epoch, as in the
+            published loaders; otherwise it is one of the clip's.
+    """
 
     source: str | Path
     shortest: int = SHORTEST
@@ -64,7 +70,7 @@ class ProcessedHumanML3D:
 
     @cached_property
     def _splits(self) -> dict[str, str]:
-        """Name → split. A name in two lists belongs to the first of train, val, test."""
+        """Split of each name. A name in two lists belongs to the first of train, val, test."""
         names: dict[str, str] = {}
         for split in SPLITS:
             for name in " ".join(read_lines(self._folder / f"{split}.txt")).split():
@@ -77,7 +83,7 @@ class ProcessedHumanML3D:
         if mean.shape == (KIT_WIDTH,):
             raise ValueError(
                 f"these are KIT-ML's {KIT_WIDTH} features (21 joints of another skeleton, 12.5 fps), which no model "
-                "here has. Prepare KIT-ML from AMASS: data=kitml"
+                "here uses; prepare KIT-ML from AMASS with data=kitml"
             )
         if mean.shape != (HUMANML3D_LAYOUT.width,) or std.shape != mean.shape:
             shapes = f"{tuple(mean.shape)} and {tuple(std.shape)}"
@@ -85,23 +91,23 @@ class ProcessedHumanML3D:
         return Statistics(mean, std)
 
     def check(self) -> None:
-        """Raises `LayoutError` where a part of the folder is missing, or is not HumanML3D's."""
+        """Raise `LayoutError` if a part of the folder is missing, or is not HumanML3D's."""
         folder = self._folder
         missing = [f"{name}/" for name in _FOLDERS if not (folder / name).is_dir()]
         missing += [name for name in _FILES if not (folder / name).is_file()]
         if missing:
-            found = sorted(path.name for path in folder.iterdir())[:10] if folder.is_dir() else "no such folder"
+            names = sorted(path.name for path in folder.iterdir())[:10] if folder.is_dir() else "no such folder"
             hint = "; texts.zip must be unpacked" if "texts/" in missing and (folder / "texts.zip").exists() else ""
             inner = [
                 name for name in ("HumanML3D", "HumanML3D/HumanML3D") if (folder / name / "new_joint_vecs").is_dir()
             ]
             hint += f"; is {folder / inner[0]} meant?" if inner else ""
-            raise LayoutError(f"source={folder}: {', '.join(missing)} missing, found {found}{hint}")
+            raise LayoutError(f"source={folder}: {', '.join(missing)} missing, found {names}{hint}")
         try:
-            known = self._statistics and [name for name in self._splits if self._vectors(name).is_file()]
+            present = self._statistics and [name for name in self._splits if self._vectors(name).is_file()]
         except ValueError as error:
             raise LayoutError(f"source={folder}: {error}") from error
-        if not known:
+        if not present:
             raise LayoutError(
                 f"source={folder}: new_joint_vecs/ has none of the {len(self._splits)} names in the lists"
             )
@@ -110,15 +116,15 @@ class ProcessedHumanML3D:
         return self._folder / "new_joint_vecs" / f"{name}.npy"
 
     def _inputs(self, name: str) -> list[Path]:
-        places = [
+        paths = [
             self._vectors(name),
             self._folder / "texts" / f"{name}.txt",
             self._folder / "new_joints" / f"{name}.npy",
         ]
-        return [path for path in places if path.is_file()]
+        return [path for path in paths if path.is_file()]
 
     def fingerprint(self) -> str:
-        """Of every clip in the lists, its captions, the statistics, the lists and the version of the cache."""
+        """Compute a digest of the listed clips, their captions, the statistics, the lists and the cache version."""
         files = [path for name in self._splits for path in self._inputs(name)]
         return fingerprint([*(self._folder / name for name in _FILES), *files], [CACHE_VERSION, *self._choices])
 
@@ -127,7 +133,7 @@ class ProcessedHumanML3D:
         return self.shortest, self.longest, self.part_entries
 
     def prepared(self, scratch: Path, workers: int, watch: Watch) -> Cache:
-        """See `Preparation`."""
+        """Build the cache; see `Preparation`."""
         unsafe = [(name, "malformed name: it is a path") for name in self._splits if Path(name).name != name]
         names = [name for name in self._splits if Path(name).name == name]
         pieces = []
@@ -147,8 +153,15 @@ def convert_clips(
     longest: int = LONGEST,
     part_entries: bool = False,
 ) -> Cache:
-    """The clips of these names with `shortest` to `longest` frames, each in its split; those that cannot be used are
-    left out, with the reason. `part_entries`: see `ProcessedHumanML3D`."""
+    """Convert named clips; unusable ones are skipped with the reason.
+
+    Args:
+        folder: HumanML3D's folder.
+        splits: Split of each name.
+        shortest: Minimum length of a clip in frames.
+        longest: Maximum length of a clip in frames.
+        part_entries: See `ProcessedHumanML3D`.
+    """
     builder = CacheBuilder(HUMANML3D_LAYOUT.width)
     for name, split in splits.items():
         try:
@@ -170,21 +183,23 @@ def convert_clips(
                 kind = "too long" if end - begin > longest else "too short"
                 builder.skipped.append((name, f"{kind}: {end - begin} frames, not {shortest} to {longest}"))
         entries = _entries(name, spans, len(features)) if part_entries else {name: spans}
-        builder.add(features, *(AnnotatedSpans(each, split, name[:1] == "M", own) for each, own in entries.items()))
+        builder.add(
+            features, *(AnnotatedSpans(entry, split, name[:1] == "M", texts) for entry, texts in entries.items())
+        )
     return builder.cache(FPS, "humanml3d")
 
 
 def _entries(name: str, spans: Mapping[Span, list[str]], frames: int) -> dict[str, dict[Span, list[str]]]:
-    """The whole clip with all of its captions, and each caption of a part of it."""
-    parts = [(span, text) for span, said in spans.items() if span != (0, frames) for text in said]
+    """Return the whole clip with all of its captions, and one entry per caption of a part."""
+    parts = [(span, text) for span, texts in spans.items() if span != (0, frames) for text in texts]
     whole = {name: {(0, frames): spans[0, frames]}} if (0, frames) in spans else {}
     return whole | {f"{name}-{number}": {span: [text]} for number, (span, text) in enumerate(parts)}
 
 
 def read_clip(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], list[Caption | str]]:
-    """The features and the captions of the clip `name` in HumanML3D's `folder`, or what is wrong with a caption.
+    """Read the features and the captions (or their problems) of the clip `name` in HumanML3D's `folder`.
 
-    Raises `ValueError` where the clip cannot be used.
+    Raises `ValueError` if the clip cannot be used.
     """
     vectors, joints = folder / "new_joint_vecs" / f"{name}.npy", folder / "new_joints" / f"{name}.npy"
     texts = folder / "texts" / f"{name}.txt"
@@ -208,7 +223,7 @@ def read_clip(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], lis
 
 
 def _numbers(path: Path) -> Tensor:
-    """An array of finite numbers as float32."""
+    """Read an array of finite numbers as float32."""
     try:
         array = read_npy(path)
     except ArraysError as error:

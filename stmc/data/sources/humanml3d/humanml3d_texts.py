@@ -1,6 +1,6 @@
-"""HumanML3D's free files: what people wrote about each clip, and which seconds of which recording a clip is.
+"""HumanML3D's free files: captions of the clips, and the seconds of recordings that clips consist of.
 
-Knows `texts/` and `index.csv`; knows no features, no recording and no split.
+Depends on `texts/` and `index.csv`; independent of features, recordings and splits.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from pathlib import Path
 from stmc.io.untrusted import cut, read_lines, shown
 
 INDEX_FPS = 20
-"""Frames per second that `index.csv` counts in."""
+"""Frame rate of `index.csv`."""
 
 MOST_INDEX = 10**7
-"""The last frame that `index.csv` may name."""
+"""Maximum frame in `index.csv`."""
 
 WHOLE = (0.0, 0.0)
 """Start and end of a caption that describes its whole clip."""
@@ -28,16 +28,18 @@ LEAD_INS = {
     "MPI_Limits": 1.0,
     "Transitions_mocap": 0.5,
 }
-"""Seconds at the beginning of every recording of these data sets that HumanML3D drops before it counts (people standing
-with their arms spread; `raw_pose_processing` of its code). CMU's begin at their first frame."""
+"""Seconds that HumanML3D drops at the beginning of every recording of these data sets before it counts frames (people
+standing with their arms spread; `raw_pose_processing` of its code). CMU's begin at their first frame."""
 
 COLUMNS = ("source_path", "start_frame", "end_frame", "new_name")
 
 
 @dataclass(frozen=True)
 class Caption:
-    """What somebody wrote about a clip, or about `start` to `end` seconds of it (`WHOLE`: all of it); `tagged`: its
-    words with their parts of speech."""
+    """A description of a clip, or of `start` to `end` seconds of it (`WHOLE`: all of it).
+
+    `tagged` holds its words with their parts of speech.
+    """
 
     text: str
     start: float
@@ -47,7 +49,10 @@ class Caption:
 
 @dataclass(frozen=True)
 class Cut:
-    """A clip: `start` to `end` seconds of the recording at AMASS's `path`, without suffix; `end` None: to its end."""
+    """A clip: `start` to `end` seconds of the recording at AMASS's `path`, without suffix.
+
+    An `end` of None is the end of the recording.
+    """
 
     path: str
     start: float
@@ -55,7 +60,7 @@ class Cut:
 
 
 def read_captions(path: Path) -> list[Caption | str]:
-    """Every line of a file of `texts/`: a caption, or what is wrong with it.
+    """Read every line of a file of `texts/`: a caption, or the problem of the line.
 
     A line is `caption#caption/DET tagged/VERB#start#end`; a time of `nan` is 0, as published.
     """
@@ -67,7 +72,7 @@ def _caption(line: str, number: int) -> Caption | str:
     text, *others = line.split("#")
     times = [_seconds(value) for value in others[1:]]
     if len(others) != 3 or None in times or not text.strip():
-        return f"malformed caption: line {number} is not caption#tagged words#start#end but {shown(line, 80)}"
+        return f"malformed caption: line {number} must be caption#tagged words#start#end, not {shown(line, 80)}"
     start, end = times
     if (start, end) != WHOLE and not 0 <= start < end < math.inf:
         return f"malformed caption: line {number} is from {start:g} to {end:g} s"
@@ -83,15 +88,15 @@ def _seconds(text: str) -> float | None:
 
 
 def read_index(path: Path) -> dict[str, Cut | str]:
-    """Every clip of `index.csv` by its name: which seconds of which recording it is, or what is wrong with its row.
+    """Read every clip of `index.csv` by name: the seconds of a recording, or the problem of its row.
 
-    Raises `ValueError` for a file with other columns.
+    Raises `ValueError` if the file has other columns.
     """
     rows = csv.DictReader(read_lines(path))
     try:
         if tuple(rows.fieldnames or ()) != COLUMNS:
-            has = cut(", ".join(rows.fieldnames or ()), 80)
-            raise ValueError(f"{path}: its columns should be {', '.join(COLUMNS)}, not {has}")
+            columns = cut(", ".join(rows.fieldnames or ()), 80)
+            raise ValueError(f"{path}: its columns must be {', '.join(COLUMNS)}, not {columns}")
         return {str(row["new_name"]).removesuffix(".npy"): _cut(row) for row in rows}
     except csv.Error as error:
         raise ValueError(f"{path}: not a table ({error})") from error
