@@ -86,7 +86,7 @@ def test_a_missing_extra_is_named_in_python_and_by_the_command_line():
     code = (
         "import importlib, stmc\n"
         "from stmc.cli.exit_codes import explained\n"
-        "tried = [lambda: stmc.plot_plan, lambda: stmc.render_film, lambda: stmc.render_html(None)]\n"
+        "tried = [lambda: stmc.plot_plan, lambda: stmc.render_film]\n"
         "modules = ('stmc.training.loop', 'stmc.training.device')\n"
         "tried += [lambda name=name: importlib.import_module(name) for name in modules]\n"
         "for each in tried:\n"

@@ -157,7 +157,7 @@ def check(settings: Settings) -> None:
                 raise SettingError(f"formats={each.name}: {error}") from None
 
 
-def open_folder(settings: Settings, character: stmc.Character | None) -> MotionFolder:
+def open_folder(settings: Settings, character: stmc.Character | None = None) -> MotionFolder:
     """Return the folder that is asked for; nothing is made yet."""
     made_by = {"model": fingerprint(settings.model), "precision": settings.precision}
     files = {name: getattr(settings, name) for name in ("character", "joint_map")}

@@ -189,21 +189,12 @@ def save_evaluator(
     dtype: torch.dtype = torch.float32,
     trusted: Sequence[str] = (),
 ) -> Path:
-    """Write an evaluator as a run directory, and return the folder.
-
-    Args:
-        evaluator: The evaluator.
-        folder: The run directory.
-        card: Text of `README.md`.
-        dtype: Data type of the weights; see `save`.
-        trusted: Trusted packages; see `save`.
-    """
+    """Write an evaluator as a run directory, and return the folder. The arguments are those of `save`."""
     return _write(Path(folder).expanduser(), evaluator, check(evaluator, trusted), card, dtype)
 
 
 def calibrate(folder: str | Path | None, calibration: Calibration) -> Path:
-    """Store what was measured of a run directory's model in the directory; return the file, which replaces an older
-    one. Its next `load` has it in `vocabulary.calibration`.
+    """Store success rates of a model in its run directory, and return the file. `load` reads it into `vocabulary`.
 
     Examples:
         >>> folder = stmc.save(stmc.load(), "my_run", card="")

@@ -145,13 +145,11 @@ def _data(motion: Motion, timeline: Timeline | None, overlap: int | float, skin:
 def _mark(name: str, constraint: Constraint, motion: Motion) -> dict[str, Any]:
     """A constraint as the stage draws it: its kind and whatever it has that JSON has, too; a hold where the motion
     holds it."""
-    kind, settled = _kind(constraint), constraint.settled(Pose.of(motion))
-    values = {key: value for key, value in vars(settled).items() if isinstance(value, int | float | str | tuple | None)}
-    return values | {"id": name, "kind": _kind(settled), "name": kind}
-
-
-def _kind(constraint: Constraint) -> str:
-    return type(constraint).__name__.lower()
+    anchored = constraint.anchored_at(Pose.of(motion))
+    values = {
+        key: value for key, value in vars(anchored).items() if isinstance(value, int | float | str | tuple | None)
+    }
+    return values | {"id": name, "kind": anchored.name, "name": constraint.name}
 
 
 def _chips(timeline: Timeline | None) -> str:
