@@ -194,7 +194,7 @@ def test_real_motion_finds_itself_and_is_compared_with_as_much_of_itself():
 
 def test_a_text_that_no_atomic_prompt_has_is_named():
     strange = Timeline((Prompt("fly", 0, 2),), "0007")
-    with pytest.raises(TimelineError, match="timeline 0007: 'fly' is none of the 3 texts"):
+    with pytest.raises(TimelineError, match="timeline 0007: 'fly' is not one of the 3 texts"):
         MultiTrack.of([strange], ATOMIC_PROMPTS, ORACLE, lambda clip, start, end: still(clip))
 
 
@@ -282,7 +282,9 @@ def test_footage_says_what_it_does_not_have():
     assert len(shown("dataset-1_bow_normal_001", 1.0, 2.0)) == 20
     with pytest.raises(CacheError, match="no clip 'jump' among 2"):
         shown("jump", 0.0, 1.0)
-    with pytest.raises(ValueError, match=r"dataset-1_bow_normal_001: seconds 2 to 20 of a motion of 9\.5 seconds"):
+    with pytest.raises(
+        ValueError, match=r"dataset-1_bow_normal_001: seconds 2 to 20 exceed the motion of 9\.5 seconds"
+    ):
         shown("dataset-1_bow_normal_001", 2.0, 20.0)
 
 

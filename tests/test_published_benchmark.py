@@ -295,7 +295,7 @@ def test_the_mirror_images_of_the_published_atomic_prompts_are_known_by_their_na
 def test_recordings_that_are_not_there_and_an_evaluator_of_other_features_are_named(work, reference_motions):
     with pytest.raises(ValueError, match="no recording 'KIT/3/jump_poses'"):
         reference_motions("M/KIT/3/jump_poses", 0.0, 1.0)
-    with pytest.raises(ValueError, match="knows 205 features; the published formulas need one of HumanML3D's 263"):
+    with pytest.raises(ValueError, match="uses 205 features; the published formulas need one of HumanML3D's 263"):
         PUBLISHED.real_transition([reference_motions("KIT/3/bow01_poses", 0.0, 1.0)], evaluator())
 
 

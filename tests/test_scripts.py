@@ -402,7 +402,8 @@ def test_a_motion_whose_files_cannot_be_written_is_not_taken_for_finished(sample
     timeline = stmc.Timeline.parse(TIMELINES.split("\n\n")[1])
     [motion] = tiny().generate(timeline, steps=2)
     with monkeypatch.context() as patch, pytest.raises(OSError, match="no space"):
-        patch.setattr(stmc, "write", lambda *_, **__: (_ for _ in ()).throw(OSError("no space left on device")))
+        fails = lambda *_, **__: (_ for _ in ()).throw(OSError("no space left on device"))  # noqa: E731
+        patch.setattr("stmc.cli.sample_folder.export", fails)
         sample.open_folder(config).save(motion, job_of(sample, config, timeline))
     assert jobs_left(sample, config) == 1
     assert not list((tmp_path / "out").iterdir())
