@@ -125,7 +125,7 @@ def test_a_recording_of_another_body_and_frame_rate_is_put_on_the_models(model):
     changed = model.generate("walk # 0 # 3", steps=2, keep=recorded, change=Change(2))[0]
     assert apart(changed, body.to(dtype=torch.float32), slice(0, 40)) < 1e-5
     giant = Skeleton(Skeleton.default().offsets.double() * 3)
-    with pytest.raises(SettingError, match="legs of"):
+    with pytest.raises(SettingError, match="its legs are"):
         on_body(Motion.posed(own.rotations, own.translation, 30.0, giant), model.skeleton, 20)
 
 

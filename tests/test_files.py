@@ -146,7 +146,7 @@ def test_a_folder_is_whole_or_absent_and_what_a_killed_process_left_beside_it_go
 
 
 def test_a_folder_that_is_being_written_is_refused_by_its_owner_s_name(tmp_path, holder):
-    with pytest.raises(FolderInUse, match=rf"is being written by process {holder.pid} on host"), locked(tmp_path):
+    with pytest.raises(FolderInUse, match=rf"is in use by process {holder.pid} on host"), locked(tmp_path):
         pass
 
 

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.editing.keys import Timing, blended, check_order, frame_times, replace_frames
+from stmc.editing.keys import Timing, blend_keys, check_order, frame_times, replace_frames
 from stmc.editing.leg_posing import SIDES, joint, of_legs
 from stmc.editing.reaching import Triple, body_frame
 from stmc.motion.body import JOINTS, PARENTS
@@ -120,7 +120,7 @@ def shift_pelvis(motion: Motion, keys: Sequence[PelvisKey]) -> Motion:
         >>> stmc.shift_pelvis(motion, [stmc.PelvisKey(1.0, 0.8, offset=(0, -0.2, 0))])
         Motion(40 frames at 20 fps, 2.00 s)
     """
-    values = blended(
+    values = blend_keys(
         frame_times(motion), _timings(keys), [(*key.offset, key.pitch, key.yaw, -key.roll) for key in keys], 6
     )
     exact = motion.to("cpu", torch.float64)
@@ -141,7 +141,7 @@ def step(motion: Motion, side: str, keys: Sequence[FootKey]) -> Motion:
         Motion(40 frames at 20 fps, 2.00 s)
     """
     seconds = frame_times(motion)
-    offsets = blended(seconds, _timings(keys), [key.offset for key in keys], 3)
+    offsets = blend_keys(seconds, _timings(keys), [key.offset for key in keys], 3)
     for key, timing in zip(keys, _timings(keys), strict=True):
         fraction = timing.progress(seconds)
         offsets[:, 1] += key.lift * 16 * (fraction * (1 - fraction)) ** 2
@@ -180,7 +180,7 @@ def _timings(keys: Sequence[TurnKey | PelvisKey | FootKey]) -> list[Timing]:
 
 def _turns(motion: Motion, keys: Sequence[TurnKey]) -> Float[Tensor, "frames 3"]:
     """Rotation vectors in a body's axes (left, up, forward)."""
-    return blended(frame_times(motion), _timings(keys), [(key.pitch, key.yaw, -key.roll) for key in keys], 3)
+    return blend_keys(frame_times(motion), _timings(keys), [(key.pitch, key.yaw, -key.roll) for key in keys], 3)
 
 
 def _turned(motion: Motion, turns: Tensor, shares: dict[str, float], joints: Sequence[int]) -> Motion:
