@@ -236,7 +236,7 @@ def test_a_motion_under_constraints_does_not_depend_on_its_batch(model):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Path([(0, 0)]), "two at least"),
+        (lambda: Path([(0, 0)]), "at least two"),
         (lambda: Path([(0, 0), (1, math.nan)]), "finite"),
         (lambda: Path([(0, 0), (1, 0)], times=[1, 1]), "rise"),
         (lambda: Target("left_wing", (0, 0, 0), 1), "left_wing"),
@@ -265,7 +265,7 @@ def test_a_keyframe_is_the_pose_at_its_second_and_none_beyond_the_motion():
     for second, frame in ((0, 0), (1.15, 23), (2.99, 59)):
         assert torch.equal(read(second).joints, SEEN.joints[frame : frame + 1])
     for second in (3.0, -0.1, math.inf, math.nan):
-        with pytest.raises(SettingError, match=r"it has no pose at .* from 0 to below 3 needed"):
+        with pytest.raises(SettingError, match=r"it has no pose at .* must be from 0 to below 3"):
             read(second)
     with pytest.raises(SettingError, match="keyframe"):
         read("1")

@@ -17,7 +17,7 @@ WRONG = {
     "a path's end": ({"path": {"points": [[0, 0], [0, 1]], "end": 1e308}}, "path at 0.0..1e+308 s: seconds from 0 to"),
     "a point far away": (
         {"path": {"points": [[0, 0], [0, 1e20]], "end": 2}},
-        "point=[0, 1e+20]: 2 finite numbers needed, at",
+        "point=[0, 1e+20]: must be 2 finite numbers, at",
     ),
     "a path of 42 km": ({"path": {"points": [[0, 0], [0, 42e3]], "end": 2}}, "at most 10000 from 0"),
     "a number of 400 digits": ({"path": {"points": [[0, 0], [0, 10**400]], "end": 2}}, "point="),
@@ -51,7 +51,7 @@ TYPES = {
     "Change(0, 1, [{}])": "change: a body part must be a text, not {}",
     "Change('x', 1)": "change 'x'..1 s",
     "Change(0, 1e308)": "must be from 0 to 14,400 s, the end after the start",
-    "Path([(0, 0), (0, 1)], end='x')": "path at 0.0..'x' s: seconds from 0 to 14,400 needed",
+    "Path([(0, 0), (0, 1)], end='x')": "path at 0.0..'x' s: must be from 0 to 14,400 s",
     "Hold('left_hand', end=[1])": "left_hand at 0.0..[1] s",
     "find_method('os.system', ['os'])": "method='os.system': os defines no such rule Plan → Plan",
     "find_method('os.path', ['os'])": "pass a name, a Method or a rule Plan → Plan",
