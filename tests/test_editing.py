@@ -151,7 +151,7 @@ def test_weights_are_one_outside_and_fade_within(motion):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [((2, 1), "end behind"), ((-1, 1), "from 0"), ((0, 1, ["wing"]), "wing"), ((0, 1, (), math.nan), "border")],
+    [((2, 1), "end after"), ((-1, 1), "from 0"), ((0, 1, ["wing"]), "wing"), ((0, 1, (), math.nan), "border")],
 )
 def test_a_change_that_cannot_be_is_refused(change, message):
     with pytest.raises(SettingError, match=message):
@@ -170,7 +170,7 @@ def test_what_cannot_be_kept_is_refused(model, motion):
 def test_a_change_is_read_as_a_prompt_without_a_text():
     assert Change.parse("2 # 4 # right arm # legs") == Change(2.0, 4.0, ["right arm", "legs"])
     assert Change.parse("2") == Change(2.0)
-    with pytest.raises(SettingError, match="needed"):
+    with pytest.raises(SettingError, match="must be start"):
         Change.parse("soon")
 
 

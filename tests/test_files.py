@@ -199,7 +199,7 @@ def test_a_file_system_without_locks_is_a_warning(tmp_path, monkeypatch, caplog,
 def test_an_owner_with_a_shorter_name_than_the_last_one_is_named_whole(tmp_path):
     (tmp_path / LOCK).write_bytes(b" process 1234567890 on host of-a-machine-with-a-name-without-end.example\n")
     with locked(tmp_path):
-        message = rf"written by process {os.getpid()} on host {socket.gethostname()}; wait"
+        message = rf"in use by process {os.getpid()} on host {socket.gethostname()}; wait"
         with pytest.raises(FolderInUse, match=message), locked(tmp_path):
             pass
 
