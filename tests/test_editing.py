@@ -159,9 +159,9 @@ def test_a_change_that_cannot_be_is_refused(change, message):
 
 
 def test_what_cannot_be_kept_is_refused(model, motion):
-    with pytest.raises(SettingError, match="which motion"):
+    with pytest.raises(SettingError, match="pass the motion"):
         model.generate(TIMELINE, steps=1, change=Change(1, 2))
-    with pytest.raises(SettingError, match="nothing to make"):
+    with pytest.raises(SettingError, match="nothing to generate"):
         model.generate(TIMELINE, steps=1, keep=motion)
     with pytest.raises(SettingError, match="2 motions for 1"):
         model.generate(TIMELINE, steps=1, keep=[motion, motion], change=Change(1, 2))
