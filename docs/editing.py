@@ -10,7 +10,7 @@ import torch
 
 import stmc
 from stmc.editing import Kept
-from stmc.editing.conditions import cleaned
+from stmc.editing.conditions import clean_motions
 from stmc.editing.constraints import Pose
 from stmc.evaluation.metrics.action_measures import lifts, mean_speed, waves
 from stmc.motion.geometry import rotation_z
@@ -136,10 +136,10 @@ def constraints(model: stmc.Model, steps: int) -> None:
     [bow] = model.generate("bow # 0 # 3", seed=0, steps=steps, clean_feet=False)
     deepest = int(bow.joints[:, stmc.motion.body.JOINTS.index("head"), 2].argmin())
     free = model.generate([WALK_AND_RAISE] * 3, **asked)
-    sys.stdout.write(f"nothing demanded: {_cost(free)}; clean {_cost(cleaned(free, [], []))}\n")
+    sys.stdout.write(f"nothing demanded: {_cost(free)}; clean {_cost(clean_motions(free, [], []))}\n")
     for name, demands in constraints_on(bow.trimmed(deepest, deepest + 1)).items():
         met = model.generate([WALK_AND_RAISE] * 3, constraints=demands, **asked)
-        clean = cleaned(met, [], demands)
+        clean = clean_motions(met, [], demands)
         errors = [", ".join(_errors(demands, motion) for motion in motions) for motions in (free, met, clean)]
         sys.stdout.write(f"{name}: {errors[0]} → {errors[1]}, clean {errors[2]}; {_cost(met)}; clean {_cost(clean)}\n")
         strip = stmc.film_strip(clean[0], stmc.Timeline.parse(WALK_AND_RAISE), frames=10)

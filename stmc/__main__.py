@@ -1,16 +1,16 @@
-"""The command `stmc`, which is also `python -m stmc`."""
+"""The command `stmc`, also available as `python -m stmc`."""
 
 import sys
 
 
 def main() -> int:
-    """Runs the command; Ctrl-C ends in one line also while the library is imported."""
+    """Run the command; Ctrl-C ends in one line, even while the library is being imported."""
     try:
         from stmc.cli.dispatch import program
 
         return program()
     except KeyboardInterrupt:
-        sys.stderr.write("stopped; ask again to go on\n")
+        sys.stderr.write("Interrupted. Run the same command again to resume.\n")
         return 130
 
 

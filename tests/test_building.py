@@ -187,23 +187,23 @@ def test_the_table_has_what_our_configurations_build_and_nothing_else():
 
 
 WRONG = {
-    "steps=ten": ("train", "training.steps=ten", "training.steps='ten': a whole number needed"),
+    "steps=ten": ("train", "training.steps=ten", "training.steps='ten': must be a whole number"),
     "a quote": ("train", "training.steps='\"'", "training.steps="),
-    "lr=nan": ("train", "training.lr=nan", "training.lr=nan: a number needed"),
+    "lr=nan": ("train", "training.lr=nan", "training.lr=nan: must be a number"),
     "lr=1e6": ("train", "training.lr=1e6", r"lr (1000000.0) must be above 0 and at most 1"),
     "checkpoint_every": ("train_tmr", "training.checkpoint_every=''", "training.checkpoint_every=''"),
     "no folder": ("train_tmr", "data.folder=null", "data.folder=null: the folder of a prepared cache needed"),
     "no folders": ("train_tmr", "data.folder=[]", "data.folder=[]: the folder of a prepared cache needed"),
-    "denoiser": ("train", "denoiser.width=wide", "denoiser.width='wide': a whole number needed"),
+    "denoiser": ("train", "denoiser.width=wide", "denoiser.width='wide': must be a whole number"),
     "an unknown argument": ("train", "+denoiser.wide=3", "denoiser.wide: stmc.denoisers.MdmSmpl has no such argument"),
     "heads": ("train", "denoiser.heads=7", "denoiser"),
     "schedule": ("train", "schedule.steps=0", "schedule"),
     "prediction": ("train", "objective.prediction=noise", "objective.prediction='noise'"),
     "alpha": ("train", "+objective.timestep_alpha=-1", "timestep_alpha -1 must be above 0"),
-    "rows": ("train", "data.sampling.rows=many", "data.sampling.rows='many': a whole number needed"),
+    "rows": ("train", "data.sampling.rows=many", "data.sampling.rows='many': must be a whole number"),
     "no rows": ("train", "data.sampling.rows=0", "data.sampling cannot be built: rows=0: must be at least 1"),
     "another recipe's setting": ("train", "+data.sampling.drop_last=true", "BalancedBatches has no such argument"),
-    "temperature": ("train_tmr", "+objective.temperature=warm", "objective.temperature='warm': a number needed"),
+    "temperature": ("train_tmr", "+objective.temperature=warm", "objective.temperature='warm': must be a number"),
 }
 
 

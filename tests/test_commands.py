@@ -22,7 +22,7 @@ from stmc.cli.commands import Command
 from stmc.cli.dispatch import program, scripts
 from stmc.cli.exit_codes import MOST, explained, guarded
 from stmc.editing.generate_request import GenerateRequest
-from stmc.settings.records import about, defaults
+from stmc.settings.records import defaults, field_infos
 
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py"))
 NEEDED = {
@@ -139,29 +139,29 @@ def test_feet_are_cleaned_by_default_wherever_motions_are_generated_and_never_wh
 
 REFUSED = {
     "steps=1000000000 seed=-1": "seed=-1: must be at least 0",
-    "steps=ten": "steps='ten': a whole number or null needed, at least 1",
-    "steps=1.5": "steps=1.5: a whole number or null needed",
+    "steps=ten": "steps='ten': must be a whole number or null, at least 1",
+    "steps=1.5": "steps=1.5: must be a whole number or null",
     "steps=0": "steps=0: must be at least 1",
-    "guidance=nan": "guidance=nan: a number or null needed",
-    "guidance=inf": "guidance=inf: a number or null needed",
-    "guidance=x": "guidance='x': a number or null needed",
-    "guidance=[]": "a number or null needed",
-    "overlap=inf": "overlap=inf: a number or null needed, at least 0 s",
-    "overlap=x": "overlap='x': a number or null needed, at least 0 s",
+    "guidance=nan": "guidance=nan: must be a number or null",
+    "guidance=inf": "guidance=inf: must be a number or null",
+    "guidance=x": "guidance='x': must be a number or null",
+    "guidance=[]": "must be a number or null",
+    "overlap=inf": "overlap=inf: must be a number or null, at least 0 s",
+    "overlap=x": "overlap='x': must be a number or null, at least 0 s",
     "overlap=-0.01": "overlap=-0.01: must be at least 0 s",
     "stitch_from=x": "stitch_from='x'",
     "stitch_from=1": "stitch_from=1: must be at least 0 and below 1",
-    "batch=x": "batch='x': a whole number or null needed",
-    "batch=1.5": "batch=1.5: a whole number or null needed",
-    "samples=1e6": "samples=1000000.0: a whole number needed",
-    "samples=x": "samples='x': a whole number needed",
-    "seed=x": "seed='x': a whole number needed",
-    "seed=1.5": "seed=1.5: a whole number needed",
-    "seed=null": "seed=null: a whole number needed",
-    "formats=null": "formats=null: a list needed, one of npz, bvh, html",
+    "batch=x": "batch='x': must be a whole number or null",
+    "batch=1.5": "batch=1.5: must be a whole number or null",
+    "samples=1e6": "samples=1000000.0: must be a whole number",
+    "samples=x": "samples='x': must be a whole number",
+    "seed=x": "seed='x': must be a whole number",
+    "seed=1.5": "seed=1.5: must be a whole number",
+    "seed=null": "seed=null: must be a whole number",
+    "formats=null": "formats=null: must be a list, one of npz, bvh, html",
     "formats=[fbx]": "formats='fbx': choose from npz, bvh, html",
     "method=magic": "method='magic': choose from one_text, single_track",
-    "output=": "output='': a text needed",
+    "output=": "output='': must not be empty",
     "stteps=3": "unknown setting 'stteps': did you mean steps?",
     "+x=1": "unknown setting 'x'",
     "--stteps 3": "unknown setting '--stteps'",
@@ -227,7 +227,7 @@ def check_wild_settings(commands: dict[str, Command], draws: int, seed: int, cap
     draw = random.Random(seed)
     for _ in range(draws):
         command = idle(commands[draw.choice([*SCRIPTS, *["sample"] * 4 * len(SCRIPTS)])])
-        keys = [*about(command.settings), *command.parts, "nobody", "a.b", "+c", "~steps", "--device", "-x"]
+        keys = [*field_infos(command.settings), *command.parts, "nobody", "a.b", "+c", "~steps", "--device", "-x"]
         arguments = [f"{draw.choice(keys)}={draw.choice(WILD)}" for _ in range(draw.randint(1, 3))]
         code, told = ended(command, arguments, capsys)
         assert code in (0, 2), arguments
@@ -277,7 +277,7 @@ def kin(config: str, script: str) -> bool:
 def test_help_says_what_every_setting_is(found, name, capsys):
     assert found[name](["--help"]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    for setting, each in about(found[name].settings).items():
+    for setting, each in field_infos(found[name].settings).items():
         assert f" {setting} {each.help}" in told
         assert all(choice in told for choice in each.choices)
     for part, (chosen, names) in found[name].parts.items():

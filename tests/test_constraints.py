@@ -10,7 +10,7 @@ from helpers.tiny_model import tiny
 
 import stmc
 from stmc.editing import Change, Kept
-from stmc.editing.conditions import cleaned
+from stmc.editing.conditions import clean_motions
 from stmc.editing.constraints import (
     Guidance,
     Heading,
@@ -198,7 +198,7 @@ def test_constraints_leave_alone_what_is_kept(model):
 def test_feet_are_cleaned_of_what_is_new_alone_and_without_a_pop_at_its_border(parts):
     drift = torch.linspace(0, 0.3, 60, dtype=SEEN.translation.dtype)[:, None] * torch.tensor([1.0, 0.0, 0.0])
     slid = Motion.posed(SEEN.rotations, SEEN.translation + drift, 20, Skeleton.default())
-    [clean] = cleaned([slid], [Kept.but([Change(1, 2, parts)], slid, 60)], [])
+    [clean] = clean_motions([slid], [Kept.but([Change(1, 2, parts)], slid, 60)], [])
     kept = torch.ones(60, dtype=torch.bool)
     kept[20:40] = False
     assert torch.equal(clean.joints[kept], slid.joints[kept])
@@ -236,7 +236,7 @@ def test_a_motion_under_constraints_does_not_depend_on_its_batch(model):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Path([(0, 0)]), "two at least"),
+        (lambda: Path([(0, 0)]), "at least two"),
         (lambda: Path([(0, 0), (1, math.nan)]), "finite"),
         (lambda: Path([(0, 0), (1, 0)], times=[1, 1]), "rise"),
         (lambda: Target("left_wing", (0, 0, 0), 1), "left_wing"),
@@ -265,7 +265,7 @@ def test_a_keyframe_is_the_pose_at_its_second_and_none_beyond_the_motion():
     for second, frame in ((0, 0), (1.15, 23), (2.99, 59)):
         assert torch.equal(read(second).joints, SEEN.joints[frame : frame + 1])
     for second in (3.0, -0.1, math.inf, math.nan):
-        with pytest.raises(SettingError, match=r"it has no pose at .* from 0 to below 3 needed"):
+        with pytest.raises(SettingError, match=r"it has no pose at .* must be from 0 to below 3"):
             read(second)
     with pytest.raises(SettingError, match="keyframe"):
         read("1")

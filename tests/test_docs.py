@@ -22,7 +22,7 @@ from stmc.cli.dispatch import SHORT, found, scripts
 from stmc.composing import METHODS
 from stmc.composing.sampling import DEFAULT, Sampling
 from stmc.model import Model
-from stmc.settings.records import about
+from stmc.settings.records import field_infos
 from stmc.timeline import prompts
 from stmc.timeline import timeline_files as files
 
@@ -141,7 +141,8 @@ def test_every_file_of_the_repository_and_every_test_that_a_page_names_is_there(
 def test_the_table_of_settings_is_the_record_s():
     own = dict(DEFAULT.given) | {"steps": "the schedule's"}
     rows = [
-        f"| `{name}` | {told.help} | {told.fits} | {own.get(name, '–')} |" for name, told in about(Sampling).items()
+        f"| `{name}` | {told.help} | {told.fits} | {own.get(name, '–')} |"
+        for name, told in field_infos(Sampling).items()
     ]
     assert "\n".join(rows) in text(DOCS / "sampling.md"), "\n".join(["the rows should be:", *rows])
 

@@ -125,7 +125,7 @@ def test_a_recording_of_another_body_and_frame_rate_is_put_on_the_models(model):
     changed = model.generate("walk # 0 # 3", steps=2, keep=recorded, change=Change(2))[0]
     assert apart(changed, body.to(dtype=torch.float32), slice(0, 40)) < 1e-5
     giant = Skeleton(Skeleton.default().offsets.double() * 3)
-    with pytest.raises(SettingError, match="legs of"):
+    with pytest.raises(SettingError, match="its legs are"):
         on_body(Motion.posed(own.rotations, own.translation, 30.0, giant), model.skeleton, 20)
 
 
@@ -151,7 +151,7 @@ def test_weights_are_one_outside_and_fade_within(motion):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [((2, 1), "end behind"), ((-1, 1), "from 0"), ((0, 1, ["wing"]), "wing"), ((0, 1, (), math.nan), "border")],
+    [((2, 1), "end after"), ((-1, 1), "from 0"), ((0, 1, ["wing"]), "wing"), ((0, 1, (), math.nan), "border")],
 )
 def test_a_change_that_cannot_be_is_refused(change, message):
     with pytest.raises(SettingError, match=message):
@@ -159,9 +159,9 @@ def test_a_change_that_cannot_be_is_refused(change, message):
 
 
 def test_what_cannot_be_kept_is_refused(model, motion):
-    with pytest.raises(SettingError, match="which motion"):
+    with pytest.raises(SettingError, match="pass the motion"):
         model.generate(TIMELINE, steps=1, change=Change(1, 2))
-    with pytest.raises(SettingError, match="nothing to make"):
+    with pytest.raises(SettingError, match="nothing to generate"):
         model.generate(TIMELINE, steps=1, keep=motion)
     with pytest.raises(SettingError, match="2 motions for 1"):
         model.generate(TIMELINE, steps=1, keep=[motion, motion], change=Change(1, 2))
@@ -170,7 +170,7 @@ def test_what_cannot_be_kept_is_refused(model, motion):
 def test_a_change_is_read_as_a_prompt_without_a_text():
     assert Change.parse("2 # 4 # right arm # legs") == Change(2.0, 4.0, ["right arm", "legs"])
     assert Change.parse("2") == Change(2.0)
-    with pytest.raises(SettingError, match="needed"):
+    with pytest.raises(SettingError, match="must be start"):
         Change.parse("soon")
 
 

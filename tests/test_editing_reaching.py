@@ -176,11 +176,11 @@ def test_requests_that_make_no_sense_are_refused():
     motion = walking(seconds=2)
     with pytest.raises(ValueError, match="side"):
         reach(motion, "both", [EAR])
-    with pytest.raises(ValueError, match="order"):
+    with pytest.raises(ValueError, match="sort them by time"):
         reach(motion, "left", [BACK, EAR])
     with pytest.raises(ValueError, match="frame"):
         reach(motion, "left", [WristKey(1, 1, (0, 0, 0), "foot")])
-    with pytest.raises(ValueError, match="order"):
+    with pytest.raises(ValueError, match="sort them by time"):
         stmc.turn_head(motion, [stmc.TurnKey(2, 1), stmc.TurnKey(1, 1)])
 
 

@@ -146,7 +146,7 @@ def test_a_folder_is_whole_or_absent_and_what_a_killed_process_left_beside_it_go
 
 
 def test_a_folder_that_is_being_written_is_refused_by_its_owner_s_name(tmp_path, holder):
-    with pytest.raises(FolderInUse, match=rf"is being written by process {holder.pid} on host"), locked(tmp_path):
+    with pytest.raises(FolderInUse, match=rf"is in use by process {holder.pid} on host"), locked(tmp_path):
         pass
 
 
@@ -199,7 +199,7 @@ def test_a_file_system_without_locks_is_a_warning(tmp_path, monkeypatch, caplog,
 def test_an_owner_with_a_shorter_name_than_the_last_one_is_named_whole(tmp_path):
     (tmp_path / LOCK).write_bytes(b" process 1234567890 on host of-a-machine-with-a-name-without-end.example\n")
     with locked(tmp_path):
-        message = rf"written by process {os.getpid()} on host {socket.gethostname()}; wait"
+        message = rf"in use by process {os.getpid()} on host {socket.gethostname()}; wait"
         with pytest.raises(FolderInUse, match=message), locked(tmp_path):
             pass
 

@@ -118,7 +118,7 @@ def test_every_weight_learns(conditioning):
 @pytest.mark.parametrize(("setting", "value"), [("positions", "rotary"), ("conditioning", "film")])
 def test_an_unknown_ablation_is_an_error_with_the_choices(setting, value):
     described = {"_target_": "stmc.denoisers.FlowMdm", "features": 205, "text_width": 4, "absolute_from": 90}
-    with pytest.raises(RunError, match=rf"denoiser.{setting}='{value}': one of (blended|pccat), \w+, \w+ needed"):
+    with pytest.raises(RunError, match=rf"denoiser.{setting}='{value}': must be one of (blended|pccat), \w+, \w+"):
         build({"denoiser": described | {setting: value}}, {"denoiser": PARTS["denoiser"]})
 
 

@@ -40,7 +40,7 @@ def test_write_writes_every_format_of_the_table_and_read_reads_those_with_a_read
 
 def test_a_command_offers_the_formats_of_the_table_and_its_help_names_those_it_reads():
     assert sorted(set(sample.CHOICES) - set(CHARACTER_FORMATS)) == sorted(each.name for each in EXPORTS)
-    keep = {field.name: field for field in dataclasses.fields(sample.Settings)}["keep"].metadata["about"].help
+    keep = {field.name: field for field in dataclasses.fields(sample.Settings)}["keep"].metadata["info"].help
     assert all(each.suffix in keep for each in READABLE)
 
 

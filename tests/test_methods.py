@@ -22,7 +22,7 @@ from stmc.diffusion.statistics import Statistics
 from stmc.model import Model
 from stmc.motion.body import BodyPart
 from stmc.motion.geometry import matrix_to_rows
-from stmc.settings.records import SettingError, about
+from stmc.settings.records import SettingError, field_infos
 from stmc.timeline import Timeline, single_track
 from stmc.timeline.planning import cross_fade
 
@@ -163,7 +163,7 @@ def test_one_track_is_one_sequence_and_a_gap_belongs_to_it(flow):
 
 
 def test_a_denoiser_of_crops_cannot_make_sequences():
-    with pytest.raises(ValueError, match="MdmSmpl knows one text for all frames"):
+    with pytest.raises(ValueError, match="MdmSmpl takes one text for all frames"):
         tiny().generate(NOD, steps=1, method="flow_mdm")
 
 
@@ -375,7 +375,7 @@ def test_a_timeline_may_be_its_text():
 
 def test_the_settings_are_in_the_signature_of_generate():
     named = inspect.signature(stmc.Model.generate).parameters
-    assert {"timelines", "seed", "method", "progress", *about(Sampling)} <= set(named)
+    assert {"timelines", "seed", "method", "progress", *field_infos(Sampling)} <= set(named)
 
 
 def test_a_model_and_its_parts_fit_a_screen(flow):

@@ -144,9 +144,9 @@ def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, in_this_process):
     busy, source = tmp_path / "busy", humanml3d(tmp_path / "HumanML3D", clips=2)
     with locked(busy):
         for name in ("train", "train_tmr"):
-            with pytest.raises(FolderInUse, match=rf"{busy} is being written by process {os.getpid()} on host"):
+            with pytest.raises(FolderInUse, match=rf"{busy} is in use by process {os.getpid()} on host"):
                 run(name, name, f"run={busy}", "data.folder=nowhere", "device=cpu")
-        with pytest.raises(ValueError, match="is being written by process"):
+        with pytest.raises(ValueError, match="is in use by process"):
             run("prepare", "prepare", "data=humanml3d_processed", f"source={source}", f"folder={busy}", "workers=1")
         assert os.listdir(busy) == [LOCK]
 

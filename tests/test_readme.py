@@ -10,7 +10,7 @@ from helpers.scripts import ROOT
 from stmc.cli.dispatch import found
 from stmc.model import Model
 from stmc.run import WEIGHTS, bundled
-from stmc.settings.records import about
+from stmc.settings.records import field_infos
 
 README = (ROOT / "README.md").read_text("utf-8")
 CELLS = re.findall(r"^```python\n(.*?)^```$", README, flags=re.DOTALL | re.MULTILINE)
@@ -41,7 +41,9 @@ def test_settings_that_are_only_mentioned_exist_too():
     for row in rows:
         command = found(re.match(r"\| `stmc (\w+)", row)[1])
         for key in re.findall(r"`(\w+)=", row):
-            assert key in about(command.settings) or key in command.parts, f"stmc {command.name} has no setting {key}"
+            assert key in field_infos(command.settings) or key in command.parts, (
+                f"stmc {command.name} has no setting {key}"
+            )
 
 
 def test_every_file_that_is_named_is_there():

@@ -12,7 +12,7 @@ from test_rows_of_texts import OneWord
 
 from stmc.data.cache import Cache, Clip
 from stmc.motion.representation import SmplRepresentation
-from stmc.settings.records import SettingError, about
+from stmc.settings.records import SettingError, field_infos
 from stmc.training.data.balanced_batches import BalancedBatches
 from stmc.training.data.batches import ClipBatches
 from stmc.training.data.dataset import BatchPlan, Dataset
@@ -88,8 +88,8 @@ def test_the_rows_of_a_seed_are_those_of_earlier_versions(name, dataset):
 
 @pytest.mark.parametrize("recipe", [BalancedBatches, PackedRows, EpochBatches, RecordedRows])
 def test_every_setting_of_a_recipe_says_what_it_is_and_its_range_is_checked(recipe):
-    assert list(about(recipe)) == [field.name for field in dataclasses.fields(recipe)]
+    assert list(field_infos(recipe)) == [field.name for field in dataclasses.fields(recipe)]
     assert recipe() == recipe(rows=64)
     with pytest.raises(SettingError, match=r"text_dropout=1\.5: must be at least 0 and at most 1"):
         recipe(text_dropout=1.5)
-    assert sum(name in vars(recipe)["__annotations__"] for name in about(recipe)) <= 10
+    assert sum(name in vars(recipe)["__annotations__"] for name in field_infos(recipe)) <= 10

@@ -17,7 +17,7 @@ WRONG = {
     "a path's end": ({"path": {"points": [[0, 0], [0, 1]], "end": 1e308}}, "path at 0.0..1e+308 s: seconds from 0 to"),
     "a point far away": (
         {"path": {"points": [[0, 0], [0, 1e20]], "end": 2}},
-        "point=[0, 1e+20]: 2 finite numbers needed, at",
+        "point=[0, 1e+20]: must be 2 finite numbers, at",
     ),
     "a path of 42 km": ({"path": {"points": [[0, 0], [0, 42e3]], "end": 2}}, "at most 10000 from 0"),
     "a number of 400 digits": ({"path": {"points": [[0, 0], [0, 10**400]], "end": 2}}, "point="),
@@ -50,12 +50,12 @@ TYPES = {
     "BodyPart.parse({})": "a body part must be a text, not {}",
     "Change(0, 1, [{}])": "change: a body part must be a text, not {}",
     "Change('x', 1)": "change 'x'..1 s",
-    "Change(0, 1e308)": "from 0 to 14,400 s, the end behind the start",
-    "Path([(0, 0), (0, 1)], end='x')": "path at 0.0..'x' s: seconds from 0 to 14,400 needed",
+    "Change(0, 1e308)": "must be from 0 to 14,400 s, the end after the start",
+    "Path([(0, 0), (0, 1)], end='x')": "path at 0.0..'x' s: must be from 0 to 14,400 s",
     "Hold('left_hand', end=[1])": "left_hand at 0.0..[1] s",
     "find_method('os.system', ['os'])": "method='os.system': os defines no such rule Plan → Plan",
     "find_method('os.path', ['os'])": "pass a name, a Method or a rule Plan → Plan",
-    "load('mdm_smpl_cmu').generate('walk # 0 # 1', keep='x.npz', steps=2)": "keep='x.npz': a motion needed",
+    "load('mdm_smpl_cmu').generate('walk # 0 # 1', keep='x.npz', steps=2)": "keep='x.npz': must be a motion",
 }
 
 
@@ -102,4 +102,4 @@ def test_ctrl_c_while_the_library_is_imported_is_one_line(tmp_path):
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from stmc.__main__ import main; sys.exit(main())"
     root = Path(__file__).parents[1]
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (130, "stopped; ask again to go on\n")
+    assert (done.returncode, done.stderr) == (130, "Interrupted. Run the same command again to resume.\n")

@@ -16,7 +16,7 @@ import stmc
 from stmc import GenerateRequest
 from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import names
-from stmc.settings.records import SettingError, about, defaults
+from stmc.settings.records import SettingError, defaults, field_infos
 from stmc.viewing.studio import Documents, Motions, Sessions
 from stmc.viewing.studio.refusals import Refused
 from stmc.viewing.studio.server import Answers
@@ -99,16 +99,16 @@ def test_python_a_command_line_and_json_give_one_record(answers, motion, tmp_pat
 
 
 WRONG = {
-    "clean_feet=1": ({"clean_feet": 1}, "clean_feet=1: true or false needed"),
+    "clean_feet=1": ({"clean_feet": 1}, "clean_feet=1: must be true or false"),
     "guidance=1000": ({"guidance": 1000}, "guidance=1000: must be above -1000 and below 1000"),
     "method=magic": ({"method": "magic"}, "method='magic': choose from"),
     "method=os.system": ({"method": "os.system"}, "method='os.system': 'os' is not among the trusted packages"),
     "seed=-1": ({"seed": -1}, "seed=-1: must be at least 0"),
     "guidence=2": ({"guidence": 2}, "unknown setting 'guidence': did you mean guidance?"),
-    'change=["1 # 2"]': ({"change": "1 # 2"}, "change: of which motion? keep=motion says it"),
+    'change=["1 # 2"]': ({"change": "1 # 2"}, "change: pass the motion to change as keep=motion"),
     'change=["2 # 1"]': ({"change": "2 # 1"}, "change 2.0..1.0 s, border 0.5 s: from 0 to 14,400 s, the end behind"),
     "sampler=heun": ({"sampler": "heun"}, "sampler='heun': choose from ddpm"),
-    "noise_scale=x": ({"noise_scale": "x"}, "noise_scale='x': one of std, variance or null needed"),
+    "noise_scale=x": ({"noise_scale": "x"}, "noise_scale='x': must be one of std, variance or null"),
 }
 
 
@@ -194,7 +194,7 @@ def test_a_timeline_is_read_from_its_text_its_json_or_itself():
     found = [GenerateRequest.read({"timelines": form}).timelines for form in forms]
     assert found[0] == found[1] == found[2]
     for wrong in (None, 5, [5]):
-        with pytest.raises(SettingError, match="a Timeline needed, or its text"):
+        with pytest.raises(SettingError, match="must be a Timeline or its text"):
             GenerateRequest.read({"timelines": wrong})
 
 
@@ -212,8 +212,8 @@ def test_generate_and_the_command_line_offer_the_fields_of_the_request():
     assert {renamed.get(name, name) for name in names()} == set(arguments) - {"self", "progress"}
     record = loaded("sample").main.settings
     fields = {renamed.get(name, name): name for name in names() if name not in ("timelines", "joints_from")}
-    source = about(GenerateRequest) | about(Sampling)
-    assert {own: about(record)[own] for own in fields} == {own: source[name] for own, name in fields.items()}
+    source = field_infos(GenerateRequest) | field_infos(Sampling)
+    assert {own: field_infos(record)[own] for own in fields} == {own: source[name] for own, name in fields.items()}
     for name in ("method", "joints_from", "clean_feet", "change"):
         assert arguments[name].default == defaults(GenerateRequest)[name], name
 

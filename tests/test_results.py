@@ -234,7 +234,7 @@ def test_records_of_earlier_versions_have_todays_settings(tmp_path):
         ('{"method": "stmc", "seed": true, "metrics": {}}', "seed: true is not int"),
         ('{"method": "stmc", "seed": 0, "metrics": {"fid": "low"}}', "metrics.fid: 'low' is not int or float"),
         ('{"method": "stmc", "seed": 0, "metrics": {"fid": NaN}}', "metrics.fid: nan is not a finite number"),
-        ('{"method": "stmc", "seed": 0, "metrics": {}, "steps": 1.5}', "steps=1.5: a whole number or null needed"),
+        ('{"method": "stmc", "seed": 0, "metrics": {}, "steps": 1.5}', "steps=1.5: must be a whole number or null"),
     ],
 )
 def test_a_record_that_cannot_be_meant_is_named_by_its_line(tmp_path, line, complaint):

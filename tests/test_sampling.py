@@ -8,7 +8,7 @@ import pytest
 
 import stmc
 from stmc.composing.sampling import DEFAULT, Sampling, SamplingArguments
-from stmc.settings.records import SettingError, about, record_of
+from stmc.settings.records import SettingError, field_infos, record_of
 
 
 @pytest.mark.parametrize(
@@ -41,8 +41,8 @@ def test_a_setting_that_does_not_fit_is_refused_in_one_sentence_that_names_it(va
 
 
 def test_every_setting_says_what_it_is_and_is_open_unless_said():
-    assert list(about(Sampling)) == [field.name for field in dataclasses.fields(Sampling)]
-    assert all(each.help for each in about(Sampling).values())
+    assert list(field_infos(Sampling)) == [field.name for field in dataclasses.fields(Sampling)]
+    assert all(each.help for each in field_infos(Sampling).values())
     assert not Sampling().given
 
 

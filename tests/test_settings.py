@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from stmc.settings.records import SettingError, about, check, record_of, setting
+from stmc.settings.records import SettingError, check, field_infos, record_of, setting
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,18 @@ def test_what_fits_is_taken_as_it_is():
     ("values", "message"),
     [
         ({"steps": 0}, "steps=0: must be at least 1"),
-        ({"steps": "ten"}, "steps='ten': a whole number or null needed, at least 1"),
-        ({"steps": 1.5}, "steps=1.5: a whole number or null needed"),
-        ({"steps": True}, "steps=true: a whole number or null needed"),
-        ({"heat": math.nan}, "heat=nan: a number needed, above 0 and below 3 kW"),
-        ({"heat": math.inf}, "heat=inf: a number needed"),
+        ({"steps": "ten"}, "steps='ten': must be a whole number or null, at least 1"),
+        ({"steps": 1.5}, "steps=1.5: must be a whole number or null"),
+        ({"steps": True}, "steps=true: must be a whole number or null"),
+        ({"heat": math.nan}, "heat=nan: must be a number, above 0 and below 3 kW"),
+        ({"heat": math.inf}, "heat=inf: must be a number"),
         ({"heat": 3}, "heat=3: must be above 0 and below 3 kW"),
         ({"heat": 10**400}, "heat=an integer of 1329 bits"),
-        ({"heat": None}, "heat=null: a number needed"),
+        ({"heat": None}, "heat=null: must be a number"),
         ({"kind": "cak"}, "kind='cak': choose from bread, cake"),
-        ({"kind": ["bread"]}, 'kind=["bread"]: a text needed'),
+        ({"kind": ["bread"]}, 'kind=["bread"]: must be a text'),
         ({"toppings": ["salt", "sand"]}, "toppings='sand': choose from salt, seeds"),
-        ({"lid": 1}, "lid=1: true or false needed"),
+        ({"lid": 1}, "lid=1: must be true or false"),
         ({"heet": 1}, "unknown setting 'heet': did you mean heat?"),
         ({"kind": "x" * 10_000}, "x…': choose from bread, cake"),
         ({"heat": [[0] * 10_000] * 10_000}, "heat=[[0, 0, 0, 0, 0, 0, 0, 0"),
@@ -55,7 +55,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(values, message):
 
 
 def test_a_record_tells_what_its_settings_are():
-    told = about(Baking)
+    told = field_infos(Baking)
     assert list(told) == ["steps", "heat", "kind", "toppings", "lid"]
     assert (told["heat"].help, told["heat"].fits) == ("of the oven", "above 0 and below 3 kW")
     assert told["kind"].fits == "one of bread, cake"

@@ -44,7 +44,7 @@ def test_what_is_no_share_is_refused(text):
 
 
 def test_a_share_counted_from_0_is_told_how_to_count():
-    with pytest.raises(SettingError, match=r"shard=0/4: shares count from 1, here 1/4 to 4/4 .*--array=1-4"):
+    with pytest.raises(SettingError, match=r"shard=0/4: must be from 1/4 to 4/4 .*--array=1-4"):
         Shard.parse("0/4")
     assert (Shard.parse("3/64"), Shard.parse("all/64")) == (Shard(3, 64), Shard(None, 64))
     assert [str(Shard.parse(text)) for text in ("3/64", "all/64")] == ["3/64", "all/64"]
@@ -167,4 +167,4 @@ def test_many_runs_of_a_command_are_hydra_s_to_launch(asked, tmp_path, monkeypat
     assert len(list((tmp_path / "out").glob("*.npz"))) == 3
     capsys.readouterr()
     assert loaded("sample").main([*asked, f"output={tmp_path / 'out'}", "shard=0/2,1/2", *jobs]) == 2
-    assert "shard=0/2: shares count from 1" in capsys.readouterr().err
+    assert "shard=0/2: must be from 1/2" in capsys.readouterr().err

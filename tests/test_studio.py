@@ -313,7 +313,7 @@ def test_jobs_that_make_no_sense_are_refused_before_they_wait(client, asked, sta
 def test_a_job_that_cannot_be_done_fails_with_a_sentence_and_the_next_one_is_done(client):
     [walked] = made(sampled(client, steps="preview"))
     told = sampled(client, keep=walked["motion"]["id"])
-    assert told[-1][0] == "failed" and "nothing to make anew" in told[-1][1]["error"]
+    assert told[-1][0] == "failed" and "nothing to generate" in told[-1][1]["error"]
     assert sampled(client)[-1][0] == "done"
 
 

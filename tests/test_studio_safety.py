@@ -90,7 +90,7 @@ def test_a_second_studio_on_a_folder_ends_with_a_line_that_says_who_has_it(tmp_p
         done = script("studio", f"folder={tmp_path / 'studio'}", "port=0", "open=false", folder=tmp_path, check=False)
     assert done.returncode == 2
     [line] = done.stdout.strip().splitlines()
-    assert f"is being written by process {os.getpid()}" in line
+    assert f"is in use by process {os.getpid()}" in line
 
 
 @pytest.mark.slow

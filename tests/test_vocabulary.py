@@ -183,12 +183,12 @@ def damaged(path: Path, table: object, embeddings: torch.Tensor) -> None:
 
 CHANGES = {
     "not JSON": lambda table: "{",
-    "needed, not": lambda table: [],
-    "contents: a list": lambda table: table | {"contents": "many"},
-    "the place of a content": lambda table: table | {"known": [["walk", 99]]},
+    "must be an object of": lambda table: [],
+    "contents: must be a list": lambda table: table | {"contents": "many"},
+    "the index of a content": lambda table: table | {"known": [["walk", 99]]},
     "printable": lambda table: table | {"known": [["walk\u0007", 0]]},
-    "body parts needed": lambda table: table | {"contents": [["walk", ["tail"], True]] * 99},
-    "rows of 2": lambda table: table | {"others": [["walk"]]},
+    "must have body parts": lambda table: table | {"contents": [["walk", ["tail"], True]] * 99},
+    "must be rows of 2": lambda table: table | {"others": [["walk"]]},
     "threshold": lambda table: table | {"threshold": "low"},
     "embeddings of": lambda table: table | {"known": table["known"][:1]},
     "duplicated": lambda table: '{"known": 1, "known": 2}',

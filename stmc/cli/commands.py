@@ -27,7 +27,7 @@ from stmc.cli.config_folder import find_configs
 from stmc.cli.config_parts import check_plugins, check_trust, described, record_of_part
 from stmc.cli.exit_codes import guarded
 from stmc.cli.help import explanation
-from stmc.settings.records import SettingError, about, defaults, record_of
+from stmc.settings.records import SettingError, defaults, field_infos, record_of
 
 Config = Any
 """What Hydra composes: an OmegaConf `DictConfig`."""
@@ -110,7 +110,7 @@ class Command:
         """The record of the settings, groups of parts left out. Raises `SettingError` for settings that are missing,
         unknown or do not fit, before anything is loaded."""
         if missing := sorted(_missing(OmegaConf.to_container(config))):
-            told = about(self.settings)
+            told = field_infos(self.settings)
             meant = [f"{name}= ({told[name].help})" if name in told else f"{name}=" for name in missing]
             raise SettingError(f"needed: {', '.join(meant)}")
         values = OmegaConf.to_container(config, resolve=True)

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 
 from stmc.run import Part, construct, signature_of
 from stmc.run.configs import TARGET
-from stmc.settings.records import SettingError, about, shown
+from stmc.settings.records import SettingError, field_infos, shown
 
 _PLUGINS, _LOGS = ("hydra._internal.", "hydra_plugins."), ("logging.", "colorlog.")
 _SOURCES = "stmc.data.sources"
@@ -91,7 +91,7 @@ def record_of_part(config: Any, place: str) -> type | None:
         return None
     module, _, name = target.rpartition(".")
     record = getattr(import_module(module), name)
-    return record if dataclasses.is_dataclass(record) and about(record) else None
+    return record if dataclasses.is_dataclass(record) and field_infos(record) else None
 
 
 def described(config: Any, place: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from stmc.settings.records import About, about, defaults
+from stmc.settings.records import FieldInfo, defaults
 
 WIDTH = 100
 _NAMES = 18
@@ -26,7 +26,7 @@ def explanation(
 ) -> str:
     """The help of a command: how it is called, what it does, its settings, the parts of its configuration, and the
     settings of those that are records."""
-    told, first = about(settings), defaults(settings)
+    told, first = field_infos(settings), defaults(settings)
     plain = [each.upper() if first[each] is dataclasses.MISSING else f"[{each.upper()}]" for each in positional]
     paragraphs = [
         " ".join(["Usage: stmc", name, *plain, "[SETTING=VALUE …]"]),
@@ -52,16 +52,16 @@ def _of_part(part: str, record: type, values: Mapping[str, Any]) -> tuple[str, s
     return (
         f"Settings of {part}, here {record.__name__}, as {place}.SETTING=VALUE, with a plus in front\n"
         f"where --cfg does not show it; --help {part}=NAME shows those of another:",
-        "\n".join(_entry(name, _what(told), shown[name]) for name, told in about(record).items()),
+        "\n".join(_entry(name, _what(told), shown[name]) for name, told in field_infos(record).items()),
     )
 
 
 def _own_first(settings: type) -> list[str]:
     """The names of the settings, those that other commands have, too, behind the others."""
-    return sorted(about(settings), key=lambda name: name not in settings.__annotations__)
+    return sorted(field_infos(settings), key=lambda name: name not in settings.__annotations__)
 
 
-def _what(told: About) -> str:
+def _what(told: FieldInfo) -> str:
     unit = f", in {told.unit}" if told.unit and not told.limits else ""
     return f"{told.help}{unit}{f' ({told.fits})' if told.fits != told.unit else ''}"
 

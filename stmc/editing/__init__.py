@@ -1,7 +1,7 @@
-"""Editing motions: partial regeneration (`changes`), and new motions made from recorded ones: on other paths, at
-another pace, turned on the spot, one behind the other.
+"""Motion editing: partial regeneration (`changes`), and new motions derived from recorded ones, with another path or
+pace, turned on the spot, or one after the other.
 
-Knows timelines, motions and the body; knows no features and no sampling.
+Depends on timelines, motions and the body; independent of features and sampling.
 """
 
 from stmc.editing.changes import BORDER, Change, Kept, changed_prompt, changed_prompts, on_body

@@ -1,6 +1,6 @@
-"""What is made anew of a motion and what is kept: frames × body parts, as weights with soft borders.
+"""The regenerated and the kept parts of a motion: weights over frames × body parts, with soft borders.
 
-Knows timelines, motions and seconds; knows no features and no sampling.
+Depends on timelines, motions and seconds; independent of features and sampling.
 """
 
 from __future__ import annotations
@@ -23,49 +23,49 @@ from stmc.timeline import Prompt, Timeline
 from stmc.timeline.planning import assign
 
 BORDER = 0.5
-"""Seconds, inside a change, in which the old fades into the new: in half of it, hands jump."""
+"""Seconds inside a change over which the old motion fades into the new one; with half of it, hands jump."""
 
 _PRECISION = 1000
-"""Frames a second at which two timelines are compared."""
+"""Frames per second at which two timelines are compared."""
 
 _SAME_BODY = 0.005
-"""Metres by which bones may differ in length before a motion is put on the model's body."""
+"""Metres by which bone lengths may differ before a motion is moved to the model's body."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What is made anew: from `start` to `end` seconds (None: to the end), of the body `parts` (none named: of all).
+    """An interval to regenerate, from `start` to `end` seconds (None: to the end), for some body `parts` (empty: all).
 
-    For the first and the last `border` seconds, where something kept stands before or behind, the old fades into the
-    new. Raises `SettingError` for times that are not in order, and for unknown parts.
+    Next to kept frames, the old motion fades into the new one over the first and the last `border` seconds. Raises
+    `SettingError` for times out of order and for unknown parts.
 
     Examples:
         >>> sorted(stmc.Change(2, 4, ["right arm"]).parts)
         [<BodyPart.RIGHT_ARM: 'right arm'>]
     """
 
-    start: float | int = setting(0.0, "the beginning", unit="s")
-    end: float | int | None = setting(None, "the end; null: the motion's", unit="s")
+    start: float | int = setting(0.0, "start of the interval", unit="s")
+    end: float | int | None = setting(None, "end of the interval; null: the end of the motion", unit="s")
     parts: Collection[str] = frozenset()
-    border: float | int = setting(BORDER, "fade between the old and the new", unit="s")
+    border: float | int = setting(BORDER, "fade between the old motion and the new one", unit="s")
 
     def __post_init__(self) -> None:
         times = [self.start, self.border, *([] if self.end is None else [self.end])]
-        seconds = all(isinstance(each, (int, float)) and 0 <= each <= MOST_SECONDS for each in times)
-        if not seconds or (self.end is not None and self.end <= self.start):
-            place = f"{shown(self.start)}..{shown(self.end)} s, border {shown(self.border)} s"
-            raise SettingError(f"change {place}: from 0 to {MOST_SECONDS:,} s, the end behind the start")
+        valid = all(isinstance(time, (int, float)) and 0 <= time <= MOST_SECONDS for time in times)
+        if not valid or (self.end is not None and self.end <= self.start):
+            interval = f"{shown(self.start)}..{shown(self.end)} s, border {shown(self.border)} s"
+            raise SettingError(f"change {interval}: must be from 0 to {MOST_SECONDS:,} s, the end after the start")
         if not isinstance(self.parts, Collection):
             raise SettingError(f"change: the body parts must be a list of names, not {shown(self.parts)}")
         try:
-            named = (self.parts,) if isinstance(self.parts, str) else self.parts
-            object.__setattr__(self, "parts", frozenset(map(BodyPart.parse, named)) or frozenset(BodyPart))
+            names = (self.parts,) if isinstance(self.parts, str) else self.parts
+            object.__setattr__(self, "parts", frozenset(map(BodyPart.parse, names)) or frozenset(BodyPart))
         except ValueError as error:
             raise SettingError(f"change: {error}") from None
 
     @classmethod
     def parse(cls, text: str) -> Change:
-        """Of `start # end # part # part`, as a prompt without its text.
+        """Parse `start # end # part # part`, a prompt without its text.
 
         Examples:
             >>> stmc.Change.parse("2 # 4 # right arm").end
@@ -75,22 +75,22 @@ class Change:
         try:
             times = [float(word) for word in (start, *rest[:1])]
         except ValueError:
-            raise SettingError(f"change={text!r}: start # end # body parts needed, in seconds") from None
+            raise SettingError(f"change={text!r}: must be start # end # body parts, in seconds") from None
         return cls(*times, parts=rest[1:])
 
 
 def changed_prompt(timeline: Timeline, prompt: Prompt) -> tuple[Change, ...]:
-    """What one prompt of a timeline decides: the times at which it owns body parts (see `assign`).
+    """Return the intervals in which a prompt of a timeline owns body parts (see `assign`).
 
     Examples:
         >>> timeline = stmc.Timeline.parse("walk # 0 # 6 # legs\\nwave # 1 # 3 # right arm")
-        >>> [(each.start, each.end) for each in stmc.changed_prompt(timeline, timeline.prompts[1])]
+        >>> [(change.start, change.end) for change in stmc.changed_prompt(timeline, timeline.prompts[1])]
         [(1.0, 3.0)]
     """
     if prompt not in timeline.prompts:
         raise SettingError(f"{prompt} is not a prompt of the timeline")
     owners = assign(timeline, _PRECISION)
-    return _joined(
+    return _changes(
         (start, end, part)
         for part, runs in owners.items()
         for owner, start, end in runs
@@ -99,16 +99,16 @@ def changed_prompt(timeline: Timeline, prompt: Prompt) -> tuple[Change, ...]:
 
 
 def changed_prompts(before: Timeline, after: Timeline) -> tuple[Change, ...]:
-    """Where two timelines ask a body part for something else: another prompt, or none.
+    """Return the intervals in which two timelines differ: a body part has another prompt, or none.
 
     Examples:
         >>> before = stmc.Timeline.parse("walk # 0 # 6 # legs\\nwave # 1 # 3 # right arm")
         >>> after = stmc.Timeline.parse("walk # 0 # 6 # legs\\nwave # 1 # 4 # right arm")
-        >>> [(each.start, each.end, sorted(each.parts)) for each in stmc.changed_prompts(before, after)]
+        >>> [(change.start, change.end, sorted(change.parts)) for change in stmc.changed_prompts(before, after)]
         [(1.0, 4.0, [<BodyPart.RIGHT_ARM: 'right arm'>])]
     """
-    old, new = ({part: list(_asked(each, part)) for part in BodyPart} for each in (before, after))
-    return _joined(
+    old, new = ({part: list(_prompt_runs(timeline, part)) for part in BodyPart} for timeline in (before, after))
+    return _changes(
         (start, end, part)
         for part in BodyPart
         for (prompt, start, end) in new[part]
@@ -116,13 +116,13 @@ def changed_prompts(before: Timeline, after: Timeline) -> tuple[Change, ...]:
     )
 
 
-def _asked(timeline: Timeline, part: BodyPart) -> list[tuple[Prompt | None, int, int]]:
+def _prompt_runs(timeline: Timeline, part: BodyPart) -> list[tuple[Prompt | None, int, int]]:
     runs = assign(timeline, _PRECISION)[part]
     return [(None if owner is None else timeline.prompts[owner], start, end) for owner, start, end in runs]
 
 
-def _joined(spans) -> tuple[Change, ...]:
-    """One change for each span of time, of all the parts that have it."""
+def _changes(spans) -> tuple[Change, ...]:
+    """Make one change of all body parts with the same start and end."""
     parts: dict[tuple[int, int], list[BodyPart]] = {}
     for start, end, part in spans:
         parts.setdefault((start, end), []).append(part)
@@ -131,16 +131,24 @@ def _joined(spans) -> tuple[Change, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """A motion, and how much of it is kept at each frame of a result and each `BodyPart`, in their order: 1 is the
-    motion's own to the last digit, 0 is made anew."""
+    """A motion and the weight with which a result keeps it, at each frame and `BodyPart`, in their order.
+
+    A weight of 1 keeps the motion exactly; 0 regenerates it.
+    """
 
     motion: Motion
     weights: Float[Tensor, "frames 5"]
 
     @classmethod
     def but(cls, changes: Sequence[Change], motion: Motion, frames: int) -> Kept:
-        """All of `motion` but the `changes`, and what a result of so many `frames` has behind its end."""
-        known = min(frames, motion.frames)
+        """Keep all of a motion except some intervals, and except the frames after its end.
+
+        Args:
+            changes: Intervals to regenerate.
+            motion: Motion to keep.
+            frames: Number of frames of the result.
+        """
+        kept = min(frames, motion.frames)
         new = torch.zeros(frames, len(BodyPart), dtype=torch.bool)
         border = torch.zeros(frames, len(BodyPart))
         for change in changes:
@@ -149,12 +157,12 @@ class Kept:
                 if part in change.parts:
                     new[span, column] = True
                     border[span, column] = change.border * motion.fps
-        new[known:], border[known:] = True, BORDER * motion.fps
-        return cls(motion, torch.stack([_faded(*columns) for columns in zip(new.T, border.T, strict=True)], dim=1))
+        new[kept:], border[kept:] = True, BORDER * motion.fps
+        return cls(motion, torch.stack([_fade(*columns) for columns in zip(new.T, border.T, strict=True)], dim=1))
 
 
-def _faded(new: Bool[Tensor, " frames"], border: Float[Tensor, " frames"]) -> Float[Tensor, " frames"]:
-    """1 where nothing is new, and within new runs as far as their `border` reaches, a quarter of each at most."""
+def _fade(new: Bool[Tensor, " frames"], border: Float[Tensor, " frames"]) -> Float[Tensor, " frames"]:
+    """Compute weights: 1 in kept frames, falling to 0 within the `border` of new runs, a quarter of a run at most."""
     weights = (~new).float()
     edges = torch.nn.functional.pad(new.int(), (1, 1)).diff()
     starts, ends = ((edges == sign).nonzero()[:, 0].tolist() for sign in (1, -1))
@@ -163,34 +171,43 @@ def _faded(new: Bool[Tensor, " frames"], border: Float[Tensor, " frames"]) -> Fl
         near = torch.full_like(frame, math.inf)
         near = near.minimum(frame + 1) if start > 0 else near
         near = near.minimum(frame.flip(0) + 1) if end < len(new) else near
-        reach = border[start:end].clamp(max=(end - start) / 4)
-        weights[start:end] = (1 - near / (reach + 1)).clamp(min=0)
+        length = border[start:end].clamp(max=(end - start) / 4)
+        weights[start:end] = (1 - near / (length + 1)).clamp(min=0)
     return weights
 
 
 def on_body(motion: Motion, skeleton: Skeleton, fps: float | int) -> Motion:
-    """The motion at a frame rate and on a body: as it is where bones are as long as `skeleton`'s; else with the same
-    rotations, and the pelvis' path scaled about the floor by how long the legs are.
+    """Resample a motion and move it to a body.
 
-    Raises `SettingError` for a body that is no person's: legs of less than half, or more than twice, the length.
+    If the bone lengths are those of `skeleton`, the motion stays as it is. Otherwise its rotations stay, and the path
+    of the pelvis is scaled about the floor by the ratio of the leg lengths.
+
+    Args:
+        motion: Motion on any body.
+        skeleton: Body of the result.
+        fps: Frame rate of the result.
+
+    Raises:
+        SettingError: If the legs are shorter than half the length of those of `skeleton`, or longer than twice.
     """
     motion = motion.to("cpu", torch.float64)
-    own = Skeleton.measured(motion.rotations, motion.joints, skeleton.offsets[0])
+    source = Skeleton.measured(motion.rotations, motion.joints, skeleton.offsets[0])
     moved = motion.resampled(fps)
-    lengths, wanted = (each.offsets[1:NUM_ROTATIONS].double().norm(dim=-1) for each in (own, skeleton))
-    if float((lengths - wanted).abs().max()) <= _SAME_BODY:
-        return moved if moved is motion else Motion.posed(moved.rotations, moved.translation, fps, own)
-    scale = _leg(skeleton) / max(_leg(own), 1e-6)
+    lengths, target = (body.offsets[1:NUM_ROTATIONS].double().norm(dim=-1) for body in (source, skeleton))
+    if float((lengths - target).abs().max()) <= _SAME_BODY:
+        return moved if moved is motion else Motion.posed(moved.rotations, moved.translation, fps, source)
+    scale = _leg_length(skeleton) / max(_leg_length(source), 1e-6)
     if not 0.5 < scale < 2:
-        raise SettingError(f"keep: a body with legs of {_leg(own):.2f} m; the model's are {_leg(skeleton):.2f} m")
+        lengths = f"its legs are {_leg_length(source):.2f} m long, the model's {_leg_length(skeleton):.2f} m"
+        raise SettingError(f"keep: {lengths}; the ratio must be between 0.5 and 2")
     posed = Motion.posed(moved.rotations, moved.translation * scale, fps, skeleton)
     down = posed.joints[..., 2].min() - moved.joints[..., 2].min()
     lower = posed.translation - posed.translation.new_tensor([0.0, 0.0, 1.0]) * down
     return Motion.posed(posed.rotations, lower, fps, skeleton)
 
 
-def _leg(skeleton: Skeleton) -> float:
-    """Metres of thigh and shin."""
+def _leg_length(skeleton: Skeleton) -> float:
+    """Sum the lengths of thigh and shin, in metres."""
     bones = [JOINTS.index(f"left_{joint}") for joint in ("knee", "ankle")]
     assert [PARENTS[bone] for bone in bones] == [JOINTS.index("left_hip"), bones[0]]
     return float(skeleton.offsets[bones].double().norm(dim=-1).sum())

@@ -1,7 +1,7 @@
-"""What a run is asked for beside its texts: a motion that is kept in part, constraints, and how results meet them.
+"""Conditioning other than text: partially fixed motion (inpainting) and constraints.
 
-Turns both into what a `composing.Run` takes, and sampled features into motions in which kept parts are the given
-motion's own and constraints hold. Knows features and motions; knows no networks, and not how timelines are sampled.
+Converts both to arguments of a `composing.Run`, and sampled features to motions in which kept parts are exact and
+constraints hold. Depends on features and motions; independent of networks and of the sampling method.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from stmc.motion.representation import JointsFrom, Representation, SmplRepresent
 from stmc.settings.records import SettingError
 from stmc.timeline import Prompt
 
-_OF_STEPS = ("root_velocity", "yaw_velocity")
-"""Fields that say how a frame leads to the next: unknown where a motion ends."""
-
+_STEP_FEATURES = ("root_velocity", "yaw_velocity")
+"""Features of the step from a frame to the next: not observed in a motion's last frame."""
 
 _BORDER = 0.9
-"""The weight of a feature that stands where a motion is kept, but is not known."""
+"""Weight of a feature at a kept frame whose value is not observed."""
 
-_AGAIN = 4
-"""Times that finished features are brought nearer to the constraints with the whole body, before limbs are bent."""
+_REFINEMENT_PASSES = 4
+"""Whole-body refinement passes after sampling, before limb IK."""
 
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """For timelines of so many `frames` each: what is `kept` for each of them, or for none, and `constraints` on all.
+    """The conditions of a batch of timelines with these numbers of `frames`.
 
-    Raises `SettingError` for constraints on features without forward kinematics.
+    `kept` holds one entry per timeline, or none; `constraints` apply to all timelines. Raises `SettingError` for
+    constraints on features without forward kinematics.
     """
 
     representation: Representation
@@ -58,64 +58,68 @@ class Conditions:
     def __post_init__(self) -> None:
         if self.constraints and not isinstance(self.representation, SmplRepresentation):
             name = type(self.representation).__name__
-            raise SettingError(
-                f"constraints: {name} has no forward kinematics; a model of SmplRepresentation is needed"
-            )
+            raise SettingError(f"constraints: {name} has no forward kinematics; use a model with SmplRepresentation")
 
-    def known(self, canvas: int, device: torch.device) -> Known | None:
-        """What is kept, as normalised features of `canvas` frames each; None where nothing is."""
+    def observed(self, canvas: int, device: torch.device) -> Known | None:
+        """Return the kept motions as normalised features, padded to `canvas` frames; None if nothing is kept."""
         if not self.kept:
             return None
-        content = torch.zeros(len(self.frames), canvas, self.representation.width)
-        weights = torch.zeros_like(content)
-        for i, (raw, share) in enumerate(zip(self._raw, self._shares, strict=True)):
-            content[i, : len(raw)] = self.statistics.normalise(raw).float()
-            content[i, len(raw) :] = torch.nan
-            if len(raw) < len(share):
-                content[i, len(raw) - 1] = content[i, len(raw) - 1].where(share[len(raw) - 1] == 1, torch.nan)
-            weights[i, : len(share)] = share
-        return Known(content.to(device), weights.to(device))
+        x0 = torch.zeros(len(self.frames), canvas, self.representation.width)
+        weights = torch.zeros_like(x0)
+        for i, (raw, weight) in enumerate(zip(self._raw, self._weights, strict=True)):
+            x0[i, : len(raw)] = self.statistics.normalise(raw).float()
+            x0[i, len(raw) :] = torch.nan
+            if len(raw) < len(weight):
+                x0[i, len(raw) - 1] = x0[i, len(raw) - 1].where(weight[len(raw) - 1] == 1, torch.nan)
+            weights[i, : len(weight)] = weight
+        return Known(x0.to(device), weights.to(device))
 
-    def meet(self) -> Callable[[Tensor], Tensor] | None:
-        """What brings clean features [batch, frames, features] nearer to the constraints; None where there are none."""
+    def constraint_guidance(self) -> Callable[[Tensor], Tensor] | None:
+        """Return a function that moves clean features [batch, frames, features] towards the constraints, or None."""
         if not self.constraints:
             return None
+        parts = (self.constraints, self.representation, self.statistics, self.skeleton, self.fps)
         guides = [
-            Guidance(self.constraints, self.representation, self.statistics, self.skeleton, self.fps, place, 1 - share)
-            for place, share in zip(self._places, self._shares, strict=True)
+            Guidance(*parts, place, 1 - weight) for place, weight in zip(self._starts, self._weights, strict=True)
         ]
 
-        def met(x0: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch frames features"]:
+        def apply_constraints(x0: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch frames features"]:
             x0 = x0.clone()
             for row, guide, frames in zip(x0, guides, self.frames, strict=True):
                 row[:frames] = guide(row[:frames])
             return x0
 
-        return met
+        return apply_constraints
 
-    def sampled(self, sample: Callable[[Run], Tensor], run: Run, joints_from: JointsFrom = "skeleton") -> list[Motion]:
-        """The motions that a method makes of a run under these conditions: kept parts exact, constraints met.
+    def sample(self, sample: Callable[[Run], Tensor], run: Run, joints_from: JointsFrom = "skeleton") -> list[Motion]:
+        """Sample motions under these conditions: kept parts are exact, and constraints hold.
 
-        Raises `SettingError` for constraints on a method that composes finished crops, and on joints "from features".
+        Args:
+            sample: Sampling function of a method.
+            run: The run, without conditions.
+            joints_from: Source of the joints; must be "skeleton" if there are constraints.
+
+        Raises:
+            SettingError: For constraints with a method that composes finished crops, or with joints from "features".
         """
         if self.constraints and joints_from != "skeleton":
-            raise SettingError(f"constraints: joints are posed, so joints_from={joints_from!r} does not fit")
+            raise SettingError(f"constraints pose the joints, so joints_from={joints_from!r} must be 'skeleton'")
         canvas = max(self.frames) + (run.fixed_length or 0)
-        meet = self.meet()
-        features = sample(replace(run, known=self.known(canvas, run.device), meet=meet))
-        for _ in range(_AGAIN if meet else 0):
-            features = meet(features)
+        guidance = self.constraint_guidance()
+        features = sample(replace(run, known=self.observed(canvas, run.device), meet=guidance))
+        for _ in range(_REFINEMENT_PASSES if guidance else 0):
+            features = guidance(features)
         restored = self.statistics.restore(features.cpu().double())
         skeleton = Skeleton(self.skeleton.offsets.double()) if joints_from == "skeleton" else None
         return [self._motion(i, restored[i, :frames], skeleton) for i, frames in enumerate(self.frames)]
 
     def _motion(self, i: int, features: Float[Tensor, "frames features"], skeleton: Skeleton | None) -> Motion:
-        share = self._shares[i]
+        weight = self._weights[i]
         if self.kept:
             raw = self._raw[i]
             features = features.clone()
-            features[: len(raw)] = torch.where(share[: len(raw)] == 1, raw, features[: len(raw)])
-        x, y, z, angle = self._places[i]
+            features[: len(raw)] = torch.where(weight[: len(raw)] == 1, raw, features[: len(raw)])
+        x, y, z, angle = self._starts[i]
         motion = self.representation.decode(features, self.fps, skeleton, angle)
         by = motion.translation.new_tensor([x, y, z])
         by[:2] -= motion.translation[0, :2]
@@ -129,57 +133,64 @@ class Conditions:
 
     @cached_property
     def _raw(self) -> list[Float[Tensor, "frames features"]]:
-        """Of each kept motion, no longer than its timeline."""
+        """Raw features of each kept motion, cut to the length of its timeline."""
         encoded = (self.representation.encode(kept.motion) for kept in self.kept)
         return [raw[:frames] for raw, frames in zip(encoded, self.frames, strict=True)]
 
     @cached_property
-    def _shares(self) -> list[Float[Tensor, "frames features"]]:
-        """How much of each feature is kept."""
+    def _weights(self) -> list[Float[Tensor, "frames features"]]:
+        """Weights with which the features of each motion are kept."""
         if not self.kept:
             return [torch.zeros(frames, self.representation.width) for frames in self.frames]
-        return [self._share(kept, raw) for kept, raw in zip(self.kept, self._raw, strict=True)]
+        return [self._feature_weights(kept, raw) for kept, raw in zip(self.kept, self._raw, strict=True)]
 
-    def _share(self, kept: Kept, raw: Tensor) -> Float[Tensor, "frames features"]:
-        share = torch.zeros(len(kept.weights), self.representation.width)
+    def _feature_weights(self, kept: Kept, raw: Tensor) -> Float[Tensor, "frames features"]:
+        weights = torch.zeros(len(kept.weights), self.representation.width)
         for column, part in enumerate(BodyPart):
-            share[:, list(self.representation.columns[part])] = kept.weights[:, column, None]
-        share[len(raw) :] = share[len(raw) :].clamp(max=_BORDER)  # formats that need a next frame have no last one
-        if len(raw) < len(share):
-            for name in set(_OF_STEPS) & set(self.representation.layout.slices):
-                share[len(raw) - 1, self.representation.layout[name]] = _BORDER
-        return share
+            weights[:, list(self.representation.columns[part])] = kept.weights[:, column, None]
+        weights[len(raw) :] = weights[len(raw) :].clamp(max=_BORDER)  # formats that need a next frame lack the last one
+        if len(raw) < len(weights):
+            for name in set(_STEP_FEATURES) & set(self.representation.layout.slices):
+                weights[len(raw) - 1, self.representation.layout[name]] = _BORDER
+        return weights
 
     @cached_property
-    def _places(self) -> list[Place]:
-        """Where each motion begins; the first constraint of a kind decides, and headings after paths."""
+    def _starts(self) -> list[Place]:
+        """The place where each motion begins. The first constraint of a kind wins, and headings override paths."""
         if self.kept:
-            return [self._place(kept.motion) for kept in self.kept]
+            return [self._start(kept.motion) for kept in self.kept]
         place = (0.0, 0.0, 0.0, 0.0)
-        for constraint in sorted(reversed(self.constraints), key=lambda each: each.order):
+        for constraint in sorted(reversed(self.constraints), key=lambda constraint: constraint.order):
             place = constraint.begin_place(place)
         return [place] * len(self.frames)
 
-    def _place(self, motion: Motion) -> Place:
+    def _start(self, motion: Motion) -> Place:
         angle = float(motion.heading[0])
-        again = self.representation.decode(self.representation.encode(motion), self.fps, None, angle)
-        x, y, z = (motion.translation[0] - again.translation[0]).tolist()
+        decoded = self.representation.decode(self.representation.encode(motion), self.fps, None, angle)
+        x, y, z = (motion.translation[0] - decoded.translation[0]).tolist()
         x, y = motion.translation[0, :2].tolist()
         return x, y, z, angle
 
 
-def cleaned(motions: Sequence[Motion], kept: Sequence[Kept], constraints: Sequence[Constraint]) -> list[Motion]:
-    """The motions with feet that stand (see `clean_feet`), but for where legs are `kept` and where `constraints` say
-    how they are: there they stay, and what stands there goes on standing. Other limbs are projected again."""
-    free = [1 - each.weights.double() for each in kept]
+def clean_motions(motions: Sequence[Motion], kept: Sequence[Kept], constraints: Sequence[Constraint]) -> list[Motion]:
+    """Clean the feet of motions (see `clean_feet`), then project constraints of other limbs again.
+
+    Legs stay unchanged where they are kept and where constraints determine them; feet that stand there keep standing.
+
+    Args:
+        motions: Sampled motions.
+        kept: Kept parts of each motion, or none.
+        constraints: Constraints on all motions.
+    """
+    free = [1 - item.weights.double() for item in kept]
     free = free or [torch.ones(motion.frames, len(BodyPart)).double() for motion in motions]
-    return [_cleaned(motion, each, constraints) for motion, each in zip(motions, free, strict=True)]
+    return [_clean(motion, weights, constraints) for motion, weights in zip(motions, free, strict=True)]
 
 
-def _cleaned(motion: Motion, free: Float[Tensor, "frames 5"], constraints: Sequence[Constraint]) -> Motion:
+def _clean(motion: Motion, free: Float[Tensor, "frames 5"], constraints: Sequence[Constraint]) -> Motion:
     pose, limbs = Pose.of(motion), []
     legs = free[:, list(BodyPart).index(BodyPart.LEGS)] > 0
-    for constraint in [each.anchored_at(pose) for each in constraints]:
+    for constraint in [constraint.anchored_at(pose) for constraint in constraints]:
         frames = constraint.leg_frames(pose)
         if frames is not None:
             legs[frames] = False
@@ -193,17 +204,24 @@ def _cleaned(motion: Motion, free: Float[Tensor, "frames 5"], constraints: Seque
     return project(exact, limbs, skeleton, free).to(dtype=clean.joints.dtype)
 
 
-def kept_of(request: GenerateRequest, frames: Sequence[int], skeleton: Skeleton, fps: float | int) -> list[Kept]:
-    """What a request keeps for each timeline, whose result has so many `frames`: all but the changes of its motion;
-    nothing where it keeps none.
+def prepare_kept(request: GenerateRequest, frames: Sequence[int], skeleton: Skeleton, fps: float | int) -> list[Kept]:
+    """Return the kept parts of a request's motions, one per timeline; an empty list if the request keeps no motion.
 
-    Raises `SettingError` where nothing is left to make.
+    Args:
+        request: The request.
+        frames: Number of frames of each result.
+        skeleton: Body of the results.
+        fps: Frame rate of the results.
+
+    Raises:
+        SettingError: If every frame of a motion is kept, so that there is nothing to generate.
     """
     bodies = {id(motion): on_body(motion, skeleton, fps) for motion in request.keep}
     kept = []
     for motion, timeline, count in zip(request.keep, request.timelines, frames, strict=bool(request.keep)):
-        own = [changed_prompt(timeline, each) if isinstance(each, Prompt) else (each,) for each in request.change]
-        kept.append(Kept.but(list(chain.from_iterable(own)), bodies[id(motion)], count))
+        changes = [changed_prompt(timeline, item) if isinstance(item, Prompt) else (item,) for item in request.change]
+        kept.append(Kept.but(list(chain.from_iterable(changes)), bodies[id(motion)], count))
         if bool((kept[-1].weights == 1).all()):
-            raise SettingError("keep: nothing to make anew; say what to change, or go on behind the motion's end")
+            advice = "pass `change`, or make the timeline longer than the motion"
+            raise SettingError(f"keep: every frame is kept, so there is nothing to generate; {advice}")
     return kept

@@ -1,6 +1,6 @@
-"""Legs that reach given feet, and turns of the head: the pose changes that all editing of whole motions shares.
+"""Inverse kinematics of the legs and turns of joints, shared by all edits of whole motions.
 
-Knows rotations and the lengths of bones; knows no paths and no time but smoothness.
+Depends on rotations and bone lengths; independent of paths, and of time except for smoothing.
 """
 
 from __future__ import annotations
@@ -18,26 +18,32 @@ from stmc.motion.motion import Motion
 SIDES = ("left", "right")
 
 _SINK = 0.25
-"""Seconds over which the pelvis sinks where a leg would be too short."""
+"""Seconds over which the pelvis sinks if a leg is too short."""
 
 
 def joint(side: str, name: str) -> int:
-    """Index of a joint of one side."""
+    """Return the index of a joint of one side."""
     return JOINTS.index(f"{side}_{name}")
 
 
 def of_legs(values: Float[Tensor, "frames joints *width"], name: str) -> Float[Tensor, "frames 2 *width"]:
-    """The values of a joint of the legs, left and right."""
+    """Select the values of a joint of the legs, left and right."""
     return torch.stack([values[:, joint(side, name)] for side in SIDES], dim=1)
 
 
 def reach_with_legs(
     motion: Motion, ankles: Float[Tensor, "frames 2 3"], feet: Float[Tensor, "frames 2 3 3"], skeleton: Skeleton
 ) -> Motion:
-    """The motion with its left and right ankle at the given places (metres) and its feet turned as given (rotations to
-    the world). Two-bone inverse kinematics in closed form; knees bend in the planes of the pose.
+    """Move the ankles of a motion and turn its feet, by closed-form two-bone inverse kinematics.
 
-    Where a leg is too short, the pelvis sinks by up to 10 cm; what is still out of reach is approached.
+    Knees bend in the planes of the pose. If a leg is too short, the pelvis sinks by up to 10 cm; a foot that is still
+    out of reach gets as near as possible.
+
+    Args:
+        motion: Motion to edit.
+        ankles: Positions of the left and the right ankle, in metres.
+        feet: World rotations of the left and the right foot.
+        skeleton: Body of the motion.
     """
     world, joints = global_rotations(motion.rotations, PARENTS), motion.joints
     hips, knees, before = (of_legs(joints, name) for name in LEG)
@@ -45,15 +51,21 @@ def reach_with_legs(
     down[:, 2] = -sinking(hips, knees, before, ankles, round(_SINK * motion.fps))
     rotations = motion.rotations.clone()
     for number, side in enumerate(SIDES):
-        reach = ankles[:, number] - joints[:, joint(side, "hip")] - down
-        rotations[:, [joint(side, name) for name in LEG]] = bend_leg(side, world, joints, reach, feet[:, number])
+        offset = ankles[:, number] - joints[:, joint(side, "hip")] - down
+        rotations[:, [joint(side, name) for name in LEG]] = bend_leg(side, world, joints, offset, feet[:, number])
     return Motion.posed(rotations, motion.translation + down, motion.fps, skeleton)
 
 
 def turn_joint(
     rotations: Float[Tensor, "frames 22 3 3"], name: str, angle: Float[Tensor, " frames"]
 ) -> Float[Tensor, "frames 22 3 3"]:
-    """Local rotations with a joint, and all that it carries, turned by `angle` (radians) about the world's up axis."""
+    """Turn a joint and its descendants about the world's up axis.
+
+    Args:
+        rotations: Local rotations.
+        name: Name of the joint.
+        angle: Angle of each frame, in radians.
+    """
     index = JOINTS.index(name)
     above = global_rotations(rotations, PARENTS)[:, PARENTS[index]]
     rotations = rotations.clone()
@@ -62,18 +74,18 @@ def turn_joint(
 
 
 def smooth(values: Float[Tensor, " frames *width"], sigma: float) -> Float[Tensor, " frames *width"]:
-    """A Gaussian mean over time; `sigma` in frames."""
-    from scipy.ndimage import gaussian_filter1d  # not above: it is slow to import
+    """Smooth values over time with a Gaussian; `sigma` in frames."""
+    from scipy.ndimage import gaussian_filter1d  # imported late: it is slow to import
 
     return torch.from_numpy(gaussian_filter1d(values.numpy(), sigma, axis=0, mode="nearest"))
 
 
 def exact(motion: Motion) -> tuple[Motion, Skeleton]:
-    """The motion in double precision on the CPU, and its body."""
+    """Return a motion in double precision on the CPU, and its body."""
     motion = motion.to("cpu", torch.float64)
     return motion, Skeleton.measured(motion.rotations, motion.joints)
 
 
 def like(motion: Motion, old: Motion) -> Motion:
-    """The motion with the dtype and on the device of `old`."""
+    """Return a motion with the dtype and on the device of `old`."""
     return motion.to(old.joints.device, old.joints.dtype)

@@ -1,6 +1,6 @@
-"""Trunk, head, pelvis and feet that are led by keys, on top of what the motion does by itself.
+"""Key-driven movement of trunk, head, pelvis and feet, added to the recorded motion.
 
-Knows the spine and the legs; knows no arms (see `reaching`) and no text.
+Depends on the spine and the legs; independent of arms (see `reaching`) and text.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.editing.keys import Timing, blended, check_order, frame_times, replace_frames
+from stmc.editing.keys import Timing, blend_keys, check_order, frame_times, replace_frames
 from stmc.editing.leg_posing import SIDES, joint, of_legs
 from stmc.editing.reaching import Triple, body_frame
 from stmc.motion.body import JOINTS, PARENTS
@@ -23,15 +23,15 @@ from stmc.motion.motion import Motion
 
 _NECK, _SPINE = ("neck", "head"), ("spine1", "spine2", "spine3")
 _LOWER = (0, 1, 2, 4, 5, 7, 8, 10, 11)
-"""The pelvis and the legs."""
+"""Joints of the pelvis and the legs."""
 
 
 @dataclass(frozen=True)
 class TurnKey:
-    """How far head or trunk are turned at `time` (seconds), beyond what the motion does; it takes `takes` seconds.
+    """A turn of the head or the trunk, added to the motion: it arrives at `time` (seconds) after `takes` seconds.
 
-    Radians about the axes of the part below: `yaw` to the left, `pitch` forward and down, `roll` leaning to the left.
-    Zeros lead back to the motion. `skew` as in `Timing`.
+    Angles are in radians about the axes of the part below: `yaw` to the left, `pitch` forward and down, `roll` leaning
+    to the left. Zeros lead back to the motion. `skew` as in `Timing`.
 
     Examples:
         >>> look = [stmc.TurnKey(1.0, 0.5, yaw=0.9), stmc.TurnKey(2.5, 0.6)]
@@ -47,9 +47,9 @@ class TurnKey:
 
 @dataclass(frozen=True)
 class PelvisKey:
-    """How far the pelvis is moved at `time` (seconds), beyond what the motion does; it takes `takes` seconds.
+    """A shift of the pelvis, added to the motion: it arrives at `time` (seconds) after `takes` seconds.
 
-    `offset`: metres (left, up, forward) in the pelvis' own heading; turns in radians, as those of `TurnKey`.
+    `offset` is in metres (left, up, forward) in the pelvis' heading; angles are in radians, as in `TurnKey`.
 
     Examples:
         >>> duck = [stmc.PelvisKey(1.0, 0.3, offset=(0, -0.2, 0)), stmc.PelvisKey(1.8, 0.6)]
@@ -66,8 +66,10 @@ class PelvisKey:
 
 @dataclass(frozen=True)
 class FootKey:
-    """Where a foot is set at `time` (seconds): `offset` (left, up, forward; metres, in the pelvis' heading) from where
-    the motion has it; the way there takes `takes` seconds and is lifted by `lift` metres in its middle.
+    """A step of a foot, added to the motion: it arrives at `time` (seconds) after `takes` seconds.
+
+    `offset` is in metres (left, up, forward) in the pelvis' heading, from the foot's position in the motion; half way
+    there, the foot is lifted by `lift` metres.
 
     Examples:
         >>> ahead = stmc.FootKey(1.0, 0.5, offset=(0, 0, 0.25))
@@ -81,7 +83,7 @@ class FootKey:
 
 
 def turn_head(motion: Motion, keys: Sequence[TurnKey]) -> Motion:
-    """The motion with a head that turns, nods or tilts: half in the neck, half above it. All else stays as it is.
+    """Turn, nod or tilt the head, half in the neck and half above it. Everything else stays as it is.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 2", steps=1)
@@ -90,14 +92,18 @@ def turn_head(motion: Motion, keys: Sequence[TurnKey]) -> Motion:
         Motion(40 frames at 20 fps, 2.00 s)
     """
     turns = _turns(motion, keys)
-    return _turned(motion, turns, dict.fromkeys(_NECK, 0.5), [JOINTS.index(name) for name in _NECK])
+    return _turn_joints(motion, turns, dict.fromkeys(_NECK, 0.5), [JOINTS.index(name) for name in _NECK])
 
 
 def turn_trunk(motion: Motion, keys: Sequence[TurnKey], gaze: float | int = 0.0) -> Motion:
-    """The motion with a trunk that twists, bends or leans, a third in each part of the spine. Pelvis and legs stay; the
-    head and the arms go with the trunk.
+    """Twist, bend or lean the trunk, a third in each joint of the spine.
 
-    `gaze`: the fraction of the turn that the neck takes back, so that a head with 1 keeps looking where it looked.
+    Pelvis and legs stay; the head and the arms move with the trunk.
+
+    Args:
+        motion: Motion to edit.
+        keys: Turns of the trunk, in the order of their times.
+        gaze: Fraction of the turn that the neck takes back; with 1, the head keeps its direction.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 2", steps=1)
@@ -105,22 +111,22 @@ def turn_trunk(motion: Motion, keys: Sequence[TurnKey], gaze: float | int = 0.0)
         Motion(40 frames at 20 fps, 2.00 s)
     """
     turns = _turns(motion, keys)
-    shares = dict.fromkeys(_SPINE, 1 / 3) | {"neck": -float(gaze)}
-    return _turned(motion, turns, shares, [joint for joint in range(len(JOINTS)) if joint not in _LOWER])
+    fractions = dict.fromkeys(_SPINE, 1 / 3) | {"neck": -float(gaze)}
+    return _turn_joints(motion, turns, fractions, [joint for joint in range(len(JOINTS)) if joint not in _LOWER])
 
 
 def shift_pelvis(motion: Motion, keys: Sequence[PelvisKey]) -> Motion:
-    """The motion with a pelvis that moves and turns while the feet stay where they are: weight shifts, hips that turn,
-    a body that ducks. The legs bend in closed form; the trunk goes with the pelvis.
+    """Move and turn the pelvis while the feet stay in place: shift the weight, turn the hips or duck.
 
-    A foot that the legs do not reach any more is led as near as possible.
+    The legs bend in closed form, and the trunk moves with the pelvis. A foot that gets out of reach stays as near as
+    possible.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 2", steps=1)
         >>> stmc.shift_pelvis(motion, [stmc.PelvisKey(1.0, 0.8, offset=(0, -0.2, 0))])
         Motion(40 frames at 20 fps, 2.00 s)
     """
-    values = blended(
+    values = blend_keys(
         frame_times(motion), _timings(keys), [(*key.offset, key.pitch, key.yaw, -key.roll) for key in keys], 6
     )
     exact = motion.to("cpu", torch.float64)
@@ -128,12 +134,17 @@ def shift_pelvis(motion: Motion, keys: Sequence[PelvisKey]) -> Motion:
     root = axes @ axis_angle_to_matrix(values[:, 3:]) @ axes.mT @ exact.rotations[:, 0]
     pelvis = exact.translation + (axes @ values[:, :3, None])[..., 0]
     ankles = of_legs(exact.joints, "ankle")
-    edited = _standing(exact, root, pelvis, ankles)
+    edited = _pose_legs(exact, root, pelvis, ankles)
     return replace_frames(motion, edited, range(len(JOINTS)), values.any(dim=1), path=True)
 
 
 def step(motion: Motion, side: str, keys: Sequence[FootKey]) -> Motion:
-    """The motion with one foot set elsewhere, lifted on the way; the leg follows in closed form, the rest stays.
+    """Move one foot, lifted on the way; the leg follows in closed form, and the rest stays.
+
+    Args:
+        motion: Motion to edit.
+        side: "left" or "right".
+        keys: Steps of the foot, in the order of their times.
 
     Examples:
         >>> [motion] = stmc.load().generate("stand # 0 # 2", steps=1)
@@ -141,7 +152,7 @@ def step(motion: Motion, side: str, keys: Sequence[FootKey]) -> Motion:
         Motion(40 frames at 20 fps, 2.00 s)
     """
     seconds = frame_times(motion)
-    offsets = blended(seconds, _timings(keys), [key.offset for key in keys], 3)
+    offsets = blend_keys(seconds, _timings(keys), [key.offset for key in keys], 3)
     for key, timing in zip(keys, _timings(keys), strict=True):
         fraction = timing.progress(seconds)
         offsets[:, 1] += key.lift * 16 * (fraction * (1 - fraction)) ** 2
@@ -149,7 +160,7 @@ def step(motion: Motion, side: str, keys: Sequence[FootKey]) -> Motion:
     axes = body_frame(exact, "ground", "left")[1]
     ankles = of_legs(exact.joints, "ankle")
     ankles[:, SIDES.index(side)] += (axes @ offsets[..., None])[..., 0]
-    edited = _standing(exact, exact.rotations[:, 0], exact.translation, ankles)
+    edited = _pose_legs(exact, exact.rotations[:, 0], exact.translation, ankles)
     joints = [joint(side, name) for name in (*LEG, "foot")]
     return replace_frames(motion, edited, joints, offsets.any(dim=1))
 
@@ -157,10 +168,16 @@ def step(motion: Motion, side: str, keys: Sequence[FootKey]) -> Motion:
 def bend_down(
     motion: Motion, time: float | int, takes: float | int, stay: float | int = 0.3, depth: float | int = 0.3
 ) -> Motion:
-    """The motion with a body that has bent down at `time` (seconds), within `takes` seconds, stays there for `stay`
-    seconds and comes up as fast: the pelvis `depth` metres lower and behind, the trunk forward, the feet in place.
+    """Bend the body down and up again: the pelvis moves down and back, the trunk bends forward, and the feet stay.
 
-    Reach afterwards (`reach`), so that goals of the hand follow the trunk.
+    Call `reach` afterwards, so that goals of the hand follow the trunk.
+
+    Args:
+        motion: Motion to edit.
+        time: Time at which the body is down, in seconds.
+        takes: Seconds to bend down, and to come up again.
+        stay: Seconds in between.
+        depth: Metres by which the pelvis is lowered.
 
     Examples:
         >>> [motion] = stmc.load().generate("stand # 0 # 3", steps=1)
@@ -179,35 +196,35 @@ def _timings(keys: Sequence[TurnKey | PelvisKey | FootKey]) -> list[Timing]:
 
 
 def _turns(motion: Motion, keys: Sequence[TurnKey]) -> Float[Tensor, "frames 3"]:
-    """Rotation vectors in a body's axes (left, up, forward)."""
-    return blended(frame_times(motion), _timings(keys), [(key.pitch, key.yaw, -key.roll) for key in keys], 3)
+    """Compute rotation vectors in a body's axes (left, up, forward)."""
+    return blend_keys(frame_times(motion), _timings(keys), [(key.pitch, key.yaw, -key.roll) for key in keys], 3)
 
 
-def _turned(motion: Motion, turns: Tensor, shares: dict[str, float], joints: Sequence[int]) -> Motion:
-    """Each joint of `shares` turned by its share, in its parent's axes; `joints` move with them."""
+def _turn_joints(motion: Motion, turns: Tensor, fractions: dict[str, float], joints: Sequence[int]) -> Motion:
+    """Turn joints by fractions of `turns`, in the axes of their parents; `joints` move with them."""
     exact = motion.to("cpu", torch.float64)
     rotations = exact.rotations.clone()
-    for name, share in shares.items():
+    for name, fraction in fractions.items():
         joint = JOINTS.index(name)
-        rotations[:, joint] = axis_angle_to_matrix(share * turns) @ rotations[:, joint]
+        rotations[:, joint] = axis_angle_to_matrix(fraction * turns) @ rotations[:, joint]
     skeleton = Skeleton.measured(exact.rotations, exact.joints)
     edited = Motion.posed(rotations, exact.translation, motion.fps, skeleton)
     return replace_frames(motion, edited, joints, turns.any(dim=1))
 
 
-def _standing(
+def _pose_legs(
     motion: Motion,
     root: Float[Tensor, "frames 3 3"],
     pelvis: Float[Tensor, "frames 3"],
     ankles: Float[Tensor, "frames 2 3"],
 ) -> Motion:
-    """The motion with another pelvis whose legs end in `ankles`, the feet turned as they were."""
+    """Replace the pelvis of a motion, and bend the legs to end in `ankles`, with the directions of the feet kept."""
     skeleton = Skeleton.measured(motion.rotations, motion.joints)
     world = global_rotations(motion.rotations, PARENTS)
     rotations = motion.rotations.clone()
     rotations[:, 0] = root
     for number, side in enumerate(SIDES):
-        reach = ankles[:, number] - (pelvis + root @ skeleton.offsets[joint(side, "hip")])
+        offset = ankles[:, number] - (pelvis + root @ skeleton.offsets[joint(side, "hip")])
         foot = world[:, joint(side, "ankle")]
-        rotations[:, [joint(side, name) for name in LEG]] = bend_leg(side, world, motion.joints, reach, foot, root)
+        rotations[:, [joint(side, name) for name in LEG]] = bend_leg(side, world, motion.joints, offset, foot, root)
     return Motion.posed(rotations, pelvis, motion.fps, skeleton)

@@ -1,6 +1,6 @@
-"""Arms that reach: an arm of a motion is led through a sequence of goals of its wrist, the rest stays as it is.
+"""Reaching: an arm of a motion follows a sequence of goals for its wrist, and the rest stays as it is.
 
-Knows shoulders, elbows and wrists; knows no trunk movement (see `posture`), no feet and no text.
+Depends on shoulders, elbows and wrists; independent of trunk movement (see `posture`), feet and text.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from stmc.motion.motion import Motion
 Triple = tuple[float | int, float | int, float | int]
 
 _NEAREST, _FARTHEST = 0.3, 0.998
-"""How near to the shoulder and how far from it a wrist comes, as fractions of the arm's length."""
+"""Least and greatest distance of a wrist from its shoulder, as fractions of the arm's length."""
 _ELBOW = 0.1
-"""Metres that a key's elbow counts against the recorded elbow's distance from the line between shoulder and wrist."""
+"""Length in metres of a key's elbow direction, when it is blended with the offset of the recorded elbow."""
 _TREMOR_HERTZ = 4.0
-"""The frequency about which a hand trembles."""
+"""Mean frequency of a hand's tremor."""
 
 
 @dataclass(frozen=True)
 class Oscillation:
-    """A small periodic movement about a goal, `hertz` times a second: `along` is its amplitude in metres, in the axes
-    of the goal; with `across` it is an ellipse.
+    """A small periodic movement about a goal, `hertz` times per second.
 
-    It begins at arrival, always with the same phase, and grows to its full size within half a period.
+    `along` is its amplitude in metres, in the axes of the goal; with `across`, the path is an ellipse. The movement
+    begins at arrival, always with the same phase, and reaches its full size within half a period.
 
     Examples:
         >>> clap = stmc.Oscillation(2.0, along=(0.05, 0, 0))
@@ -52,30 +52,31 @@ class Oscillation:
     across: Triple = (0.0, 0.0, 0.0)
 
     def offsets(self, since: Float[Tensor, " frames"]) -> Float[Tensor, "frames 3"]:
-        """Metres, at times since the arrival.
+        """Compute offsets in metres at times since the arrival.
 
         Examples:
             >>> stmc.Oscillation(2.0, along=(0.05, 0, 0)).offsets(torch.tensor([0.0, 1.125]))[:, 0]
             tensor([0.0000, 0.0500])
         """
         angle = 2 * torch.pi * self.hertz * since.clamp(min=0)
-        grown = minimum_jerk((2 * self.hertz * since).clamp(0, 1))
-        sine, cosine = (grown * torch.sin(angle))[:, None], (grown * torch.cos(angle))[:, None]
+        size = minimum_jerk((2 * self.hertz * since).clamp(0, 1))
+        sine, cosine = (size * torch.sin(angle))[:, None], (size * torch.cos(angle))[:, None]
         return sine * since.new_tensor(self.along) + cosine * since.new_tensor(self.across)
 
 
 @dataclass(frozen=True)
 class WristKey:
-    """A goal of a wrist: it arrives at `time` (seconds) and takes `takes` seconds to get there; see `Timing`.
+    """A goal of a wrist: it arrives at `time` (seconds) after `takes` seconds; see `Timing`.
 
-    `goal`: metres in the axes of `frame`, each of them (outwards to the arm's side, up, forward), so that the same
-    numbers serve both arms; None: back to where the motion has the arm. Frames are the "chest" (origin half way between
-    the shoulders, the axes of the upper spine), the "head" (its joint and axes), the "shoulder" (its joint, level, the
-    pelvis' heading) and the "ground" (between the toes on the floor at z = 0, the pelvis' heading).
+    `goal` is in metres in the axes of `frame` (outwards to the arm's side, up, forward), so that the same numbers serve
+    both arms; None leads the arm back to the motion. Frames are "chest" (origin midway between the shoulders, axes of
+    the upper spine), "head" (its joint and axes), "shoulder" (its joint, level, in the pelvis' heading) and "ground"
+    (between the toes on the floor at z = 0, in the pelvis' heading).
 
-    `pole`: the direction from the arm to its elbow, in the axes of the chest. `roundness`: 0 leads the wrist straight
-    to its goal, 1 round the shoulder. `arc`: metres by which the way bulges in its middle, in the axes of the chest.
-    `shrug`: radians by which the collar bone is raised. `oscillation`: about the goal, from the arrival on.
+    `pole` is the direction from the arm to its elbow, in the axes of the chest. `roundness` shapes the path: 0 leads
+    the wrist straight to its goal, 1 round the shoulder. `arc` is an offset in metres at the middle of the path, in the
+    axes of the chest. `shrug` raises the collar bone, in radians. `oscillation` moves the wrist about the goal from the
+    arrival on.
 
     Examples:
         >>> stmc.WristKey(1.2, 0.6, goal=(0.1, -0.2, 0.3)).timing
@@ -95,22 +96,29 @@ class WristKey:
 
     @property
     def timing(self) -> Timing:
-        """When it moves."""
+        """The timing of the movement."""
         return Timing(self.time, self.takes, self.skew)
 
 
 def reach(
     motion: Motion, side: str, keys: Sequence[WristKey], tremor: float | int = 0.0, seed: int | None = None
 ) -> Motion:
-    """The motion with one arm led through goals of its wrist, in order. All but the arm stays to the last digit, and so
-    does the arm before the first key begins and after it came back (a last key without a `goal`).
+    """Lead one arm through goals of its wrist, in order.
 
-    Goals move with the trunk, the head and the legs of each frame: turn those first. Goals that the arm does not reach
-    are reached as near as possible, and wrists stay 0.3 arm's lengths from their shoulder. The elbow bends towards each
-    key's pole, the hand goes on from the forearm as it did. `tremor`: metres (root mean square) by which the hand
-    trembles, drawn from `seed`.
+    Everything but the arm stays exactly the same, and so does the arm before the first key begins and after a last key
+    without a `goal`. Goals move with the trunk, the head and the legs of each frame, so turn those first. A wrist gets
+    as near as possible to a goal out of reach, and stays at least 0.3 arm lengths from its shoulder. The elbow bends
+    towards each key's pole, and the hand keeps its rotation relative to the forearm.
 
-    Raises `ValueError` for keys that are not in the order of their times and for a tremor without a seed.
+    Args:
+        motion: Motion to edit.
+        side: "left" or "right".
+        keys: Goals of the wrist, in the order of their times.
+        tremor: Root mean square of the hand's tremor, in metres.
+        seed: Seed of the tremor.
+
+    Raises:
+        ValueError: If keys are not in the order of their times, or if there is a tremor without a seed.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 2", steps=1)
@@ -118,20 +126,20 @@ def reach(
         >>> stmc.reach(motion, "left", [ear, stmc.WristKey(1.9, 0.6)])
         Motion(40 frames at 20 fps, 2.00 s)
     """
-    _check(side, keys, tremor, seed)
+    _check_arguments(side, keys, tremor, seed)
     arm = _Arm.of(motion, side)
     seconds = frame_times(motion)
-    path = _Path.recorded(arm)
+    path = _Path.of(arm)
     for key in keys:
-        path = path.towards(key, arm, seconds)
-    wrist = path.wrist + (1 - path.recorded) * tremor * _tremble(motion, seed if tremor else 0)
-    edited = arm.posed(path.shrug, wrist, path.elbow, path.recorded)
+        path = path.add_key(key, arm, seconds)
+    wrist = path.wrist + (1 - path.recorded) * tremor * _draw_tremor(motion, seed if tremor else 0)
+    edited = arm.pose(path.shrug, wrist, path.elbow, path.recorded)
     joints = [JOINTS.index(f"{side}_{name}") for name in ("collar", "shoulder", "elbow", "wrist", "hand")]
     return replace_frames(motion, edited, joints[0 if path.shrug.any() else 1 :], path.recorded[:, 0] < 1)
 
 
 def copy_arm(motion: Motion, side: str) -> Motion:
-    """The motion whose arm of one `side` does, mirrored, as the other arm does: a hand that waved rests as the other.
+    """Make the arm of one `side` the mirror image of the other arm: a waving hand then rests like the other one.
 
     Examples:
         >>> [motion] = stmc.load().generate("wave with the left hand # 0 # 1", steps=1)
@@ -148,9 +156,15 @@ def copy_arm(motion: Motion, side: str) -> Motion:
 
 
 def body_frame(motion: Motion, frame: str, side: str) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3 3"]]:
-    """Origin and axes (columns: outwards to the `side`, up, forward) of a frame in which goals of wrists are given.
+    """Return origin and axes of a coordinate frame for goals of wrists; see `WristKey`.
 
-    See `WristKey`. For the right side the axes are left-handed: the mirror images of the left side's.
+    Columns of the axes are outwards to the `side`, up and forward. The axes of the right side are left-handed: mirror
+    images of the left side's.
+
+    Args:
+        motion: Motion of the body.
+        frame: "chest", "head", "shoulder" or "ground".
+        side: "left" or "right".
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -177,7 +191,7 @@ def body_frame(motion: Motion, frame: str, side: str) -> tuple[Float[Tensor, "fr
 
 @dataclass(frozen=True)
 class _Arm:
-    """One arm of a motion (float64, CPU): where it is, and what its goals are relative to."""
+    """One arm of a motion (float64, CPU), with the frames of its goals."""
 
     motion: Motion
     side: str
@@ -198,7 +212,7 @@ class _Arm:
         return body_frame(self.motion, "chest", self.side)[1]
 
     def shoulder(self, shrug: Float[Tensor, "frames 1"]) -> Float[Tensor, "frames 3"]:
-        """Where the shoulder is with a raised collar bone."""
+        """Compute the position of the shoulder with a raised collar bone."""
         world = self.world[:, JOINTS.index("spine3")]
         bone = self.at("shoulder") - self.at("collar")
         lifted = world @ self._raise(shrug) @ world.mT @ bone[..., None]
@@ -208,35 +222,35 @@ class _Arm:
         forward = shrug.new_tensor([0.0, 0.0, 1.0 if self.side == "left" else -1.0])
         return axis_angle_to_matrix(shrug * forward)
 
-    def posed(self, shrug: Tensor, wrist: Tensor, elbow: Tensor, recorded: Tensor) -> Motion:
-        """The motion whose wrist is at `wrist` or as near as it can be; `elbow`: metres from the arm, in the world.
+    def pose(self, shrug: Tensor, wrist: Tensor, elbow: Tensor, recorded: Tensor) -> Motion:
+        """Pose the arm with its wrist as near as possible to `wrist`; bones keep a fraction `recorded` of their twist.
 
-        Where the arm is as `recorded` in part, so are the twists of its bones.
+        `elbow` is the offset of the elbow from the line between shoulder and wrist, in metres in the world.
         """
         names = [f"{self.side}_{name}" for name in ("collar", "shoulder", "elbow", "wrist")]
-        places = [JOINTS.index(name) for name in names]
+        indices = [JOINTS.index(name) for name in names]
         joints, before = self.motion.joints.clone(), self.motion.joints
         shoulder = self.shoulder(shrug)
-        joints[:, places[1]] = shoulder
-        joints[:, places[2]], joints[:, places[3]] = self._bent(shoulder, wrist, elbow)
+        joints[:, indices[1]] = shoulder
+        joints[:, indices[2]], joints[:, indices[3]] = self._solve(shoulder, wrist, elbow)
         rotations = self.motion.rotations.clone()
-        rotations[:, places[0]] = self._raise(shrug) @ rotations[:, places[0]]
-        collar = self.world[:, JOINTS.index("spine3")] @ rotations[:, places[0]]
-        fresh, old = (arm_rotations(points, self.side, self.world[:, 9], self.skeleton) for points in (joints, before))
-        world = self.world[:, places[1:3]]
+        rotations[:, indices[0]] = self._raise(shrug) @ rotations[:, indices[0]]
+        collar = self.world[:, JOINTS.index("spine3")] @ rotations[:, indices[0]]
+        new, old = (arm_rotations(points, self.side, self.world[:, 9], self.skeleton) for points in (joints, before))
+        world = self.world[:, indices[1:3]]
         twist = matrix_to_axis_angle(old.mT @ world)
-        turned = fresh @ axis_angle_to_matrix(recorded[:, None] * twist)
-        rotations[:, places[1]] = collar.mT @ turned[:, 0]
-        rotations[:, places[2]] = turned[:, 0].mT @ turned[:, 1]
+        turned = new @ axis_angle_to_matrix(recorded[:, None] * twist)
+        rotations[:, indices[1]] = collar.mT @ turned[:, 0]
+        rotations[:, indices[2]] = turned[:, 0].mT @ turned[:, 1]
         return Motion.posed(rotations, self.motion.translation, self.motion.fps, self.skeleton)
 
-    def _bent(self, shoulder: Tensor, wrist: Tensor, elbow: Tensor) -> tuple[Tensor, Tensor]:
-        """Elbow and wrist, by the law of cosines."""
+    def _solve(self, shoulder: Tensor, wrist: Tensor, elbow: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute elbow and wrist by the law of cosines."""
         upper = (self.at("elbow") - self.at("shoulder")).norm(dim=-1, keepdim=True)
         fore = (self.at("wrist") - self.at("elbow")).norm(dim=-1, keepdim=True)
-        own = (self.at("wrist") - self.at("shoulder")).norm(dim=-1, keepdim=True)
+        recorded = (self.at("wrist") - self.at("shoulder")).norm(dim=-1, keepdim=True)
         length = upper + fore
-        nearest, farthest = torch.minimum(_NEAREST * length, own), torch.maximum(_FARTHEST * length, own)
+        nearest, farthest = torch.minimum(_NEAREST * length, recorded), torch.maximum(_FARTHEST * length, recorded)
         along = normalize(wrist - shoulder, dim=-1)
         distance = (wrist - shoulder).norm(dim=-1, keepdim=True).clamp(nearest, farthest)
         aside = normalize(elbow - (elbow * along).sum(dim=-1, keepdim=True) * along, dim=-1)
@@ -247,28 +261,29 @@ class _Arm:
 
 @dataclass(frozen=True)
 class _Path:
-    """Where a wrist and its elbow should be, as far as the keys have been followed."""
+    """Target positions of a wrist and its elbow, after some of the keys."""
 
     wrist: Float[Tensor, "frames 3"]
     elbow: Float[Tensor, "frames 3"]
-    """Metres from the line between shoulder and wrist, in the world."""
+    """Offset from the line between shoulder and wrist, in metres in the world."""
     shrug: Float[Tensor, "frames 1"]
     recorded: Float[Tensor, "frames 1"]
-    """How much of the pose is the recorded one: exactly 1 where nothing changes."""
+    """Weight of the recorded pose: exactly 1 where nothing changes."""
 
     @classmethod
-    def recorded(cls, arm: _Arm) -> _Path:
+    def of(cls, arm: _Arm) -> _Path:
+        """Return the recorded path of an arm."""
         one = torch.ones(arm.motion.frames, 1, dtype=torch.float64)
-        return cls(arm.at("wrist"), _elbow(arm), torch.zeros_like(one), one)
+        return cls(arm.at("wrist"), _elbow_offset(arm), torch.zeros_like(one), one)
 
-    def towards(self, key: WristKey, arm: _Arm, seconds: Float[Tensor, " frames"]) -> _Path:
-        """What it is with one more key."""
+    def add_key(self, key: WristKey, arm: _Arm, seconds: Float[Tensor, " frames"]) -> _Path:
+        """Return the path with one more key."""
         fraction = key.timing.progress(seconds)[:, None]
         shrug = torch.lerp(self.shrug, torch.full_like(self.shrug, 0.0 if key.goal is None else key.shrug), fraction)
         back = torch.full_like(self.recorded, float(key.goal is None))
         goal, elbow = self._goal(key, arm, seconds)
         shoulder = arm.shoulder(shrug)
-        wrist = _between(shoulder, self.wrist, goal, fraction, key.roundness)
+        wrist = _interpolate(shoulder, self.wrist, goal, fraction, key.roundness)
         bulge = 16 * (fraction * (1 - fraction)) ** 2 * (arm.chest @ seconds.new_tensor(key.arc))
         return _Path(
             wrist + bulge,
@@ -278,9 +293,9 @@ class _Path:
         )
 
     def _goal(self, key: WristKey, arm: _Arm, seconds: Tensor) -> tuple[Tensor, Tensor]:
-        """Where the key leads wrist and elbow, in the world."""
+        """Return the key's position of the wrist and offset of the elbow, in the world."""
         if key.goal is None:
-            return arm.at("wrist"), _elbow(arm)
+            return arm.at("wrist"), _elbow_offset(arm)
         origin, axes = body_frame(arm.motion, key.frame, arm.side)
         goal = seconds.new_tensor(key.goal).expand(len(seconds), 3)
         if key.oscillation:
@@ -289,26 +304,26 @@ class _Path:
         return origin + (axes @ goal[..., None])[..., 0], _ELBOW * (arm.chest @ pole)
 
 
-def _elbow(arm: _Arm) -> Float[Tensor, "frames 3"]:
-    """How far the recorded elbow is from the line between shoulder and wrist."""
+def _elbow_offset(arm: _Arm) -> Float[Tensor, "frames 3"]:
+    """Compute the offset of the recorded elbow from the line between shoulder and wrist."""
     along = normalize(arm.at("wrist") - arm.at("shoulder"), dim=-1)
     upper = arm.at("elbow") - arm.at("shoulder")
     return upper - (upper * along).sum(dim=-1, keepdim=True) * along
 
 
-def _between(shoulder: Tensor, start: Tensor, end: Tensor, fraction: Tensor, roundness: float | int) -> Tensor:
-    """Part of the way from `start` to `end`: partly straight, partly round the shoulder."""
+def _interpolate(shoulder: Tensor, start: Tensor, end: Tensor, fraction: Tensor, roundness: float | int) -> Tensor:
+    """Interpolate from `start` to `end`, partly straight, partly round the shoulder."""
     first, last = start - shoulder, end - shoulder
     arc = matrix_to_axis_angle(shortest_arc(normalize(first, dim=-1), normalize(last, dim=-1)))
     direction = axis_angle_to_matrix(fraction * arc) @ normalize(first, dim=-1)[..., None]
     distance = torch.lerp(first.norm(dim=-1, keepdim=True), last.norm(dim=-1, keepdim=True), fraction)
-    way = torch.lerp(torch.lerp(first, last, fraction), direction[..., 0] * distance, roundness)
-    way = torch.where(fraction == 0, first, torch.where(fraction == 1, last, way))
-    return shoulder + way
+    offset = torch.lerp(torch.lerp(first, last, fraction), direction[..., 0] * distance, roundness)
+    offset = torch.where(fraction == 0, first, torch.where(fraction == 1, last, offset))
+    return shoulder + offset
 
 
-def _tremble(motion: Motion, seed: int | None) -> Float[Tensor, "frames 3"]:
-    """Noise about one frequency, with root mean square 1."""
+def _draw_tremor(motion: Motion, seed: int | None) -> Float[Tensor, "frames 3"]:
+    """Draw noise about one frequency, with root mean square 1."""
     generator = torch.Generator().manual_seed(seed or 0)
     noise = torch.randn(motion.frames, 3, generator=generator, dtype=torch.float64)
     hertz = torch.fft.rfftfreq(motion.frames, 1 / motion.fps).double()
@@ -322,8 +337,8 @@ def _check_side(side: str) -> None:
         raise ValueError(f"side={side!r}: choose left or right")
 
 
-def _check(side: str, keys: Sequence[WristKey], tremor: float | int, seed: int | None) -> None:
+def _check_arguments(side: str, keys: Sequence[WristKey], tremor: float | int, seed: int | None) -> None:
     _check_side(side)
     check_order(keys)
     if tremor and seed is None:
-        raise ValueError(f"tremor={tremor} is drawn at random: give a seed")
+        raise ValueError(f"tremor={tremor}: a random tremor needs a seed")

@@ -1,4 +1,4 @@
-"""Motions as files for other software. Knows nothing of models or pictures; a timeline goes along as it is."""
+"""Motion files for other software, with the timeline where a format allows it. Independent of models and rendering."""
 
 from stmc.formats.motion_files import FORMATS, READABLE, Format, format_of, read, write, write_as
 

@@ -1,4 +1,4 @@
-"""What the file formats share: which way is up in them, and curves of quaternions without jumps."""
+"""Helpers of the file formats: the change of the up axis, and quaternion curves without jumps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def continued(quaternions: Float[Tensor, "frames joints 4"]) -> Float[np.ndarray, "frames joints 4"]:
-    """The same rotations, each frame's quaternion (one of two) on the side of the frame before."""
+    """Choose, of the two quaternions of each rotation, the one on the side of the previous frame."""
     values = quaternions.double().cpu().numpy()
     flips = np.sign((values[1:] * values[:-1]).sum(axis=-1, keepdims=True))
     signs = np.cumprod(np.where(flips < 0, -1.0, 1.0), axis=0)

@@ -1,7 +1,7 @@
-"""Reads BVH motion capture: a tree of named joints and, frame by frame, where each stands in its parent.
+"""Parser of BVH motion capture: a tree of named joints and, in each frame, their transforms relative to their parents.
 
-Knows the file format and nothing of any body; what the joints mean is the business of data sets (`data.sources`) and
-of `export.bvh_reader`.
+Depends on the file format; independent of any body. Data sets (`data.sources`) and `formats.bvh_reader` interpret the
+joints.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from stmc.io.bounds import BoundsError, check_frames
 from stmc.io.untrusted import cut, shown
 
 MOST_VALUES = 2_000_000
-"""Of a motion: frames times joints, a hundred times what a minute of a hundred joints has at 3 frames per second."""
+"""Limit of frames times joints: a hundred times a minute of a hundred joints at 3 frames per second."""
 
 LONGEST_HIERARCHY = 2**22
-"""Characters of everything before the frames: a hundred joints have some 10,000."""
+"""Characters before the frames; a hundred joints have some 10,000."""
 
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 _MOST_WORDS = 9
-"""Of a line of the hierarchy: a joint has three position and three rotation channels at most."""
+"""Words in a line of the hierarchy: a joint has at most three position and three rotation channels."""
 
 _LARGEST = float(np.finfo(np.float32).max)
 
 
 class BvhError(ValueError):
-    """A BVH file that cannot be read; the message says where and why."""
+    """A BVH file cannot be read; the message gives the location and the reason."""
 
 
 @dataclass(frozen=True)
 class Bvh:
-    """A motion as its file has it: in the file's unit and axes, each joint in its parent's frame.
+    """A motion in the unit and the axes of its file, each joint in its parent's frame.
 
     `parents` holds -1 for roots; a parent always stands before its children.
     """
@@ -52,7 +52,7 @@ class Bvh:
     """The offset of the first End Site of a joint, by the joint's index."""
 
     def world(self) -> tuple[Float[Tensor, "frames joints 3 3"], Float[Tensor, "frames joints 3"]]:
-        """Rotations and positions of every joint in the file's world frame, by forward kinematics."""
+        """Compute rotations and positions of all joints in the file's world frame, by forward kinematics."""
         rotations, positions = [], []
         for joint, parent in enumerate(self.parents):
             rotation, position = self.rotations[:, joint], self.positions[:, joint]
@@ -76,11 +76,11 @@ class _Joint:
 
 
 def parse_bvh(text: str) -> Bvh:
-    """Parses the text of one BVH file.
+    """Parse the text of one BVH file.
 
-    A joint's position is its position channels where it has them (as in the Bandai data set), else its OFFSET.
-    Euler angles are intrinsic, in the order of the channels, in degrees. Raises `BvhError` for a missing section, a
-    line or a channel that is unknown, a frame count that does not match the numbers, values that are not finite in
+    The position of a joint is that of its position channels if it has any (as in the Bandai data set), or else its
+    OFFSET. Euler angles are intrinsic, in the order of the channels, in degrees. Raises `BvhError` for a missing
+    section, an unknown line or channel, a frame count that does not match the numbers, values that are not finite in
     float32, a motion beyond `bounds` or of more than `MOST_VALUES`, or a hierarchy above `LONGEST_HIERARCHY`.
     """
     header, *rest = re.split(r"^[ \t]*MOTION[ \t\r]*$", text, maxsplit=1, flags=re.MULTILINE)
@@ -94,8 +94,8 @@ def parse_bvh(text: str) -> Bvh:
         raise BvhError(f"expected 'Frames: N Frame Time: S' after MOTION, found {shown(' '.join(words[:5]))}")
     frames, seconds = _number(words[1], int), _number(words[4], float)
     if frames < 1 or not 0.001 <= seconds <= 1:
-        asked = "at least one frame of a positive time is needed, of 0.001 to 1 s"
-        raise BvhError(f"{shown(frames)} frames of {seconds:g} s: {asked}")
+        valid = "must be at least one frame of 0.001 to 1 s"
+        raise BvhError(f"{shown(frames)} frames of {seconds:g} s: {valid}")
     if frames * len(joints) > MOST_VALUES:
         raise BvhError(f"{shown(frames)} frames of {len(joints)} joints are more than {MOST_VALUES:,}, the limit")
     try:

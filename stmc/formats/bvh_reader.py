@@ -1,7 +1,7 @@
-"""Motions from BVH files: those that `bvh` writes, and other people's whose joints have names that are known here.
+"""Motions from BVH files of this library, and from other files whose joints have common names.
 
-Knows how skeletons call their joints and how long a person's legs are. BVH says neither its unit nor its rest pose's
-meaning: the unit is the one in which the legs are a person's, and y is up.
+Depends on common joint names and on the length of human legs. A BVH file states neither its unit nor the meaning of its
+rest pose: the unit is the one in which the legs have human length, and y is up.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ from stmc.motion.inverse_kinematics import joints_to_rotations
 from stmc.motion.motion import Motion
 
 MOST_BYTES = 2**26
-"""Of a file: more than an hour of 22 joints at 20 frames per second."""
+"""Size limit of a file: more than an hour of 22 joints at 20 frames per second."""
 
 LEGS = (0.5, 1.3)
-"""Metres from hip to ankle along the bones of a person, a child's or a giant's."""
+"""Least and greatest distance in metres from hip to ankle along a person's bones, from a child to a giant."""
 
 UNITS = (1.0, 0.01, 0.001, 0.0254, 0.0254 / 0.45)
-"""Metres of what files count in: metres, centimetres, millimetres, inches, CMU's unit. The first that fits is it."""
+"""Units of files in metres: metre, centimetre, millimetre, inch, CMU's unit. The first with human legs is chosen."""
 
 _SHORTEST = 1e-3
-"""Metres of a bone that has a direction."""
+"""Least length in metres of a bone with a direction."""
 
 _STRAIGHT = 0.8
-"""The least cosine between bones of two rest poses that are alike."""
+"""Least cosine between the bones of two similar rest poses."""
 
 
 @dataclass(frozen=True)
 class _Names:
-    """How one kind of skeleton calls SMPL's joints, in small letters without `_` and what stands before a `:`.
+    """The names of SMPL's joints in one kind of skeleton, in lower case, without `_` and without a prefix before `:`.
 
-    Alternatives stand between bars, the best first. `spine`: of pelvis, spine1 to 3, neck, head. `limbs`: of collar,
-    shoulder, elbow, wrist, hip, knee, ankle, foot, with what makes them left or right in `sides`.
+    Bars separate alternatives, the best first. `spine` names pelvis, spine1 to 3, neck and head; `limbs` names collar,
+    shoulder, elbow, wrist, hip, knee, ankle and foot, and `sides` holds templates for left and right.
     """
 
     sides: tuple[str, str]
@@ -56,7 +56,7 @@ class _Names:
     limbs: str
 
     def choices(self) -> dict[str, list[str]]:
-        """Of every joint, in SMPL's order."""
+        """Return the possible names of every joint, in SMPL's order."""
         names = dict(zip(_SPINE, self.spine.split(), strict=True))
         for side, template in zip(("left", "right"), self.sides, strict=True):
             for joint, words in zip(_LIMBS, self.limbs.split(), strict=True):
@@ -67,10 +67,10 @@ class _Names:
 _SPINE = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 _LIMBS = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
 _BETWEEN = "spine2"
-"""The one joint that a skeleton may lack: it lies between its neighbours."""
+"""The only joint that a skeleton may lack; it is placed between its neighbours."""
 
 _SMPLS = 2
-"""How many of the known names are SMPL's own, and stand first."""
+"""Number of the first entries of `_KNOWN` that are SMPL's names."""
 
 _SMPL = "collar shoulder elbow wrist hip knee ankle foot"
 _TOES = "toebase|toe|toes"
@@ -101,13 +101,13 @@ _KNOWN = (
 
 
 def load_bvh(path: Path, skeleton: Skeleton) -> Motion:
-    """The motion of a BVH file, float32, on the file's own bones: metres, z up.
+    """Read the motion of a BVH file (float32) on the file's own bones, in metres, z up.
 
-    Files of our joints, at rest as SMPL, keep their rotations. Of others, arms and legs are `skeleton`'s, turned so
-    that its bones point where the file's do (`joints_to_rotations`); all else turns as the file's does from its rest
-    pose, where that is upright and looks along z, and elsewhere as arms and legs. `skeleton` also lends hands.
-    Raises `ValueError` naming the file: for text that is no BVH, joints that are missing, legs that are nobody's in any
-    of `UNITS`, a rest pose that is not upright of bones without length, and files over `MOST_BYTES`.
+    Files with SMPL's joints and rest pose keep their rotations. In other files, arms and legs turn `skeleton`'s bones
+    to the directions of the file's (`joints_to_rotations`). The other joints turn as in the file from its rest pose if
+    that is upright and looks along z, or else like arms and legs. `skeleton` also provides the hands. Raises
+    `ValueError` with the file's name: for text that is not BVH, missing joints, legs without human length in any of
+    `UNITS`, a rest pose that is not upright with bones of zero length, and files over `MOST_BYTES`.
     """
     try:
         return _motion(parse_bvh(read_text(path, MOST_BYTES)), skeleton)
@@ -146,9 +146,9 @@ def _motion(bvh: Bvh, skeleton: Skeleton) -> Motion:
 
 
 def _mapped(names: Sequence[str]) -> dict[str, int]:
-    """Which of the file's joints is which of ours; one that is not told from another of ours is left out.
+    """Map SMPL's joints to the file's, without a joint that coincides with another one.
 
-    Raises `BvhError` naming what the kind of skeleton that fits best lacks.
+    Raises `BvhError` with the missing joints of the best kind of skeleton.
     """
     places: dict[str, int] = {}
     for number, name in enumerate(names):
@@ -173,13 +173,13 @@ def _mapped(names: Sequence[str]) -> dict[str, int]:
 
 
 def _plain(name: str) -> str:
-    """The name in small letters, without namespaces ("mixamorig:") and what parts its words."""
+    """Convert a name to lower case, without namespaces ("mixamorig:") and separators."""
     name = name.rpartition(":")[2]
     return re.sub(r"[\W_]", "", re.sub(r"^(mixamorig|character)\d*_", "", name.lower()))
 
 
 def _rest(bvh: Bvh) -> Float[Tensor, "_ 3"]:
-    """Where each joint is while none is turned, in the file's axes and unit."""
+    """Compute the positions of the joints without rotations, in the file's axes and unit."""
     places: list[Tensor] = []
     for position, parent in zip(bvh.positions[0], bvh.parents, strict=True):
         places.append(position if parent < 0 else places[parent] + position)
@@ -187,7 +187,7 @@ def _rest(bvh: Bvh) -> Float[Tensor, "_ 3"]:
 
 
 def _between(places: Float[Tensor, "frames _ 3"], index: Mapping[str, int], body: Skeleton) -> Tensor:
-    """The first 22 joints [frames, 22, 3], one that the file lacks between its neighbours as `body` has it."""
+    """Select the first 22 joints [frames, 22, 3]; a missing one is placed between its neighbours as in `body`."""
     joints = places[:, [index.get(joint, index["spine1"]) for joint in JOINTS[:NUM_ROTATIONS]]]
     if _BETWEEN not in index:
         first, second, third = (JOINTS.index(joint) for joint in ("spine1", _BETWEEN, "spine3"))
@@ -197,7 +197,7 @@ def _between(places: Float[Tensor, "frames _ 3"], index: Mapping[str, int], body
 
 
 def _is_own(bvh: Bvh, index: Mapping[str, int]) -> bool:
-    """Whether all joints are there by SMPL's names, in SMPL's tree."""
+    """Tell whether the file has all of SMPL's joints, by name and in SMPL's tree."""
     names = [known.choices() for known in _KNOWN[:_SMPLS]]
     for joint, parent in zip(JOINTS[:NUM_ROTATIONS], PARENTS, strict=False):
         place = index.get(joint)
@@ -219,7 +219,7 @@ _ARMS = (("left_shoulder", "left_wrist"), ("right_shoulder", "right_wrist"))
 
 
 def _alike(rest: Tensor, ours: Tensor, bones: Sequence[tuple[str, str]]) -> bool:
-    """Whether these lines from joint to joint point where ours do at rest."""
+    """Tell whether lines between joints have the same directions in both rest poses."""
     return all(float(_direction(rest, *bone) @ _direction(ours, *bone)) > _STRAIGHT for bone in bones)
 
 
@@ -230,10 +230,11 @@ def _direction(rest: Tensor, start: str, end: str) -> Float[Tensor, " 3"]:
 def _turned_from_rest(
     world: Float[Tensor, "frames 22 3 3"], turned: Tensor, index: Mapping[str, int], rest: Tensor, ours: Tensor
 ) -> Float[Tensor, "frames 22 3 3"]:
-    """World rotations of which all but those of arms and legs are the file's, from its rest pose on.
+    """Replace world rotations, except those of arms and legs, by the file's rotations from its rest pose.
 
-    They see what joints do not show: where heads and hands turn, and chests whose bones have no length, as CMU's. Feet
-    are flat in both rest poses, whatever their bones' slopes; hands make up for how the file's rest pose spreads arms.
+    These contain turns that joint positions do not show: of heads and hands, and of chests with bones of zero length,
+    as in CMU's files. Feet are flat in both rest poses, whatever the slopes of their bones; hands compensate for the
+    spread of the arms in the file's rest pose.
     """
     world = world.clone()
     for number, joint in enumerate(JOINTS[:NUM_ROTATIONS]):
@@ -251,12 +252,12 @@ def _lengths(joints: Float[Tensor, "22 3"]) -> Float[Tensor, " 21"]:
 
 
 def _leg(rest: Tensor) -> float:
-    """From hip to ankle along the bones."""
+    """Measure the distance from hip to ankle along the bones."""
     hip, knee, ankle = (rest[JOINTS.index(f"left_{joint}")] for joint in ("hip", "knee", "ankle"))
     return float((knee - hip).norm() + (ankle - knee).norm())
 
 
 def _unit(rest: Tensor) -> float | None:
-    """Metres of the file's unit, None where a person has such legs in none."""
+    """Return the file's unit in metres, or None if the legs have human length in no unit."""
     leg = _leg(rest)
     return next((unit for unit in UNITS if LEGS[0] <= leg * unit <= LEGS[1]), None)

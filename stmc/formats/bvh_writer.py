@@ -1,7 +1,7 @@
-"""Motions as BVH files that Blender, Maya and MotionBuilder open.
+"""Motions as BVH files for Blender, Maya and MotionBuilder.
 
-Knows BVH's text and Euler angles. Its world is y-up and in metres: Blender's importer, with its defaults, turns y up
-into z up and shows the motion where it is here (Maya and MotionBuilder think in centimetres: scale by 100 there).
+Depends on BVH's text and Euler angles. Files are y-up and in metres: Blender's importer, with its defaults, converts y
+up to z up and shows the motion in its original place (Maya and MotionBuilder use centimetres: scale by 100 there).
 """
 
 from __future__ import annotations
@@ -22,14 +22,19 @@ from stmc.timeline import Timeline
 
 _TURN = "Zrotation Xrotation Yrotation"
 _TIPS = {"head": (0.0, 0.18, 0.02), "left_foot": (0.0, 0.0, 0.07), "right_foot": (0.0, 0.0, 0.07)}
-"""End sites of the joints that no joint follows, from the joint in metres; the wrists end in SMPL's hands."""
+"""End sites of joints without children, in metres from the joint; the wrists end in SMPL's hands."""
 
 
 def save_bvh(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None) -> None:
-    """Write the motion on `skeleton`: a T-pose at rest (SMPL's zero pose), 22 joints, the pelvis' path, ZXY angles.
+    """Write a motion as BVH: a T-pose at rest (SMPL's zero pose), 22 joints, the pelvis' path, and ZXY angles.
 
-    Angles are continued from frame to frame, so curves do not jump by 360 degrees. The format has no place for a
-    `timeline`.
+    Angles are continuous from frame to frame, without jumps of 360 degrees.
+
+    Args:
+        motion: Motion to write.
+        file: Binary file.
+        skeleton: Body to write.
+        timeline: Not used: the format has no field for it.
     """
     lines = ["HIERARCHY", *_joint(0, skeleton, ""), "MOTION", f"Frames: {motion.frames}"]
     lines.append(f"Frame Time: {1.0 / motion.fps:.8f}")
@@ -53,7 +58,7 @@ def _depth_first(joint: int) -> list[int]:
 
 
 def _joint(joint: int, skeleton: Skeleton, indent: str) -> list[str]:
-    """The lines of one joint and all below it."""
+    """Return the lines of a joint and its descendants."""
     name, inner = JOINTS[joint], indent + "  "
     offset = (0.0, 0.0, 0.0) if joint == 0 else skeleton.offsets[joint].tolist()
     channels = f"6 Xposition Yposition Zposition {_TURN}" if joint == 0 else f"3 {_TURN}"
@@ -76,11 +81,11 @@ def _offset(offset: tuple[float, ...] | list[float]) -> str:
 
 
 def euler_curves(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 3"]:
-    """Angles (z, x, y) in radians with `rotations = Rz Rx Ry`, each frame's chosen closest to the frame before.
+    """Compute angles (z, x, y) in radians with `rotations = Rz Rx Ry`, each frame's closest to the previous frame's.
 
     Every rotation has two triples, (z, x, y) and (z + pi, pi - x, y + pi), each up to full turns.
     """
-    import roma  # not above: it takes as long to import as torch
+    import roma  # imported late: it takes as long to import as torch
 
     frames, joints = rotations.shape[:2]
     first = roma.rotmat_to_euler("ZXY", torch.from_numpy(rotations)).numpy()

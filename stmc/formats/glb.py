@@ -1,7 +1,7 @@
 """Motions as binary glTF 2.0: a skinned figure with its animation, for Blender, Unity, Unreal and the web, in one file.
 
-Knows glTF's nodes, buffers and skins. Its world is y-up and in metres, as SMPL's rest pose is, so that only the pelvis
-is turned. Written by hand: the libraries at hand read skins and animations, or neither.
+Depends on glTF's nodes, buffers and skins. Files are y-up and in metres, like SMPL's rest pose, so that only the pelvis
+is turned. The writer is our own, since the available libraries do not write skins and animations.
 """
 
 from __future__ import annotations
@@ -35,22 +35,29 @@ _TYPES = {"float32": 5126, "uint16": 5123, "uint8": 5121, "int16": 5122}
 _SHAPES = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _VERTICES, _INDICES = 34962, 34963
 _CARRIERS = 4
-"""Joints that may carry a vertex."""
+"""Greatest number of joints that carry a vertex."""
 
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """A motion of a figure, and factors (1: as they are) by which joints enlarge the limbs that hang on them."""
+    """A motion of a figure, with scale factors (1: unchanged) of joints and the limbs below them."""
 
     motion: Motion
     scales: Mapping[str, Float[np.ndarray, " frames"]] | None = None
 
 
 def save_glb(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None) -> None:
-    """Write the mannequin around `skeleton`: 24 joints as nodes in a T-pose, a material for each body part, and an
-    animation of 22 rotations and the pelvis' place, a key for each frame.
+    """Write the mannequin around a skeleton, with its animation.
 
-    The scene's `extras` have the frame rate ("fps") and the timeline as its own JSON has it ("timeline").
+    The file holds 24 joints as nodes in a T-pose, a material for each body part, and an animation of 22 rotations and
+    the position of the pelvis, with one key per frame. The scene's `extras` hold the frame rate ("fps") and the
+    timeline's JSON ("timeline").
+
+    Args:
+        motion: Motion to write.
+        file: Binary file.
+        skeleton: Body of the mannequin.
+        timeline: Timeline to store, or None.
     """
     file.write(glb_of(build_mannequin(skeleton), {"motion": Animation(motion)}, _extras(motion, timeline)))
 
@@ -62,10 +69,15 @@ def glb_of(
     tints: Float[np.ndarray, "vertices 3"] | None = None,
     compact: bool = False,
 ) -> bytes:
-    """The file of a figure with named animations, and `extras` of its scene.
+    """Return the bytes of a `.glb` file of a figure with named animations.
 
-    `tints`: linear colours (0 to 1) of the vertices, which multiply the materials'. A `compact` file is half as large:
-    its quaternions and weights are whole numbers of 16 and 8 bits (glTF 2.0, 3.6.2.2), exact to 0.01 degrees and 0.4 %.
+    Args:
+        skin: The figure.
+        animations: Animations by name.
+        extras: Extras of the scene.
+        tints: Linear colours of the vertices (0 to 1), which multiply those of the materials.
+        compact: Whether to halve the file: quaternions and weights become integers of 16 and 8 bits (glTF 2.0,
+            3.6.2.2), exact to 0.01 degrees and 0.4 %.
     """
     binary = _Binary()
     scene = {"name": "motion", "nodes": [0, len(JOINTS)]} | ({"extras": dict(extras)} if extras else {})
@@ -77,7 +89,7 @@ def glb_of(
         "skins": [_skin(binary, skin.skeleton)],
         "materials": [_material(part) for part in BodyPart],
         "meshes": [_mesh(binary, skin, tints, compact)],
-        "animations": [_animation(binary, name, each, compact) for name, each in animations.items()],
+        "animations": [_animation(binary, name, item, compact) for name, item in animations.items()],
     }
     document |= {"accessors": binary.accessors, "bufferViews": binary.views, "buffers": [{"byteLength": binary.size}]}
     text = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
@@ -87,7 +99,7 @@ def glb_of(
 
 
 class _Binary:
-    """The one buffer of a file, and what says where in it each array is."""
+    """The only buffer of a file, with the views and accessors of its arrays."""
 
     def __init__(self) -> None:
         self.chunks: list[bytes] = []
@@ -96,8 +108,14 @@ class _Binary:
         self.size = 0
 
     def add(self, array: np.ndarray, target: int | None = None, bounds: bool = False, normalized: bool = False) -> int:
-        """The index of the accessor of an array, whose rows are the elements; matrices are turned column by column.
-        `normalized`: whole numbers that stand for -1 to 1, or 0 to 1."""
+        """Append an array and return the index of its accessor. Rows are elements; matrices are stored by columns.
+
+        Args:
+            array: Array to append.
+            target: Kind of the buffer view.
+            bounds: Whether to store minimum and maximum.
+            normalized: Whether integers represent numbers from -1 to 1, or from 0 to 1.
+        """
         rows = np.ascontiguousarray(array.swapaxes(1, 2) if array.ndim == 3 else array)
         view = {"buffer": 0, "byteOffset": self.size, "byteLength": rows.nbytes}
         self.views.append(view if target is None else view | {"target": target})
@@ -114,12 +132,12 @@ class _Binary:
 
 
 def _extras(motion: Motion, timeline: Timeline | None) -> dict[str, Any]:
-    told = {} if timeline is None else {"timeline": json.loads(timeline.to_json())}
-    return {"fps": motion.fps} | told
+    stored = {} if timeline is None else {"timeline": json.loads(timeline.to_json())}
+    return {"fps": motion.fps} | stored
 
 
 def _joints(skeleton: Skeleton) -> list[dict[str, Any]]:
-    """A node for each joint, in SMPL's order, resting where the skeleton has it."""
+    """Return a node for each joint, in SMPL's order, at its rest position."""
     nodes = []
     for joint, (name, offset) in enumerate(zip(JOINTS, skeleton.offsets.tolist(), strict=True)):
         below = [index for index, parent in enumerate(PARENTS) if parent == joint]
@@ -145,7 +163,7 @@ def _material(part: BodyPart) -> dict[str, Any]:
 
 
 def _mesh(binary: _Binary, skin: Skin, tints: Float[np.ndarray, "vertices 3"] | None, compact: bool) -> dict[str, Any]:
-    """One piece for each body part, all of the same vertices."""
+    """Return a mesh with one primitive for each body part; all share the same vertices."""
     carriers, weights = _carriers(skin)
     attributes = {
         "POSITION": binary.add(skin.vertices.astype(np.float32), _VERTICES, bounds=True),
@@ -164,7 +182,7 @@ def _mesh(binary: _Binary, skin: Skin, tints: Float[np.ndarray, "vertices 3"] | 
 
 
 def _carriers(skin: Skin) -> tuple[np.ndarray, Float[np.ndarray, "vertices 4"]]:
-    """The joints that carry each vertex most, and their weights, which sum to 1."""
+    """Return the joints with the largest weights of each vertex, and these weights, which sum to 1."""
     most = np.argsort(-skin.weights, axis=1, kind="stable")[:, :_CARRIERS]
     weights = np.take_along_axis(skin.weights, most, axis=1)
     weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
@@ -172,14 +190,14 @@ def _carriers(skin: Skin) -> tuple[np.ndarray, Float[np.ndarray, "vertices 4"]]:
 
 
 def _in_bytes(weights: Float[np.ndarray, "vertices 4"]) -> np.ndarray:
-    """Weights in 255ths that still sum to 1: the first, which is the largest, takes the rest."""
+    """Convert weights to 255ths that still sum to 1: the first and largest takes the remainder."""
     parts = np.round(255 * weights).astype(int)
     parts[:, 0] += 255 - parts.sum(axis=1)
     return parts.astype(np.uint8)
 
 
 def _normals(skin: Skin) -> Float[np.ndarray, "vertices 3"]:
-    """Unit normals of the vertices: those of the faces around, by their areas."""
+    """Compute unit normals of the vertices: means of the adjacent faces, weighted by area."""
     first, second, third = (skin.vertices[skin.faces[:, corner]] for corner in range(3))
     normals = np.zeros_like(skin.vertices)
     np.add.at(normals, skin.faces.reshape(-1), np.repeat(np.cross(second - first, third - first), 3, axis=0))
@@ -188,7 +206,7 @@ def _normals(skin: Skin) -> Float[np.ndarray, "vertices 3"]:
 
 
 def _animation(binary: _Binary, name: str, animation: Animation, compact: bool) -> dict[str, Any]:
-    """Straight lines and arcs between the frames."""
+    """Return an animation with linear interpolation between the frames, on the sphere for rotations."""
     motion = animation.motion
     times = binary.add((np.arange(motion.frames) / motion.fps).astype(np.float32), bounds=True)
     rotations = motion.rotations.double().cpu().clone()

@@ -1,4 +1,4 @@
-"""The table of formats, and the functions that read and write by it. Nothing is left half written."""
+"""The table of formats, and the functions that read and write them. Files are complete or absent."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stmc.timeline import Timeline
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of file that a motion becomes, and all that commands, the studio and the docs say about it."""
+    """A file format of motions, with its descriptions for commands, the studio and the docs."""
 
     suffix: str
     title: str
@@ -33,11 +33,11 @@ class Format:
     """A function of a motion, an open binary file, a skeleton, a timeline or None, and `options` by their names."""
     read: Callable[[Path, Skeleton], Motion] | None = None
     opened_in: str = ""
-    """The program that `stmc sample` names for a file that newcomers may not know."""
+    """The program that `stmc sample` recommends for a file that may be unfamiliar."""
     media_type: str = "application/octet-stream"
     options: tuple[str, ...] = ()
     check: Callable[[], object] | None = None
-    """Raises `ModuleNotFoundError` where the format needs a package that is not installed."""
+    """A function that raises `ModuleNotFoundError` if the format needs a package that is not installed."""
     drawn: bool = False
     """Whether every frame is drawn, which takes minutes."""
 
@@ -47,7 +47,7 @@ class Format:
         return self.suffix[1:]
 
     def describe(self) -> dict[str, Any]:
-        """The format as the studio's page knows it."""
+        """Describe the format for the studio's page."""
         return {"name": self.name, "about": f"{self.title}: {self.used_by}", "drawn": self.drawn}
 
 
@@ -106,14 +106,21 @@ def write(
     fps: float | int | None = None,
     timeline: Timeline | None = None,
 ) -> None:
-    """Write a motion in the format of `path`'s suffix: `.npz` as AMASS has it, `.bvh` for animation software, `.glb`
-    (a skinned figure) for animation software, game engines and the web, `.csv` (MuJoCo's `qpos`) and `.xml` (its model)
-    for robotics.
+    """Write a motion in the format of the path's suffix.
 
-    `skeleton`: the body to write, by default the one the motion moves (its own bones; the bundled rest pelvis).
-    `fps`: the file's frame rate, by default the motion's own; rotations are resampled on the sphere. `timeline`: goes
-    along where the format has a place for it (`.npz`, `.glb`, `.xml`). Folders are made; a file already there is
-    replaced once the new one is whole. Another suffix is a `ValueError`.
+    Formats are `.npz` in AMASS's layout, `.bvh` for animation software, `.glb` (a skinned figure) for animation
+    software, game engines and the web, and `.csv` (MuJoCo's `qpos`) and `.xml` (its model) for robotics. Folders are
+    created; an existing file is replaced once the new one is complete.
+
+    Args:
+        motion: Motion to write.
+        path: File to write.
+        skeleton: Body to write; by default that of the motion (its bones, with the bundled rest pelvis).
+        fps: Frame rate of the file; by default that of the motion. Rotations are resampled on the sphere.
+        timeline: Timeline to store with the motion, in `.npz`, `.glb` and `.xml` files.
+
+    Raises:
+        ValueError: For any other suffix.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -125,13 +132,13 @@ def write(
 
 
 def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
-    """The motion of an `.npz` that `write` or AMASS wrote, or of a `.bvh`: `write`'s, Mixamo's, Bandai's, CMU's, and
-    others whose joints have such names.
+    """Read a motion from an `.npz` file of `write` or AMASS, or from a `.bvh` file with common joint names.
 
-    `skeleton` (by default the bundled one) is posed where an `.npz` has no joints; rotations of a `.bvh` of other
-    joints than ours turn its bones to where the file's point. A `.bvh` does not say its unit: it is the metre,
-    centimetre, millimetre, inch or CMU's in which the legs are 0.5 to 1.3 m long; y is up. Raises `ValueError` for
-    another suffix and for what is missing inside.
+    Common names are those of `write`, Mixamo, Bandai, CMU and similar. `skeleton` (by default the bundled one) is posed
+    if an `.npz` file has no joints; for a `.bvh` file with other joints than SMPL's, its bones are turned to the
+    directions of the file's. A `.bvh` file does not state its unit: it is the metre, centimetre, millimetre, inch or
+    CMU's unit in which the legs are 0.5 to 1.3 m long; y is up. Raises `ValueError` for another suffix and for missing
+    content.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -145,7 +152,16 @@ def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
 
 
 def format_of(path: Path, formats: Sequence[Format], act: str) -> Format:
-    """The format of a path's suffix. Raises `ValueError` that names the path, the `act` and the choices."""
+    """Find the format of a path's suffix.
+
+    Args:
+        path: Path of a file.
+        formats: Formats to choose from.
+        act: Verb for the message, such as "read".
+
+    Raises:
+        ValueError: For any other suffix; the message names the path, the verb and the choices.
+    """
     for kind in formats:
         if kind.suffix == path.suffix.lower():
             return kind
@@ -162,7 +178,17 @@ def write_as(
     timeline: Timeline | None = None,
     **options: Any,
 ) -> None:
-    """Write a motion in one format, whatever the suffix; all else as in `write`."""
+    """Write a motion in one format, whatever the suffix.
+
+    Args:
+        kind: Format of the file.
+        motion: Motion to write.
+        path: File to write.
+        skeleton: As in `write`.
+        fps: As in `write`.
+        timeline: As in `write`.
+        **options: Options of the format.
+    """
     motion = motion if fps is None else motion.resampled(fps)
     if skeleton is None:
         skeleton = Skeleton.measured(motion.rotations, motion.joints)

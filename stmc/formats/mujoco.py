@@ -1,7 +1,7 @@
-"""Motions for robotics: tables of what MuJoCo calls `qpos`, and the skeleton as its model.
+"""Motions for robotics: tables of MuJoCo's `qpos`, and the skeleton as a MuJoCo model.
 
-Knows MuJoCo's order: z up, metres, quaternions real part first and relative to the parent, joints depth first. So a
-row of the table, without its time, is the `qpos` of the model.
+MuJoCo's conventions are z up, metres, quaternions relative to the parent with the real part first, and joints depth
+first. A row of the table, without its time, is therefore the `qpos` of the model.
 """
 
 from __future__ import annotations
@@ -21,12 +21,20 @@ from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 
 _THICK = 0.035
-"""Metres: the radius of the model's bones."""
+"""Radius of the model's bones, in metres."""
 
 
 def save_csv(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None) -> None:
-    """Write a line of names, then for each frame: its time (s), the pelvis' place (m), and the quaternions of the 22
-    joints, the pelvis' in the world and the others' relative to their parents, w x y z.
+    """Write a line of names, then one line per frame.
+
+    A line holds the time (s), the position of the pelvis (m), and the quaternions w x y z of the 22 joints: that of the
+    pelvis in the world, the others relative to their parents.
+
+    Args:
+        motion: Motion to write.
+        file: Binary file.
+        skeleton: Not used.
+        timeline: Not used.
     """
     names = [f"{JOINTS[joint]}_q{axis}" for joint in depth_first() for axis in "wxyz"]
     header = ",".join(["time", "pelvis_x", "pelvis_y", "pelvis_z", *names])
@@ -37,8 +45,15 @@ def save_csv(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Time
 
 
 def save_mjcf(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None) -> None:
-    """Write the skeleton as a model of MuJoCo: a free pelvis, 21 ball joints, capsules as bones; each frame is a
-    keyframe with its time, and the timeline's JSON is a text called "timeline".
+    """Write the skeleton as a MuJoCo model: a free pelvis, 21 ball joints, and capsules as bones.
+
+    Each frame is a keyframe with its time; the timeline's JSON is a text named "timeline".
+
+    Args:
+        motion: Motion to write.
+        file: Binary file.
+        skeleton: Body to write.
+        timeline: Timeline to store, or None.
     """
     times = [f"{frame / motion.fps:.6f}" for frame in range(motion.frames)]
     rows = [" ".join(f"{value:.6f}" for value in row) for row in _qpos(motion)]
@@ -53,9 +68,9 @@ def save_mjcf(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Tim
 
 
 def depth_first(joint: int = 0) -> list[int]:
-    """The rotated joints from one on downwards, in the order of MuJoCo's `qpos`."""
+    """List a joint and its rotated descendants in the order of MuJoCo's `qpos`."""
     below = [index for index, parent in enumerate(PARENTS[:NUM_ROTATIONS]) if parent == joint]
-    return [joint, *(each for child in below for each in depth_first(child))]
+    return [joint, *(descendant for child in below for descendant in depth_first(child))]
 
 
 def _qpos(motion: Motion) -> Float[np.ndarray, "frames 91"]:
@@ -64,7 +79,7 @@ def _qpos(motion: Motion) -> Float[np.ndarray, "frames 91"]:
 
 
 def _body(joint: int, skeleton: Skeleton, indent: str) -> list[str]:
-    """The lines of a joint's body and of all below it."""
+    """Return the lines of a joint's body and of its descendants."""
     offset, inner = skeleton.offsets[joint].tolist() if joint else [0.0, 0.0, 0.0], indent + "  "
     kind = '<freejoint name="pelvis"/>' if joint == 0 else f'<joint name="{JOINTS[joint]}" type="ball"/>'
     lines = [f'{indent}<body name="{JOINTS[joint]}" pos="{_numbers(offset)}">', inner + kind]

@@ -1,4 +1,4 @@
-"""Motions as `.npz` files laid out as AMASS has them, and back. Knows AMASS's names; knows no other format."""
+"""Motions as `.npz` files in AMASS's layout, and back. Depends on AMASS's names; independent of other formats."""
 
 from __future__ import annotations
 
@@ -22,24 +22,29 @@ from stmc.timeline import Timeline
 
 _BETAS = 16
 _FINGERS = 30
-"""Joints of SMPL-H's two hands, which follow the body's 22."""
+"""Number of joints of SMPL-H's two hands, which follow the body's 22."""
 _FRAMES_AT_ONCE = 2**14
 _RATES = ("mocap_framerate", "mocap_frame_rate")
 """AMASS's two spellings: SMPL-H files, SMPL-X files."""
 
 
 def save_npz(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None) -> None:
-    """Write `poses` [frames, 156] (axis-angle, SMPL-H's 52 joints, fingers unturned), `trans` [frames, 3], `betas` [16]
-    (zeros), `gender`, `mocap_framerate` as AMASS has them (float64, z up, metres), `joints` [frames, 24, 3], and a
-    timeline's JSON as `timeline`.
+    """Write a motion in AMASS's layout (float64, z up, metres), with joints and timeline.
 
-    `trans` is SMPL's: the pelvis position less `skeleton`'s rest pelvis, so that a body posed by SMPL stands where the
-    joints are.
+    Arrays are `poses` [frames, 156] (axis-angle, SMPL-H's 52 joints, fingers unturned), `trans` [frames, 3], `betas`
+    [16] (zeros), `gender`, `mocap_framerate`, `joints` [frames, 24, 3], and a timeline's JSON as `timeline`. `trans` is
+    SMPL's: the pelvis position minus the rest pelvis, so that a body posed by SMPL stands at the joints.
+
+    Args:
+        motion: Motion to write.
+        file: Binary file.
+        skeleton: Body with the rest pelvis.
+        timeline: Timeline to store, or None.
     """
     body = rearrange(
         matrix_to_axis_angle(motion.rotations.double().cpu()), "frames joints axes -> frames (joints axes)"
     )
-    told = {} if timeline is None else {"timeline": np.array(timeline.to_json())}
+    extra = {} if timeline is None else {"timeline": np.array(timeline.to_json())}
     np.savez_compressed(
         file,
         poses=np.pad(body.numpy(), ((0, 0), (0, 3 * _FINGERS))),
@@ -48,15 +53,15 @@ def save_npz(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Time
         gender=np.array("neutral"),
         mocap_framerate=np.array(float(motion.fps)),
         joints=motion.joints.double().cpu().numpy(),
-        **told,
+        **extra,
     )
 
 
 def load_npz(path: Path, skeleton: Skeleton) -> Motion:
-    """The motion of an AMASS file (float32): its first 22 joints, whatever fingers and face follow.
+    """Read the first 22 joints of an AMASS file (float32), without fingers and face.
 
-    Without `joints`, as in AMASS's own files, `skeleton` is posed. Raises `ValueError` naming the file and the array
-    that is missing, damaged or has the wrong shape, and for a motion beyond `bounds`, of which no array is unpacked.
+    Without `joints`, as in AMASS's own files, `skeleton` is posed. Raises `ValueError` with the file and the array that
+    is missing, damaged or has the wrong shape, and for a motion beyond `bounds`, before any array is unpacked.
     """
     headers = npz_headers(path)
     rate = next((name for name in _RATES if name in headers), _RATES[0])
@@ -77,7 +82,7 @@ def load_npz(path: Path, skeleton: Skeleton) -> Motion:
 
 
 def _check_headers(headers: Mapping[str, Header], path: Path, rate: str) -> None:
-    """Raise `ValueError` unless all arrays are there, and numbers of the shapes that fit one another."""
+    """Raise `ValueError` unless all arrays are present and numeric, with consistent shapes."""
     if missing := [name for name in ("poses", "trans", rate) if name not in headers]:
         has = cut(", ".join(headers), 200) or "none"
         raise ArraysError(f"{path} has no array {', '.join(missing)}; it has {has}")
@@ -101,8 +106,8 @@ def _fits(needed: int | None, size: int) -> bool:
 
 
 def _chunk(arrays: Mapping[str, np.ndarray], span: slice, skeleton: Skeleton) -> tuple[Tensor, Tensor]:
-    """Rotations and joints (float64) of the frames in `span`."""
-    part = {name: torch.from_numpy(each[span].astype(np.float64)) for name, each in arrays.items()}
+    """Return rotations and joints (float64) of the frames in `span`."""
+    part = {name: torch.from_numpy(array[span].astype(np.float64)) for name, array in arrays.items()}
     body = rearrange(part["poses"][:, : 3 * NUM_ROTATIONS], "frames (joints angles) -> frames joints angles", angles=3)
     rotations = axis_angle_to_matrix(body)
     joints = part.get("joints")

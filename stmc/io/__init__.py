@@ -1,6 +1,6 @@
-"""Files: written whole or not at all, and untrusted ones read within bounds.
+"""Files: complete or absent when written, and read within limits when untrusted.
 
-Knows no motion.
+Independent of motions.
 """
 
 from lazy_loader import attach

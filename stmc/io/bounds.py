@@ -1,6 +1,7 @@
-"""How large a motion may be: its frame rate, its seconds, its frames and the metres of its places.
+"""Limits of a motion: frame rate, seconds, frames, and distance from the origin.
 
-Whoever reads a motion, resamples one or writes one asks here before an array exists. Knows no file and no tensor.
+Functions that read, resample or write motions check these limits before they allocate arrays. Independent of files and
+tensors.
 """
 
 from __future__ import annotations
@@ -11,33 +12,32 @@ LEAST_FPS, MOST_FPS = 1, 1000
 """Frames per second; motion capture has 20 to 250."""
 
 MOST_SECONDS = 14_400
-"""Four hours."""
+"""Seconds of a motion: four hours."""
 
 MOST_FRAMES = 432_000
-"""Of a motion: four hours at 30 frames per second, or one at 120. They take half a gigabyte in float32."""
+"""Frames of a motion: four hours at 30 frames per second, or one at 120. They take half a gigabyte in float32."""
 
 MOST_COLUMNS = 200
-"""Numbers of a frame's pose in a file; SMPL-X has 165."""
+"""Values per frame of a pose in a file; SMPL-X has 165."""
 
 MOST_METRES = 10_000.0
-"""From the world's origin, along each axis."""
+"""Metres from the world's origin, along each axis."""
 
 
 class BoundsError(ValueError):
-    """A motion that is larger than any real one; the message says in which respect."""
+    """A motion that exceeds a limit; the message names the limit."""
 
 
 def check_fps(fps: float | int) -> None:
-    """Raise `BoundsError` unless a frame rate is from `LEAST_FPS` to `MOST_FPS`."""
+    """Raise `BoundsError` unless the frame rate is from `LEAST_FPS` to `MOST_FPS`."""
     if not LEAST_FPS <= fps <= MOST_FPS:  # NaN is not
         raise BoundsError(f"fps must be from {LEAST_FPS} to {MOST_FPS}, not {shown(fps)}")
 
 
 def check_frames(frames: float | int, fps: float | int) -> None:
-    """Raise `BoundsError` for a frame rate that `check_fps` refuses, more than `MOST_FRAMES`, or more than
-    `MOST_SECONDS`.
+    """Raise `BoundsError` for a frame rate outside the limits, or for more than `MOST_FRAMES` or `MOST_SECONDS`.
 
-    `frames` may be a fraction, where it follows from seconds and a frame rate.
+    `frames` may be fractional, as the product of seconds and a frame rate.
     """
     check_fps(fps)
     if frames > MOST_FRAMES:
@@ -47,6 +47,6 @@ def check_frames(frames: float | int, fps: float | int) -> None:
 
 
 def check_metres(name: str, largest: float) -> None:
-    """Raise `BoundsError`, which names the places, where the largest coordinate is above `MOST_METRES`."""
+    """Raise `BoundsError`, with `name` as the subject, if the largest coordinate is above `MOST_METRES`."""
     if not largest <= MOST_METRES:
         raise BoundsError(f"{name} is {largest:g} m from the origin; it must be at most {MOST_METRES:g} m")

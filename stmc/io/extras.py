@@ -1,4 +1,4 @@
-"""Packages that only some tasks need, and the extra of `stmc` that installs each. Imports none of them."""
+"""Optional packages, and the extra of `stmc` that installs each. Imports none of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXTRAS = {
     "trimesh": ("trimesh", "smpl"),
     "uvicorn": ("uvicorn", "studio"),
 }
-"""Modules, each with the distribution it comes in and the extra that has it."""
+"""The distribution and the extra of each optional module."""
 
 
 def require(*modules: str) -> None:
@@ -28,14 +28,14 @@ def require(*modules: str) -> None:
 
 
 def missing_extra(error: BaseException) -> str | None:
-    """Return a sentence that names the extra whose lack this error is, or None for any other error."""
+    """Return a sentence that names the missing extra behind an error, or None for any other error."""
     module = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     return _advice(module) if module in EXTRAS else None
 
 
 @contextmanager
 def named_extra() -> Iterator[None]:
-    """Have a `ModuleNotFoundError` of an import inside name the extra that installs the module."""
+    """Add the extra that installs the module to the message of a `ModuleNotFoundError` raised inside."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -1,6 +1,6 @@
-"""Files that are whole or absent, whenever the process is killed, and folders that one process writes at a time.
+"""Files that are complete or absent even if the process is killed, and folders that one process writes at a time.
 
-Knows nothing of what is in them.
+Independent of the files' content.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ if os.name == "nt":
 logger = logging.getLogger(__name__)
 
 LOCK = ".lock"
-"""The file by which a folder is locked; it is gone when the process that wrote there has ended by itself."""
+"""The lock file of a folder; a process that ends normally removes it."""
 
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
-_TOKEN = secrets.token_hex(4)  # a container that is started again gives the same number to another process
+_TOKEN = secrets.token_hex(4)  # a restarted container reuses process numbers
 _TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-([0-9a-f]{8})-\d+\.tmp")
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
-"""Errors of a file system that has no locks."""
+"""Errors of a file system without locks."""
 _SYNCHRONIZE, _RUNS = 0x00100000, 0x102
-"""On Windows: the right to wait for a process, and the answer about one that runs."""
+"""Windows' access right to wait for a process, and its answer for a running process."""
 _FULL = 2**20
 _PAUSE = 0.2
 
 
 class FolderInUse(ValueError):
-    """Another process is writing to a folder; the message says which process, on which machine."""
+    """Another process is writing to a folder; the message names the process and its machine."""
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Lets `write` fill a temporary file beside `path`, and renames it only once its bytes are on the disk.
+    """Have `write` fill a temporary file beside `path`, and rename it once its bytes are on the disk.
 
-    Where `write` fails, nothing is left behind and a file that was there stays; a full disk is an `OSError` that says
-    so. Folders are made. The file has the mode that `open` would give it, also where `write` made one of its own.
+    If `write` fails, no new file is left and an existing one stays; a full disk raises an `OSError` that says so.
+    Parent folders are created. The file has the mode that `open` would give it, even if `write` replaced the file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = _temporary(path)
@@ -62,7 +62,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         _sync_folder(path.parent)
     except Exception as error:
         if _is_full(error, path.parent):
-            message = "the disk is full; with more room, the same command goes on"
+            message = "the disk is full; free some space and run the same command again"
             raise OSError(errno.ENOSPC, message, str(path)) from error
         raise
     finally:
@@ -70,9 +70,9 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_whole_folder(path: Path, write: Callable[[Path], object]) -> None:
-    """Lets `write` make a temporary folder beside `path`, which must not exist or be empty, and renames it at the end.
+    """Have `write` create a temporary folder beside `path`, and rename it at the end. `path` must be absent or empty.
 
-    Where `write` fails, nothing is left behind; what killed processes left beside `path` goes, too.
+    If `write` fails, no folder is left. Leftovers of killed processes beside `path` are removed as well.
     """
     if path.parent.is_dir():
         _remove(path.parent, os.listdir(path.parent))
@@ -87,13 +87,13 @@ def write_whole_folder(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """`write_whole` of a text, in UTF-8 and with the same line ends everywhere."""
+    """Write a text with `write_whole`, in UTF-8 and with the same line ends on every system."""
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
 
 
 @contextmanager
 def scratch(path: Path) -> Iterator[Path]:
-    """A temporary folder beside `path`, which goes at the end; a killed process's goes with `remove_leftovers`."""
+    """Provide a temporary folder beside `path`; `remove_leftovers` removes those of killed processes."""
     temporary = _temporary(path)
     try:
         temporary.mkdir(parents=True)
@@ -103,13 +103,13 @@ def scratch(path: Path) -> Iterator[Path]:
 
 
 def sha256(path: Path) -> str:
-    """The SHA-256 of a file's content, in hexadecimal digits."""
+    """Return the SHA-256 of a file's content, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def probe(folder: Path) -> None:
-    """Makes a folder and writes to it, to find out before long work whether that can be done. Raises `OSError`."""
+    """Create a folder and write to it, to detect problems before long work. Raises `OSError`."""
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "is not a directory", str(folder))
     write_whole(folder / "probe", lambda temporary: temporary.write_bytes(b"probe"))
@@ -117,36 +117,35 @@ def probe(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Removes the temporary files and folders below `folder` whose process was killed: to be called where a run begins.
+    """Remove temporary files and folders of killed processes below `folder`. Call it at the beginning of a run.
 
-    Those of other machines stay, since nobody here knows what is alive there.
+    Those of other machines stay, since their processes cannot be checked.
     """
-    for place, folders, names in os.walk(folder):
-        _remove(Path(place), [*folders, *names])
+    for path, folders, names in os.walk(folder):
+        _remove(Path(path), [*folders, *names])
 
 
 def _remove(folder: Path, names: Iterable[str]) -> None:
-    for found in filter(None, map(_TEMPORARY.fullmatch, names)):
-        if found[1] == _HOST and not _is_alive(int(found[2]), found[3]):
-            left = folder / found[0]
-            if left.is_dir() and not left.is_symlink():
-                shutil.rmtree(left, ignore_errors=True)
+    for match in filter(None, map(_TEMPORARY.fullmatch, names)):
+        if match[1] == _HOST and not _is_alive(int(match[2]), match[3]):
+            leftover = folder / match[0]
+            if leftover.is_dir() and not leftover.is_symlink():
+                shutil.rmtree(leftover, ignore_errors=True)
             else:
-                left.unlink(missing_ok=True)  # another process may begin at the same time
+                leftover.unlink(missing_ok=True)  # another process may remove it at the same time
 
 
 def _temporary(path: Path) -> Path:
-    """The name beside `path` by which a leftover is known, and whose it is."""
+    """Name a temporary file beside `path` that identifies its process and machine."""
     return path.with_name(f".{path.name[:32]}.{_HOST}-{os.getpid()}-{_TOKEN}-{threading.get_ident()}.tmp")
 
 
 @contextmanager
 def locked(folder: Path, patience: float | int = 0.0) -> Iterator[None]:
-    """Keeps every other process from `folder` as long as it asks for the lock, too; makes the folder, and removes what
-    killed processes left in it.
+    """Lock a folder against other processes that use this lock. Creates the folder, and removes leftovers in it.
 
-    The operating system holds the lock: it ends with the process, however that ends. Raises `FolderInUse` after so many
-    seconds of `patience` with another process. On file systems without locks there is a warning and no protection.
+    The operating system releases the lock when the process ends, however it ends. Raises `FolderInUse` if another
+    process still holds the lock after `patience` seconds. File systems without locks give a warning and no protection.
     """
     with held(Path(folder) / LOCK, patience):
         remove_leftovers(folder)
@@ -155,8 +154,8 @@ def locked(folder: Path, patience: float | int = 0.0) -> Iterator[None]:
 
 @contextmanager
 def held(path: Path, patience: float | int = 0.0) -> Iterator[None]:
-    """Keep every other process from whatever the lock file `path` stands for; make its folder. Raises as `locked`."""
-    from filelock import FileLock, Timeout  # not above: it is slow to import
+    """Hold the lock file `path` against other processes; create its folder. Raises as `locked`."""
+    from filelock import FileLock, Timeout  # imported late: it is slow to import
 
     path.parent.mkdir(parents=True, exist_ok=True)
     wait = -1 if math.isinf(patience) else patience
@@ -164,18 +163,18 @@ def held(path: Path, patience: float | int = 0.0) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        message = f"{path.parent} is being written by {_owner(path)}; wait for its end, or choose another folder"
+        message = f"{path.parent} is in use by {_owner(path)}; wait until it ends, or choose another folder"
         raise FolderInUse(message) from None
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise
-        logger.warning("%s: two runs at once would not be noticed, this file system has no locks", path.parent)
-        logger.debug("the lock", exc_info=error)
+        logger.warning("%s: this file system has no locks, so two runs at once would not be noticed", path.parent)
+        logger.debug("error of the lock", exc_info=error)
     try:
         _sign(path)
         yield
     finally:
-        with suppress(OSError):  # on Windows nobody can remove an open file, and the lock's release removes it
+        with suppress(OSError):  # Windows cannot remove an open file; releasing the lock removes it there
             path.unlink()
         lock.release()
 
@@ -192,7 +191,7 @@ def _owner(path: Path) -> str:
     with suppress(OSError), path.open("rb", buffering=0) as file:
         file.seek(1)
         return file.read(200).decode(errors="replace").partition("\n")[0] or "another process"
-    return "another process"  # its owner removed it in the meantime
+    return "another process"  # the owner removed the file in the meantime
 
 
 def _is_alive(process: int, token: str) -> bool:
@@ -200,7 +199,7 @@ def _is_alive(process: int, token: str) -> bool:
 
 
 def _exists(process: int) -> bool:
-    """Whether a process of this machine runs."""
+    """Tell whether a process of this machine is running."""
     try:
         if os.name != "nt":
             os.kill(process, 0)
@@ -210,25 +209,25 @@ def _exists(process: int) -> bool:
             return _winapi.WaitForSingleObject(handle, 0) == _RUNS
         finally:
             _winapi.CloseHandle(handle)
-    except PermissionError:  # somebody else's
+    except PermissionError:  # a process of another user
         return True
     except (OSError, OverflowError):
         return False
 
 
 def _is_full(error: Exception, folder: Path) -> bool:
-    """Whether a write failed because nothing more fits; torch and safetensors have errors of their own for it."""
+    """Tell whether a write failed for lack of space; torch and safetensors raise their own errors then."""
     if isinstance(error, OSError):
         return error.errno == errno.ENOSPC
     return shutil.disk_usage(folder).free < _FULL
 
 
 def _sync_folder(folder: Path) -> None:
-    """Makes a new name in a folder last through a power cut, where there is a way to."""
+    """Make a new name in a folder survive a power failure, if the system supports it."""
     if os.name != "nt":
         descriptor = os.open(folder, os.O_RDONLY)
         try:
-            with suppress(OSError):  # not every file system can
+            with suppress(OSError):  # not every file system supports it
                 os.fsync(descriptor)
         finally:
             os.close(descriptor)

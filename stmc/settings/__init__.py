@@ -1,6 +1,6 @@
-"""Settings as records, shards of work, and names that settings had before.
+"""Settings as records, shards of work, and former names of settings.
 
-Knows no command.
+Independent of commands.
 """
 
 from lazy_loader import attach

@@ -1,7 +1,7 @@
-"""Settings as records: a dataclass whose fields say what each setting is, its range and its choices, and one check.
+"""Settings as records: dataclasses whose fields hold the help, range and choices of each setting, and one check.
 
 The fields are the only list: defaults, help and messages derive from them, in Python and on the command line alike.
-Knows dataclasses; knows no setting, no file and no command line.
+Depends on dataclasses; independent of particular settings, files and command lines.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ _LIMITS: Mapping[str, tuple[str, Callable[[Any, Any], bool]]] = {
 
 
 class SettingError(ValueError):
-    """A setting that is unknown, of the wrong type or out of range; the message says which, the value and what fits."""
+    """An unknown setting, a wrong type or a value out of range; the message names the setting and the valid values."""
 
 
 @dataclass(frozen=True)
-class About:
-    """What a field of a record of settings says of itself."""
+class FieldInfo:
+    """Help, unit, choices and limits of a setting: the metadata of a field of a record."""
 
     help: str
     unit: str = ""
     choices: tuple[str, ...] = ()
-    """Of a string, or of each item of a tuple of strings; none: any."""
+    """Choices for a string, or for each item of a tuple of strings; empty: any string."""
     limits: tuple[tuple[str, float | int], ...] = ()
-    """Of a number: pairs of a key of `setting` ("at_least", "above", "at_most", "below") and a limit."""
+    """Limits of a number: pairs of an argument of `setting` ("at_least", "above", "at_most", "below") and its value."""
 
     @property
     def fits(self) -> str:
-        """The legal values in words: "from a, b, c", "at least 0 and below 1 s"."""
+        """The valid values in words: "one of a, b, c", "at least 0 and below 1 s"."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         limits = " and ".join(f"{_LIMITS[name][0]} {limit:g}" for name, limit in self.limits)
@@ -64,104 +64,136 @@ def setting(
     at_most: float | int | None = None,
     below: float | int | None = None,
 ) -> Any:
-    """A field of a record of settings: its default (`MISSING`: it must be given), what it is in a line, and what values
-    fit."""
+    """Make a field of a record of settings.
+
+    Args:
+        default: Default value; `MISSING` if the setting is required.
+        help: Help in one line.
+        unit: Unit of a number.
+        choices: Valid strings; empty: any string.
+        at_least: Inclusive lower limit of a number.
+        above: Exclusive lower limit.
+        at_most: Inclusive upper limit.
+        below: Exclusive upper limit.
+    """
     limits = {"at_least": at_least, "above": above, "at_most": at_most, "below": below}
-    given = tuple((name, limit) for name, limit in limits.items() if limit is not None)
+    present = tuple((name, limit) for name, limit in limits.items() if limit is not None)
     first = {"default_factory": default.copy} if isinstance(default, dict) else {"default": default}
-    return dataclasses.field(**first, metadata={"about": About(help, unit, tuple(choices), given)})
+    return dataclasses.field(**first, metadata={"info": FieldInfo(help, unit, tuple(choices), present)})
 
 
 def as_in(record: type, name: str, default: Any = dataclasses.MISSING) -> Any:
-    """Return a field like the one of another record: with its help, limits and choices, and with its default unless
-    another one is given."""
+    """Make a field with the help, limits and choices of a field of another record.
+
+    Args:
+        record: The other record.
+        name: Name of its field.
+        default: Default value; that of the other field if omitted.
+    """
     [other] = [field for field in dataclasses.fields(record) if field.name == name]
     default = other.default if default is dataclasses.MISSING else default
     return dataclasses.field(default=default, metadata=other.metadata)
 
 
-def about(record: type) -> dict[str, About]:
-    """What every setting of a record says of itself, in order."""
-    return {field.name: field.metadata["about"] for field in dataclasses.fields(record) if "about" in field.metadata}
+def field_infos(record: type) -> dict[str, FieldInfo]:
+    """Return the `FieldInfo` of every setting of a record, in order."""
+    return {field.name: field.metadata["info"] for field in dataclasses.fields(record) if "info" in field.metadata}
 
 
 def defaults(record: type) -> dict[str, Any]:
-    """The default of every setting of a record, in order; `dataclasses.MISSING` for what must be given."""
-    fields = [field for field in dataclasses.fields(record) if "about" in field.metadata]
-    made = {field.name: field.default_factory for field in fields if field.default_factory is not dataclasses.MISSING}
-    return {field.name: made[field.name]() if field.name in made else field.default for field in fields}
+    """Return the default of every setting of a record, in order; `dataclasses.MISSING` for required ones."""
+    fields = [field for field in dataclasses.fields(record) if "info" in field.metadata]
+    makers = {field.name: field.default_factory for field in fields if field.default_factory is not dataclasses.MISSING}
+    return {field.name: makers[field.name]() if field.name in makers else field.default for field in fields}
 
 
 def check(record: Any) -> None:
-    """Raises `SettingError` for the first setting of a record that does not fit; for `__post_init__`."""
-    _check_values(type(record), {name: getattr(record, name) for name in about(type(record))})
+    """Raise `SettingError` for the first invalid setting of a record; for `__post_init__`."""
+    _check_values(type(record), {name: getattr(record, name) for name in field_infos(type(record))})
 
 
 def record_of(kind: type[Record], values: Mapping[str, Any]) -> Record:
-    """The record with these settings, lists as tuples, all others at their defaults. Raises `SettingError`, for unknown
-    names too, with the nearest known one."""
-    known = [field.name for field in dataclasses.fields(cast(Any, kind))]
+    """Make a record with these settings, lists as tuples, and defaults for the others.
+
+    Raises `SettingError` for an invalid value, and for an unknown name, with the nearest valid one.
+    """
+    valid = [field.name for field in dataclasses.fields(cast(Any, kind))]
     for name in values:
-        check_name(name, known)
+        check_name(name, valid)
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     _check_values(kind, values)
     return kind(**values)
 
 
-def takes(kind: type) -> Callable[[Function], Function]:
-    """Of a function with `**settings`: its signature shows the settings of the record `kind` instead, for help and
-    completion. The function makes the record itself, with `record_of`."""
+def with_signature_of(kind: type) -> Callable[[Function], Function]:
+    """Replace `**settings` in a function's signature by the fields of the record `kind`, for help and completion.
 
-    def shows(function: Function) -> Function:
+    The function itself makes the record, with `record_of`.
+    """
+
+    def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
-        own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+        named = [item for item in signature.parameters.values() if item.kind is not inspect.Parameter.VAR_KEYWORD]
         settings = [
-            inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
-            for each in dataclasses.fields(kind)
+            inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type)
+            for field in dataclasses.fields(kind)
         ]
-        vars(function)["__signature__"] = signature.replace(parameters=[*own, *settings])
+        vars(function)["__signature__"] = signature.replace(parameters=[*named, *settings])
         return function
 
-    return shows
+    return decorate
 
 
-def check_name(name: Any, known: Iterable[str], kind: str = "setting") -> None:
-    """Raises `SettingError` for the name of a `kind` of thing that is not known, with the nearest one that is."""
-    known = list(known)
-    if name not in known:
-        near = get_close_matches(str(name), known, 1)
-        meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(known)}"
-        raise SettingError(f"unknown {kind} {shown(name)}: {meant}")
+def check_name(name: Any, valid: Iterable[str], kind: str = "setting") -> None:
+    """Raise `SettingError` for an unknown name, with the nearest valid one.
+
+    Args:
+        name: Name to check.
+        valid: Valid names.
+        kind: Noun for the message, such as "setting".
+    """
+    valid = list(valid)
+    if name not in valid:
+        matches = get_close_matches(str(name), valid, 1)
+        advice = f"did you mean {matches[0]}?" if matches else f"choose from {', '.join(valid)}"
+        raise SettingError(f"unknown {kind} {shown(name)}: {advice}")
 
 
 def _check_values(kind: type, values: Mapping[str, Any]) -> None:
-    hints, known = _hints(kind), about(kind)
+    hints, infos = _hints(kind), field_infos(kind)
     for name in values:
-        if name in known:
+        if name in infos:
             if values[name] == "":
-                raise SettingError(f"{name}='': a text needed")
-            check_value(name, values[name], hints[name], known[name])
+                raise SettingError(f"{name}='': must not be empty")
+            check_value(name, values[name], hints[name], infos[name])
 
 
 _hints = cache(get_type_hints)
 
 
-def check_value(name: str, value: Any, hint: Any, each: About | None = None) -> None:
-    """Raises `SettingError` for a value that is not of the type `hint`, or not what `each` says."""
-    each = About("") if each is None else each
+def check_value(name: str, value: Any, hint: Any, info: FieldInfo | None = None) -> None:
+    """Raise `SettingError` for a value of the wrong type or out of range.
+
+    Args:
+        name: Name of the setting, for the message.
+        value: Value to check.
+        hint: Type of the setting.
+        info: Choices and limits; None: any value of the type is valid.
+    """
+    info = FieldInfo("") if info is None else info
     kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     kinds = tuple(kind for kind in kinds if kind is not int or float not in kinds)
     if value is None and NoneType in kinds:
         return
     if not any(_is(value, kind) for kind in kinds):
         words = " or ".join(dict.fromkeys(map(_words, kinds)))
-        raise SettingError(f"{name}={shown(value)}: {words} needed{f', {each.fits}' if each.fits else ''}")
+        raise SettingError(f"{name}={shown(value)}: must be {words}{f', {info.fits}' if info.fits else ''}")
     items = value if isinstance(value, tuple) else (value,)
-    if each.choices and (bad := [item for item in items if isinstance(item, str) and item not in each.choices]):
-        raise SettingError(f"{name}={shown(bad[0])}: choose from {', '.join(each.choices)}")
+    if info.choices and (bad := [item for item in items if isinstance(item, str) and item not in info.choices]):
+        raise SettingError(f"{name}={shown(bad[0])}: choose from {', '.join(info.choices)}")
     for item in items:
-        if isinstance(item, (int, float)) and not all(_LIMITS[limit][1](item, at) for limit, at in each.limits):
-            raise SettingError(f"{name}={shown(item)}: must be {each.fits}")
+        if isinstance(item, (int, float)) and not all(_LIMITS[limit][1](item, at) for limit, at in info.limits):
+            raise SettingError(f"{name}={shown(item)}: must be {info.fits}")
 
 
 _WORDS: Mapping[Any, str] = {
@@ -171,14 +203,14 @@ _WORDS: Mapping[Any, str] = {
 
 
 def _words(kind: Any) -> str:
-    """A type as a message names it."""
+    """Name a type for a message."""
     if get_origin(kind) is Literal:
         return f"one of {', '.join(map(str, get_args(kind)))}"
     return _WORDS.get(get_origin(kind) or kind, getattr(kind, "__name__", str(kind)))
 
 
 def _is(value: Any, kind: Any) -> bool:
-    """Whether a value is of a plain type: a bool is no number, a whole number is a float, and none is infinite."""
+    """Tell whether a value has a type. A bool is not a number, an int counts as a float, and floats must be finite."""
     if kind is float:
         return _is(value, int) or (isinstance(value, float) and math.isfinite(value))
     if kind is int:
@@ -186,7 +218,7 @@ def _is(value: Any, kind: Any) -> bool:
     if get_origin(kind) is Literal:
         return value in get_args(kind)
     if get_origin(kind) in (Union, UnionType):
-        return any(_is(value, each) for each in get_args(kind))
+        return any(_is(value, member) for member in get_args(kind))
     if get_origin(kind) is Callable:
         return callable(value)
     if get_origin(kind) is tuple:

@@ -1,7 +1,6 @@
-"""What keys of configurations were called before: run directories, checkpoints and tables of earlier versions can be
-read all the same.
+"""Former names of configuration keys: they keep run directories, checkpoints and tables of old versions readable.
 
-Knows names; knows no file.
+Depends on names; independent of files.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 RENAMED: Mapping[str, str] = {"spread": "noise_scale", "late": "stitch_from", "window": "fixed_length"}
-"""Every key that has another name now, wherever it stands in a run directory's config."""
+"""Renamed keys, anywhere in a run directory's config."""
 
 RENAMED_SETTINGS: Mapping[str, str] = {
     "training.rate": "training.lr",
@@ -30,8 +29,8 @@ RENAMED_SETTINGS: Mapping[str, str] = {
     "sentences": "false_negative_encoder",
     "similar": "false_negative_threshold",
 }
-"""The settings of trainings that have another name now, by their whole path (these old names are too common to be
-renamed wherever they stand); settings below them move with them."""
+"""Renamed settings of trainings, by full path, since these old names are too common to be renamed everywhere. Settings
+below them move with them."""
 
 RENAMED_CLASSES: Mapping[str, str] = {
     "stmc.representation.SmplRepresentation": "stmc.motion.representation.SmplRepresentation",
@@ -49,7 +48,7 @@ RENAMED_CLASSES: Mapping[str, str] = {
     "stmc.data.sources.annotated_amass.AnnotatedAmass": "stmc.data.sources.amass.annotated_amass.AnnotatedAmass",
     "stmc.data.sources.humanml3d.ProcessedHumanML3D": "stmc.data.sources.humanml3d.humanml3d_folder.ProcessedHumanML3D",
 }
-"""Values of `_target_` in run directories and in the settings of trainings."""
+"""Renamed classes: values of `_target_` in run directories and in the settings of trainings."""
 
 RENAMED_ARGUMENTS: Mapping[str, Mapping[str, str]] = {
     "stmc.denoisers.FlowMdm": {"horizon": "attention_window", "skipped": "stochastic_depth"},
@@ -60,17 +59,16 @@ RENAMED_ARGUMENTS: Mapping[str, Mapping[str, str]] = {
         "read_heads": "text_heads",
     },
 }
-"""Of classes: arguments that have another name now, beside the class as `_target_`."""
+"""Renamed arguments of classes, which stand beside the class as `_target_`."""
 
 RENAMED_IN_RECORDS: Mapping[str, str] = {"spread": "noise_scale", "late": "stitch_from", "absolute": "ape_steps"}
-"""Of the settings in records of results."""
+"""Renamed settings in records of results."""
 
 RENAMED_COLUMNS: Mapping[str, str] = {"rate": "lr", "loss_feet": "loss_foot_velocity"}
-"""Those of the tables that trainings write."""
-
+"""Renamed columns of the tables that trainings write."""
 
 ONE_RECORD = ("stmc.data.batches.Sampling", "stmc.training.data.batches.Sampling")
-"""The record that had the settings of all recipes of batches, at `data.sampling` of trainings."""
+"""The former record with the settings of all batch recipes, at `data.sampling` of trainings."""
 
 _RECIPES = "stmc.training.data"
 BALANCED, PACKED = f"{_RECIPES}.balanced_batches.BalancedBatches", f"{_RECIPES}.packed_rows.PackedRows"
@@ -96,48 +94,51 @@ WITHOUT_EFFECT: Mapping[str, Mapping[str, tuple[Any, ...] | None]] = {
         ("order", *_CROPPING, *_BALANCING, "compose_prob", "compose_legs_prob", "texts_per_row"),
     ),
 }
-"""The settings of `ONE_RECORD` that today's recipe lacks, with the values that changed no batch; None: no value did."""
+"""Settings of `ONE_RECORD` that a current recipe lacks, with the values that had no effect; None: no value had any."""
 
 
 def with_new_names(config: Any) -> Any:
-    """A config of plain mappings and lists with today's keys; one that has both keeps today's."""
+    """Replace former keys in a config of plain mappings and lists. If both keys are present, the current one wins."""
     if isinstance(config, Mapping):
         inner = {key: with_new_names(value) for key, value in config.items()}
         if "_target_" in inner:
             inner["_target_"] = _new_class(inner["_target_"])
-        names = {**RENAMED, **_arguments(config.get("_target_"))}
+        names = {**RENAMED, **_renamed_arguments(config.get("_target_"))}
         old = {names[key]: value for key, value in inner.items() if key in names}
         return old | {key: value for key, value in inner.items() if key not in names}
-    return [with_new_names(each) for each in config] if isinstance(config, list) else config
+    return [with_new_names(item) for item in config] if isinstance(config, list) else config
 
 
 def with_new_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by their whole paths, `training.lr`, with today's, and with today's recipe of batches."""
+    """Replace former settings, by full path such as `training.lr`, by current ones and the current batch recipe."""
     renamed = {}
     for path, value in settings.items():
         above, _, name = path.rpartition(".")
-        own = _arguments(settings.get(f"{above}._target_")).get(name, name)
-        today = _new_path(f"{above}.{own}" if above else own)
-        renamed[today] = _new_class(value)
-    return _with_a_recipe(renamed)
+        argument = _renamed_arguments(settings.get(f"{above}._target_")).get(name, name)
+        renamed[_new_path(f"{above}.{argument}" if above else argument)] = _new_class(value)
+    return _replace_one_record(renamed)
 
 
-def _with_a_recipe(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings by their whole paths with today's recipe of batches. A setting that changed batches and that the recipe
-    lacks stays, so that the training is refused as one of other settings."""
-    place = "data.sampling."
-    own = {path.removeprefix(place): value for path, value in settings.items() if path.startswith(place)}
-    if own.get("_target_") not in ONE_RECORD:
+def _replace_one_record(settings: dict[str, Any]) -> dict[str, Any]:
+    """Replace `ONE_RECORD` by the current batch recipe.
+
+    A setting that had an effect and that the recipe lacks stays, so that the training is rejected for its settings.
+    """
+    prefix = "data.sampling."
+    record = {path.removeprefix(prefix): value for path, value in settings.items() if path.startswith(prefix)}
+    if record.get("_target_") not in ONE_RECORD:
         return settings
-    one_text = own.get("texts_per_row", [1, 1]) == [1, 1]
-    recipe = {"rows": RECORDED, "epochs": EPOCHS}.get(str(own.get("order")), BALANCED if one_text else PACKED)
-    own = {"trimmed": "either_end"} | own | {"_target_": recipe}
-    if own.get("trim") == 0:
-        del own["trimmed"]
+    one_text = record.get("texts_per_row", [1, 1]) == [1, 1]
+    recipe = {"rows": RECORDED, "epochs": EPOCHS}.get(str(record.get("order")), BALANCED if one_text else PACKED)
+    record = {"trimmed": "either_end"} | record | {"_target_": recipe}
+    if record.get("trim") == 0:
+        del record["trimmed"]
     idle = WITHOUT_EFFECT[recipe]
-    lost = [each for each in own if (name := each.partition(".")[0]) in idle and _is_idle(own[each], idle[name])]
-    others = {path: value for path, value in settings.items() if not path.startswith(place)}
-    return others | {f"{place}{name}": value for name, value in own.items() if name not in lost}
+    dropped = [
+        path for path in record if (name := path.partition(".")[0]) in idle and _is_idle(record[path], idle[name])
+    ]
+    others = {path: value for path, value in settings.items() if not path.startswith(prefix)}
+    return others | {f"{prefix}{name}": value for name, value in record.items() if name not in dropped}
 
 
 def _is_idle(value: Any, values: tuple[Any, ...] | None) -> bool:
@@ -148,7 +149,7 @@ def _new_class(value: Any) -> Any:
     return RENAMED_CLASSES.get(value, value) if isinstance(value, str) else value
 
 
-def _arguments(target: Any) -> Mapping[str, str]:
+def _renamed_arguments(target: Any) -> Mapping[str, str]:
     return RENAMED_ARGUMENTS.get(target, {}) if isinstance(target, str) else {}
 
 

@@ -1,7 +1,7 @@
-"""Shares of work that several processes or machines do: which one is asked for, what is in it, what is still missing.
+"""Shards of work for several processes or machines: the requested shard, its items, and the items still missing.
 
-A share takes every n-th item in their order, so that it depends on nothing but the order, and all shares of items that
-are sorted by size are about as much work. Knows numbers and items; knows nothing of what they are.
+A shard takes every n-th item, so it depends on the order of the items alone, and the shards of items sorted by size are
+about equal in work. Depends on numbers and sequences; independent of the kind of items.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ ALL = "all"
 
 
 class Incomplete(ValueError):
-    """Something that other shares should have made is not there; the message says of which shares."""
+    """Results of other shards are missing; the message names the shards."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """The `number`-th of `count` shares, counted from 1; with `number` None no share, but a look at all of them.
+    """The `number`-th of `count` shards, counted from 1; with `number` None, no items, only a view of all shards.
 
     Raises:
-        SettingError: For a number that is not one of 1 to `count`.
+        SettingError: If the number is not from 1 to `count`.
 
     Examples:
         >>> shard = stmc.Shard(2, 3)
@@ -42,31 +42,32 @@ class Shard:
 
     def __post_init__(self) -> None:
         if self.count < 1:
-            raise SettingError(f"shard={self}: at least one share")
+            raise SettingError(f"shard={self}: the count must be at least 1")
         if self.number is not None and not 1 <= self.number <= self.count:
-            counted = f"shares count from 1, here 1/{self.count} to {self.count}/{self.count}"
-            raise SettingError(f"shard={self}: {counted} (of a job array: --array=1-{self.count})")
+            valid = f"must be from 1/{self.count} to {self.count}/{self.count}"
+            raise SettingError(f"shard={self}: {valid} (for a job array: --array=1-{self.count})")
 
     def __str__(self) -> str:
         return f"{ALL if self.number is None else self.number}/{self.count}"
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """As it is typed: "3/64", or "all/64". Raises `SettingError`.
+        """Parse a shard such as "3/64", or "all/64". Raises `SettingError` for any other text.
 
         Examples:
             >>> stmc.Shard.parse("3/64")
             Shard(number=3, count=64)
         """
-        found = re.fullmatch(rf"({ALL}|\d{{1,9}})/(\d{{1,9}})", text)
-        if found is None:
-            raise SettingError(f"shard={shown(text)}: a share like 3/64 needed, the third of 64, or {ALL}/64")
-        return cls(None if found[1] == ALL else int(found[1]), int(found[2]))
+        match = re.fullmatch(rf"({ALL}|\d{{1,9}})/(\d{{1,9}})", text)
+        if match is None:
+            raise SettingError(f"shard={shown(text)}: must be like 3/64, the third of 64 shards, or {ALL}/64")
+        return cls(None if match[1] == ALL else int(match[1]), int(match[2]))
 
     @classmethod
     def of_process(cls, environment: Mapping[str, str] = os.environ) -> Shard:
-        """Of this process among those that `accelerate launch` or `torchrun` started, by RANK and WORLD_SIZE; 1/1 where
-        there are no others. Raises `SettingError` for values that are not numbers.
+        """Return the shard of this process among those of `accelerate launch` or `torchrun`, by RANK and WORLD_SIZE.
+
+        A single process has the shard 1/1. Raises `SettingError` for values that are not numbers.
 
         Examples:
             >>> stmc.Shard.of_process({"RANK": "0", "WORLD_SIZE": "4"})
@@ -76,12 +77,12 @@ class Shard:
         if rank is None or size is None:
             return cls()
         if not (rank.isdecimal() and size.isdecimal()):
-            raise SettingError(f"RANK={shown(rank)}, WORLD_SIZE={shown(size)}: whole numbers needed")
+            raise SettingError(f"RANK={shown(rank)}, WORLD_SIZE={shown(size)}: must be whole numbers")
         return cls(int(rank) + 1, int(size))
 
     @classmethod
     def asked(cls, text: str | None) -> Shard:
-        """That of the text; of the process where there is none.
+        """Return the shard that a text names, or that of this process if there is no text.
 
         Examples:
             >>> stmc.Shard.asked(None)
@@ -90,7 +91,7 @@ class Shard:
         return cls.of_process() if text is None else cls.parse(text)
 
     def of(self, items: Sequence[Item]) -> list[Item]:
-        """Every `count`-th of the items, from the `number`-th on.
+        """Return every `count`-th item, from the `number`-th on.
 
         Examples:
             >>> stmc.Shard(3, 64).of(range(200))
@@ -99,7 +100,7 @@ class Shard:
         return [] if self.number is None else list(items[self.number - 1 :: self.count])
 
     def lacking(self, items: Sequence[Item], missing: Collection[Item]) -> dict[Shard, int]:
-        """Of all shares of the items those that have `missing` ones, and how many.
+        """Count the missing items of each shard that has any.
 
         Examples:
             >>> {str(shard): count for shard, count in stmc.Shard(1, 3).lacking("abcde", missing="be").items()}
@@ -112,8 +113,8 @@ class Shard:
 
 
 def listed(lacking: Mapping[Shard, int], most: int = 8) -> str:
-    """Shares and how much is missing of each, in words: "shards 2/4 (5) and 3/4 (125)"."""
-    told = [f"{shard} ({count})" for shard, count in lacking.items()]
-    if len(told) > most:
-        told = [*told[:most], f"{len(told) - most} more"]
-    return f"shard{'s' * (len(told) > 1)} {' and '.join(filter(None, (', '.join(told[:-1]), told[-1])))}"
+    """Describe shards and the number of missing items of each: "shards 2/4 (5) and 3/4 (125)"."""
+    words = [f"{shard} ({count})" for shard, count in lacking.items()]
+    if len(words) > most:
+        words = [*words[:most], f"{len(words) - most} more"]
+    return f"shard{'s' * (len(words) > 1)} {' and '.join(filter(None, (', '.join(words[:-1]), words[-1])))}"

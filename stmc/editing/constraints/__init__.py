@@ -1,4 +1,4 @@
-"""Constraints beside text: paths, headings, keyframes, hands and feet, met while a motion is sampled."""
+"""Constraints other than text: paths, headings, keyframes, hands and feet, applied while a motion is sampled."""
 
 from stmc.editing.constraints.constraint import Constraint, Field, Order, project, span_fields
 from stmc.editing.constraints.constraint_guidance import Guidance

@@ -1,6 +1,6 @@
-"""The base class of constraints: the questions that sampling, projection, JSON and the studio's page ask of each kind.
+"""The base class of constraints: the interface for sampling, projection, JSON and the studio's page.
 
-Knows no particular kind, no features and no network.
+Independent of particular kinds, features and networks.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 
 Control = Literal["start", "end", "moment", "joint", "point", "angle", "number", "line", "motion", "motion_second"]
-"""The editors of values that the studio's page has: it draws forms and marks by them, whatever the constraint."""
+"""Value editors of the studio's page, from which it draws forms and marks of any constraint."""
 
 _BOUNDS: dict[Control, tuple[float, float]] = {
     **dict.fromkeys(("start", "end", "moment", "motion_second"), (0, MOST_SECONDS)),
@@ -30,11 +30,11 @@ _BOUNDS: dict[Control, tuple[float, float]] = {
 }
 
 _DISPLAYED = {"m": ("cm", 100.0), "rad": ("degrees", 180 / math.pi)}
-"""The unit in which people read an error, and its factor."""
+"""Display unit of an error, and its factor."""
 
 
 class Order(IntEnum):
-    """The order of projection: each kind moves a body that the kinds before it have moved already."""
+    """The order of projection: each kind moves a body that earlier kinds have moved already."""
 
     POSE = 0
     PATH = 1
@@ -46,7 +46,8 @@ class Order(IntEnum):
 class Field:
     """A value of a constraint's JSON that the studio's page edits.
 
-    `default` is the value of a new constraint; of an "end" it is the seconds behind the start."""
+    `default` is the value of a new constraint; for an "end", it is in seconds after the start.
+    """
 
     name: str
     control: Control
@@ -55,16 +56,17 @@ class Field:
     choices: tuple[str, ...] = ()
 
     def describe(self) -> dict[str, Any]:
-        """The field as JSON, with the least and the most that its value may be (None: anything)."""
+        """Return the field as JSON, with the least and the greatest value (None: no limit)."""
         least, most = _BOUNDS.get(self.control, (None, None))
         return {**dataclasses.asdict(self), "least": least, "most": most}
 
 
 class Constraint(ABC):
-    """A demand beside the texts, in the world's metres, radians and seconds.
+    """A condition other than text, in the world's metres, radians and seconds.
 
-    A kind is a frozen dataclass below this class. It needs `errors` and `residuals`; all other methods have defaults
-    that demand nothing. To be read from JSON and offered by the studio it needs `name`, `about` and `fields`, too.
+    A kind is a frozen dataclass that inherits from this class. It must define `errors` and `residuals`; all other
+    methods have defaults that constrain nothing. To be read from JSON and offered by the studio, it must also define
+    `name`, `about` and `fields`.
 
     Examples:
         >>> reach, stay = stmc.Target("right_hand", (-0.2, -0.4, 1.2), start=0.5), stmc.Hold("left_hand")
@@ -82,10 +84,10 @@ class Constraint(ABC):
     """The key in JSON, such as "path"."""
 
     about: ClassVar[str] = ""
-    """A sentence for people who choose a constraint."""
+    """Help text, in one sentence."""
 
     unit: ClassVar[Literal["m", "rad"]] = "m"
-    """Of `errors` and `tolerance`."""
+    """Unit of `errors` and `tolerance`."""
 
     tolerance: ClassVar[float] = 0.02
     """The largest error of a motion that meets the constraint."""
@@ -93,68 +95,74 @@ class Constraint(ABC):
     order: ClassVar[Order] = Order.LIMB
 
     open_end: ClassVar[Literal["start", "end"]] = "end"
-    """Where a span without an end stops: one frame behind its start, or at the motion's end."""
+    """End of a span without an `end`: one frame after its start, or the motion's end."""
 
     fields: ClassVar[tuple[Field, ...]] = ()
 
     @abstractmethod
     def errors(self, pose: Pose) -> Float[Tensor, " _"]:
-        """The distance from the demand in `unit`, at each of `frames`; not negative."""
+        """Compute the error in `unit` at each of `frames`; not negative."""
 
     @abstractmethod
     def residuals(self, pose: Pose) -> Float[Tensor, " _"]:
-        """Values that guidance brings to zero: differentiable, in metres or scaled like them. It minimises the sum of
-        their squares."""
+        """Compute values whose sum of squares guidance minimises: differentiable, in metres or on the same scale."""
 
     def frames(self, pose: Pose) -> slice:
-        """The frames that the constraint is about; by default all."""
+        """Return the constrained frames; by default all."""
         return slice(0, len(pose.translation))
 
     def anchored_at(self, pose: Pose) -> Constraint:
-        """The constraint with all that it leaves to the motion decided by `pose`, such as where a hand is held."""
+        """Return the constraint with its open values taken from `pose`, such as the position of a held hand."""
         return self
 
     def begin_place(self, place: Place) -> Place:
-        """Where a motion begins that would begin at `place` otherwise."""
+        """Return the place where a motion begins, given the place without this constraint."""
         return place
 
     def root_turn(self, pose: Pose) -> Float[Tensor, " frames"] | None:
-        """The radians by which to turn the body, smooth over time; None where the heading is left open."""
+        """Compute the angle by which to turn the body, in radians, smooth over time; None if the heading is free."""
         return None
 
     def root_shift(self, pose: Pose) -> Float[Tensor, "frames 2"] | None:
-        """The metres by which to move the pelvis over the floor, smooth over time; None where that is left open."""
+        """Compute the shift of the pelvis over the floor, in metres, smooth over time; None if its path is free."""
         return None
 
     def project(self, motion: Motion, skeleton: Skeleton, free: Float[Tensor, "frames 5"]) -> Motion:
-        """Move a finished motion, smoothly, to where the anchored constraint holds exactly; `free` as in `project`."""
+        """Edit a finished motion smoothly until the anchored constraint holds exactly.
+
+        Args:
+            motion: Finished motion.
+            skeleton: Body of the motion.
+            free: As in the function `project`.
+        """
         return motion
 
     def leg_frames(self, pose: Pose) -> slice | None:
-        """The frames in which the anchored constraint decides how the legs are, so that feet are not cleaned there.
+        """Return the frames in which the anchored constraint determines the legs, so that feet are not cleaned there.
 
-        None where it leaves legs alone: a limb is then projected again after feet were cleaned."""
+        None if it does not affect the legs: a limb constraint is then projected again after the feet are cleaned.
+        """
         return None
 
     def measure(self, motion: Motion) -> dict[str, Any]:
-        """The largest error of a motion, for people: the constraint's name, the error, and its unit (cm or degrees)."""
+        """Measure the largest error of a motion: the constraint's name, the error, and its unit (cm or degrees)."""
         errors, (unit, scale) = self.errors(Pose.of(motion)), _DISPLAYED[self.unit]
         return {"name": self.name, "error": float(errors.max()) * scale if len(errors) else 0.0, "unit": unit}
 
     @classmethod
     def from_json(cls, find: Callable[[str], Motion], /, **values: Any) -> Constraint:
-        """Make the constraint of the values of its JSON object; `find` returns a motion by its name."""
+        """Make a constraint from the values of its JSON object; `find` returns a motion by its name."""
         return cls(**values)
 
     def to_json(self, save: Callable[[Motion], str]) -> dict[str, dict[str, Any]]:
-        """Return the object that `constraint_of` reads, without defaults; `save` keeps a motion and names it."""
+        """Return the JSON object for `constraint_of`, without defaults; `save` stores a motion and returns its name."""
         fields = dataclasses.fields(self)
         values = {field.name: getattr(self, field.name) for field in fields}
         return {self.name: {field.name: values[field.name] for field in fields if values[field.name] != field.default}}
 
     @classmethod
     def describe(cls) -> dict[str, Any]:
-        """The kind as the studio's page knows it: its name, its words, its tolerance (cm or degrees) and its fields."""
+        """Describe the kind for the studio's page: name, help, tolerance (cm or degrees) and fields."""
         return {
             "name": cls.name,
             "title": cls.name.replace("_", " ").capitalize(),
@@ -166,19 +174,22 @@ class Constraint(ABC):
 
 
 def span_fields(seconds: float) -> tuple[Field, Field]:
-    """The fields `start` and `end` of a kind that holds for so many seconds when it is new."""
+    """Return the fields `start` and `end` of a kind; a new constraint lasts `seconds`."""
     return Field("start", "start", "Start (s)"), Field("end", "end", "End (s)", seconds)
 
 
 def project(
     motion: Motion, constraints: Sequence[Constraint], skeleton: Skeleton, free: Float[Tensor, "frames 5"]
 ) -> Motion:
-    """The motion on `skeleton` with every constraint met as exactly as its kind can: corrections come and go within
-    `RAMP`.
+    """Edit a motion until every constraint holds as exactly as its kind can; corrections fade in and out over `RAMP`.
 
-    `free`: how much each frame of each `BodyPart` may change, 0 to 1; where it is 0 they keep their rotations.
+    Args:
+        motion: Finished motion.
+        constraints: Constraints to apply.
+        skeleton: Body of the motion.
+        free: Weight, from 0 to 1, with which each frame of each `BodyPart` may change; with 0, its rotations stay.
     """
-    for constraint in sorted(constraints, key=lambda each: each.order):
+    for constraint in sorted(constraints, key=lambda constraint: constraint.order):
         anchored = constraint.anchored_at(Pose.of(motion))
         motion = anchored.project(motion, skeleton, free.to(motion.translation))
     return motion

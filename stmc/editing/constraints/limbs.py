@@ -1,6 +1,6 @@
-"""Hands and feet: somewhere over a span, or wherever they are but still.
+"""Constraints on hands and feet: a position over a span of time, or no movement.
 
-A finished motion meets targets to the millimetre: two-bone inverse kinematics bends arms and legs.
+A finished motion reaches targets to the millimetre: two-bone inverse kinematics bends arms and legs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from stmc.motion.motion import Motion
 from stmc.settings.records import SettingError
 
 _LEAST = 0.001
-"""Metres off with which a limb has reached its target."""
+"""Error in metres within which a limb has reached its target."""
 
 _CHAINS = {
     "wrist": ("shoulder", "elbow", "wrist"),
@@ -31,41 +31,41 @@ _CHAINS = {
     "ankle": ("hip", "knee", "ankle"),
     "foot": ("hip", "knee", "ankle"),
 }
-"""The limb that ends in each joint that a target can be of."""
+"""Limb that ends in each joint of a target."""
 
 _HINGES = {
     "left_elbow": (0.0, -1.0, 0.0), "right_elbow": (0.0, 1.0, 0.0), "left_knee": (1.0, 0.0, 0.0),
     "right_knee": (1.0, 0.0, 0.0),
 }  # fmt: skip
-"""The axis, of the upper bone's own, about which the lower one bends: forearms forwards, shins backwards."""
+"""Axis of the upper bone about which the lower bone bends: forearms forwards, shins backwards."""
 
 _OFFERED = tuple(f"{side}_{end}" for end in ("hand", "foot", "wrist", "ankle") for side in ("left", "right"))
 _JOINT = Field("joint", "joint", "Joint", "right_hand", (*_OFFERED, "head", "pelvis"))
 
 
-class _OfJoint(Constraint):
-    """What targets and holds share: by how much a joint is `_away` from where it should be."""
+class _JointConstraint(Constraint):
+    """The base of targets and holds: a constraint on the position of one joint."""
 
     def errors(self, pose: Pose) -> Float[Tensor, " _"]:
-        """Metres from the place."""
-        return self._away(pose).norm(dim=-1)
+        """Compute distances from the position, in metres."""
+        return self._offsets(pose).norm(dim=-1)
 
     def residuals(self, pose: Pose) -> Float[Tensor, " _"]:
-        """In each axis."""
-        return self._away(pose).flatten()
+        """Compute offsets from the position, in metres along each axis."""
+        return self._offsets(pose).flatten()
 
-    def _away(self, pose: Pose) -> Float[Tensor, "_ 3"]:
-        """In metres, at each frame that it is about."""
+    def _offsets(self, pose: Pose) -> Float[Tensor, "_ 3"]:
+        """Compute offsets in metres at each constrained frame."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Target(_OfJoint):
+class Target(_JointConstraint):
     """A joint is at `point` (x, y and z in the world, metres) from `start` to `end` seconds (None: for one frame).
 
-    Joints are those of `stmc.motion.body.JOINTS`. Wrists, hands, ankles and feet are there to the millimetre where arms
-    and legs reach so far; others, and the way there, as well as guidance brings them. Raises `SettingError` for an
-    unknown joint.
+    Joints are those of `stmc.motion.body.JOINTS`. Wrists, hands, ankles and feet are exact to the millimetre if arms
+    and legs are long enough; the accuracy of other joints, and of the approach, is that of guidance. Raises
+    `SettingError` for an unknown joint.
 
     Examples:
         >>> reach = stmc.Target("right_hand", (-0.2, -0.4, 1.2), start=0.5)
@@ -87,32 +87,33 @@ class Target(_OfJoint):
         object.__setattr__(self, "point", check_numbers("point", self.point, 3))
 
     def frames(self, pose: Pose) -> slice:
-        """From the start to the end, or one."""
+        """Return the frames from the start to the end, or a single frame."""
         return pose.frames_of(self.start, self.start if self.end is None else self.end)
 
     def leg_frames(self, pose: Pose) -> slice | None:
-        """Those of a joint of the legs."""
+        """Return the frames of the target if its joint belongs to the legs."""
         return self.frames(pose) if self.joint in BodyPart.LEGS.joints else None
 
     def project(self, motion: Motion, skeleton: Skeleton, free: Float[Tensor, "frames 5"]) -> Motion:
-        """Bend the limb; where it is too short, move the pelvis by the rest."""
+        """Bend the limb; if it is too short, move the pelvis by the remaining distance."""
         bent, span = _bend(motion, self, skeleton, free), self.frames(Pose.of(motion))
         if span.start >= span.stop or float(self.errors(Pose.of(bent)).max()) < _LEAST:
             return bent
-        off = bent.joints.new_tensor(self.point) - bent.joints[:, JOINTS.index(self.joint)]
-        share = bump(motion.frames, span, round(RAMP * motion.fps), off) * free[:, list(BodyPart).index(BodyPart.LEGS)]
-        nearest = torch.arange(motion.frames, device=off.device).clamp(span.start, span.stop - 1)
-        translation = motion.translation + share[:, None] * off[nearest]
+        offset = bent.joints.new_tensor(self.point) - bent.joints[:, JOINTS.index(self.joint)]
+        ramp = bump(motion.frames, span, round(RAMP * motion.fps), offset)
+        weight = ramp * free[:, list(BodyPart).index(BodyPart.LEGS)]
+        nearest = torch.arange(motion.frames, device=offset.device).clamp(span.start, span.stop - 1)
+        translation = motion.translation + weight[:, None] * offset[nearest]
         return _bend(Motion.posed(motion.rotations, translation, motion.fps, skeleton), self, skeleton, free)
 
-    def _away(self, pose: Pose) -> Float[Tensor, "_ 3"]:
-        where = pose.joint(self.joint)[self.frames(pose)]
-        return where - where.new_tensor(self.point)
+    def _offsets(self, pose: Pose) -> Float[Tensor, "_ 3"]:
+        positions = pose.joint(self.joint)[self.frames(pose)]
+        return positions - positions.new_tensor(self.point)
 
 
 @dataclass(frozen=True)
-class Hold(_OfJoint):
-    """A joint stays where it is from `start` to `end` seconds (None: to the end), wherever that is.
+class Hold(_JointConstraint):
+    """A joint stays in place from `start` to `end` seconds (None: to the end); the motion determines the position.
 
     Examples:
         >>> hold = stmc.Hold("left_hand", 0.2, 0.8)
@@ -131,20 +132,20 @@ class Hold(_OfJoint):
         check_span(self.joint, self.start, self.end)
 
     def frames(self, pose: Pose) -> slice:
-        """From the start to the end."""
+        """Return the frames from the start to the end."""
         return pose.frames_of(self.start, self.end)
 
     def anchored_at(self, pose: Pose) -> Target | Hold:
-        """A target where the motion has the joint on average."""
+        """Return a target at the joint's mean position in the motion."""
         span = self.frames(pose)
         if span.start >= span.stop:
             return self
         place = pose.joint(self.joint)[span].mean(dim=0).tolist()
         return Target(self.joint, place, self.start, span.stop / pose.fps)
 
-    def _away(self, pose: Pose) -> Float[Tensor, "_ 3"]:
-        where = pose.joint(self.joint)[self.frames(pose)]
-        return where - where.mean(dim=0, keepdim=True)
+    def _offsets(self, pose: Pose) -> Float[Tensor, "_ 3"]:
+        positions = pose.joint(self.joint)[self.frames(pose)]
+        return positions - positions.mean(dim=0, keepdim=True)
 
 
 def _check_joint(joint: str) -> None:
@@ -153,7 +154,7 @@ def _check_joint(joint: str) -> None:
 
 
 def _bend(motion: Motion, target: Target, skeleton: Skeleton, free: Tensor) -> Motion:
-    """The limb bent so that the joint is at the target; before and after, nearly so; its end keeps its direction."""
+    """Bend the limb to put the joint at the target, fading in and out; the end of the limb keeps its direction."""
     side, _, end = target.joint.partition("_")
     span = target.frames(Pose.of(motion))
     if end not in _CHAINS or span.start >= span.stop:
@@ -161,15 +162,15 @@ def _bend(motion: Motion, target: Target, skeleton: Skeleton, free: Tensor) -> M
     chain = [JOINTS.index(f"{side}_{name}") for name in _CHAINS[end]]
     part = list(BodyPart).index(next(part for part in BodyPart if target.joint in part.joints))
     path = motion.joints[:, JOINTS.index(target.joint)]
-    off = path.new_tensor(target.point) - path
+    offset = path.new_tensor(target.point) - path
     nearest = torch.arange(motion.frames, device=path.device).clamp(span.start, span.stop - 1)
-    share = bump(motion.frames, span, round(RAMP * motion.fps), path) * free[:, part]
-    reach = motion.joints[:, chain[-1]] + share[:, None] * off[nearest] - motion.joints[:, chain[0]]
+    weight = bump(motion.frames, span, round(RAMP * motion.fps), path) * free[:, part]
+    reach = motion.joints[:, chain[-1]] + weight[:, None] * offset[nearest] - motion.joints[:, chain[0]]
     world = global_rotations(motion.rotations, PARENTS)
     hinge = world[:, chain[0]] @ world.new_tensor(_HINGES[JOINTS[chain[1]]])
     upper, lower = bend_limb(world[:, chain[0]], world[:, chain[1]], motion.joints[:, chain], reach, hinge)
     rotations, above = motion.rotations.clone(), world[:, PARENTS[chain[0]]]
     bent = torch.stack([above.mT @ upper, upper.mT @ lower, lower.mT @ world[:, chain[2]]], dim=1)
-    touched = share > 0
-    rotations[touched] = rotations[touched].index_copy(1, torch.tensor(chain, device=path.device), bent[touched])
+    changed = weight > 0
+    rotations[changed] = rotations[changed].index_copy(1, torch.tensor(chain, device=path.device), bent[changed])
     return Motion.posed(rotations, motion.translation, motion.fps, skeleton)

@@ -1,4 +1,4 @@
-"""How a body moves, as constraints see it, and the helpers that they share. Knows no constraint."""
+"""Poses of a body over time, and helpers shared by constraints. Independent of particular constraints."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from stmc.motion.motion import Motion
 from stmc.settings.records import SettingError
 
 RAMP = 0.3
-"""Seconds in which a correction comes, and goes."""
+"""Seconds over which a correction fades in, and out."""
 
 Place = tuple[float, float, float, float]
-"""Where a motion begins: x, y and z of the pelvis in metres, and the heading in radians."""
+"""The start of a motion: x, y and z of the pelvis in metres, and the heading in radians."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """How a body moves, as tensors that may carry gradients: a `Motion` that is not checked."""
+    """A body over time, as tensors that may carry gradients: a `Motion` without checks."""
 
     rotations: Float[Tensor, "frames 22 3 3"]
     translation: Float[Tensor, "frames 3"]
@@ -36,47 +36,69 @@ class Pose:
 
     @classmethod
     def of(cls, motion: Motion) -> Pose:
-        """A motion's own."""
+        """Return the pose of a motion."""
         return cls(motion.rotations, motion.translation, motion.joints, motion.fps)
 
     @cached_property
     def heading(self) -> Float[Tensor, " frames"]:
-        """As of `Motion`."""
+        """The heading, as in `Motion`."""
         return heading(self.rotations[:, 0])
 
     def joint(self, name: str) -> Float[Tensor, "frames 3"]:
-        """The path of one joint."""
+        """Return the path of one joint."""
         return self.joints[:, JOINTS.index(name)]
 
     def frames_of(self, start: float | int, end: float | int | None) -> slice:
-        """The frames from `start` to `end` seconds (None: to the end), one at least if the motion has it."""
+        """Return the frames from `start` to `end` seconds (None: to the end), at least one if the motion has it."""
         first = int(start * self.fps)
         last = len(self.translation) if end is None else max(first + 1, int(end * self.fps))
         return slice(min(first, len(self.translation)), min(last, len(self.translation)))
 
 
 def check_span(name: str, start: float | int, end: float | int | None) -> None:
-    """Raises `SettingError` unless the seconds are numbers from 0 to `MOST_SECONDS`, in order."""
+    """Raise `SettingError` unless the times are numbers from 0 to `MOST_SECONDS`, in order.
+
+    Args:
+        name: Name of the constraint, for the message.
+        start: Start in seconds.
+        end: End in seconds, or None.
+    """
     times = (start,) if end is None else (start, end)
     if not all(isinstance(time, (int, float)) and 0 <= time <= MOST_SECONDS for time in times) or times[-1] < start:
-        place = "..".join(map(shown, times))
-        raise SettingError(f"{name} at {place} s: seconds from 0 to {MOST_SECONDS:,} needed, in order")
+        span = "..".join(map(shown, times))
+        raise SettingError(f"{name} at {span} s: must be from 0 to {MOST_SECONDS:,} s, in order")
 
 
 def check_numbers(name: str, values: Any, width: int) -> tuple:
-    """`values` as a tuple of so many floats, at most `MOST_METRES` from 0. Raises `SettingError` for anything else."""
+    """Convert values to a tuple of floats.
+
+    Args:
+        name: Name of the values, for the message.
+        values: Numbers of at most `MOST_METRES` in absolute value.
+        width: Number of values.
+
+    Raises:
+        SettingError: For anything else.
+    """
     try:
         numbers = tuple(float(value) for value in values)
     except (TypeError, ValueError, OverflowError):
         numbers = ()
     if len(numbers) != width or not all(abs(number) <= MOST_METRES for number in numbers):
-        raise SettingError(f"{name}={shown(values)}: {width} finite numbers needed, at most {MOST_METRES:g} from 0")
+        raise SettingError(f"{name}={shown(values)}: must be {width} finite numbers, at most {MOST_METRES:g} from 0")
     return numbers
 
 
 def bump(frames: int, span: slice, ramp: int, like: Tensor) -> Float[Tensor, " frames"]:
-    """1 within the span, falling smoothly to 0 within `ramp` frames on both sides."""
+    """Make weights of 1 within a span that fall smoothly to 0 over a ramp on both sides.
+
+    Args:
+        frames: Number of frames.
+        span: Frames with weight 1.
+        ramp: Frames of the ramp.
+        like: Tensor with the dtype and the device of the result.
+    """
     frame = torch.arange(frames, device=like.device)
     outside = torch.maximum(span.start - frame, frame - (span.stop - 1)).clamp(min=0)
-    share = (outside / (ramp + 1)).clamp(max=1).to(like)
-    return 0.5 + 0.5 * torch.cos(math.pi * share)
+    fraction = (outside / (ramp + 1)).clamp(max=1).to(like)
+    return 0.5 + 0.5 * torch.cos(math.pi * fraction)

@@ -16,24 +16,26 @@ from stmc.motion.motion import Motion
 from stmc.settings.records import SettingError
 
 _MOST = 2**24
-"""Bytes of a file of constraints: a path of a hundred thousand points fits."""
+"""Bytes of a constraint file, enough for a path of a hundred thousand points."""
 
 KINDS: tuple[type[Constraint], ...] = (Path, Heading, Keyframe, Target, Hold)
-"""Every kind that JSON and the studio know; the only listing."""
+"""All kinds for JSON and the studio; the only listing."""
 
 
 def constraint_of(entry: Any, find: Callable[[str], Motion] = read) -> Constraint:
-    """One of `{"kind": {its arguments}}`; `find` says which motion it is that a keyframe names: a file's. Raises
-    `SettingError` for anything else, and for a keyframe at a second that its motion does not have.
+    """Make a constraint from `{"kind": {its arguments}}`.
+
+    `find` returns the motion that a keyframe names, by default from a file. Raises `SettingError` for any other object,
+    and for a keyframe at a time after the end of its motion.
 
     Examples:
         >>> stmc.editing.constraints.constraint_of({"heading": {"angle": 1.5, "start": 2}})
         Heading(angle=1.5, start=2, end=None)
     """
     if not isinstance(entry, dict) or len(entry) != 1 or not isinstance(next(iter(entry.values())), dict):
-        raise SettingError(f'constraint {shown(str(entry))}: {{"kind": {{...}}}} needed')
+        raise SettingError(f'constraint {shown(str(entry))}: must be {{"kind": {{...}}}}')
     [(kind, arguments)] = entry.items()
-    kinds = {each.name: each for each in KINDS}
+    kinds = {kind.name: kind for kind in KINDS}
     if kind not in kinds:
         raise SettingError(f"constraint {shown(kind)}: choose from {', '.join(kinds)}")
     try:
@@ -43,7 +45,7 @@ def constraint_of(entry: Any, find: Callable[[str], Motion] = read) -> Constrain
 
 
 def read_constraints(path: str | File) -> list[Constraint]:
-    """Those of a JSON file. Raises `SettingError` naming the file, and the number of the entry that is not one.
+    """Read constraints from a JSON file. Raises `SettingError` with the file and the number of an invalid entry.
 
     Examples:
         >>> from pathlib import Path
@@ -56,7 +58,7 @@ def read_constraints(path: str | File) -> list[Constraint]:
     except (OSError, UnreadableError) as error:
         raise SettingError(f"{path}: {error}") from None
     if not isinstance(entries, list):
-        raise SettingError(f"{path}: a list of constraints needed")
+        raise SettingError(f"{path}: must be a list of constraints")
     constraints = []
     for number, entry in enumerate(entries, start=1):
         try:

@@ -9,14 +9,14 @@ from typing import Literal
 from stmc.composing import METHODS
 from stmc.composing.sampling import Sampling
 from stmc.evaluation.results.result_records import Setting
-from stmc.settings.records import about
+from stmc.settings.records import field_infos
 
 REAL = "ground_truth"
 
 _ACRONYMS = {"ape": "APE"}
 SETTINGS = {"method": "method", "denoiser": "denoiser"} | {
     name: " ".join(_ACRONYMS.get(word, word) for word in name.split("_")) + (f" ({each.unit})" if each.unit else "")
-    for name, each in about(Sampling).items()
+    for name, each in field_infos(Sampling).items()
 }
 """What the settings are called, as within a sentence."""
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from stmc.composing.sampling import Sampling
 from stmc.io.files import write_whole
-from stmc.settings.records import SettingError, about, record_of, shown
+from stmc.settings.records import SettingError, field_infos, record_of, shown
 from stmc.settings.renamed import RENAMED_IN_RECORDS
 
 
@@ -34,12 +34,12 @@ class Setting:
 
     def without(self, names: Iterable[str]) -> Setting:
         """The same with these left open."""
-        open_ = {name: None for name in names if name in about(Sampling)}
+        open_ = {name: None for name in names if name in field_infos(Sampling)}
         here = {name: "" for name in names if name not in open_}
         return replace(self, **here, sampling=replace(self.sampling, **open_))
 
 
-SETTINGS = ("method", "denoiser", *about(Sampling))
+SETTINGS = ("method", "denoiser", *field_infos(Sampling))
 """The names of all that was chosen."""
 
 
@@ -170,7 +170,7 @@ def _of_line(line: str) -> Result:
         for value in row:
             _check(name, value, int, float)
     try:
-        sampling = record_of(Sampling, {name: data.pop(name) for name in about(Sampling) if name in data})
+        sampling = record_of(Sampling, {name: data.pop(name) for name in field_infos(Sampling) if name in data})
     except SettingError as error:
         raise ResultError(str(error)) from None
     return Result(**data, sampling=sampling)

@@ -1,6 +1,6 @@
-"""Characters that others made, and our motions on them: glTF, VRM and BVH in, the same with an animation out.
+"""Users' characters, and motions on them: reads glTF, VRM and BVH, and writes the same files with an animation.
 
-Knows files and rigs; the kinematics are `motion.retargeting`'s.
+Depends on files and rigs; the kinematics are in `motion.retargeting`.
 """
 
 from stmc.formats.characters.characters import Character, CharacterMotion, read_character, retarget

@@ -1,6 +1,6 @@
-"""Characters as they stand in their files, turned to stand as rigs do: z up, on the floor at 0, facing -y.
+"""Characters from the axes of their files to those of rigs: z up, on the floor at 0, facing -y.
 
-Knows which way up, front and floor are from where joints are at rest.
+Derives up, front and floor from the rest positions of joints.
 """
 
 from __future__ import annotations
@@ -43,10 +43,18 @@ def stand(
     joints: Mapping[str, int],
     y_up: bool,
 ) -> tuple[Rig, Standing]:
-    """The rig of joints that are at these `places` at rest, and how it was brought to stand.
+    """Build a standing rig from joints at rest, and return it with the transform from the file.
 
-    Raises `CharacterError` for joints that no person has, and where the rest pose does not stand upright along an axis
-    of the file, or, if `y_up`, along y.
+    Args:
+        names: Names of all nodes.
+        parents: Parent of each node.
+        places: Rest positions of the nodes.
+        joints: Node of each joint.
+        y_up: Whether the file must stand along y.
+
+    Raises:
+        CharacterError: If a joint is missing, or if the rest pose does not stand upright along an axis of the file, or,
+            with `y_up`, along y.
     """
     missing = [joint for joint in NEEDED if joint not in joints]
     if missing:
@@ -83,7 +91,7 @@ def _turn(places: np.ndarray, joints: Mapping[str, int], y_up: bool) -> Float[np
 
 
 def _floor(rig: Rig) -> float:
-    """The height of the floor: the file's ground where the feet are just above it, else below the lower foot."""
+    """Find the height of the floor: the file's ground if the feet are just above it, else below the lower foot."""
     leg = rig.length(("hip", "knee", "ankle"))
     toes = [float(rig.at(joint)[2]) for joint in ("left_foot", "right_foot") if joint in rig.joints]
     if toes:

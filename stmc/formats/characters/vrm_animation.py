@@ -18,7 +18,7 @@ from stmc.motion.retargeting import Rig, RigMotion
 
 
 def vrma_bytes(motion: RigMotion) -> bytes:
-    """The content of a `.vrma` file: y up, facing z, in the character's own unit."""
+    """Return the bytes of a `.vrma` file: y up, facing z, in the character's unit."""
     bones = _bones(motion.rig)
     rest = motion.rig.posed(motion.spread[None], motion.rig.at("pelvis")[None])[0].numpy() @ Z_UP_TO_Y_UP.T
     turns = Z_UP_TO_Y_UP @ (motion.turns @ motion.spread.mT).numpy() @ Z_UP_TO_Y_UP.T
@@ -56,7 +56,7 @@ def _document(
 
 
 def _bones(rig: Rig) -> dict[str, int]:
-    """The place among the driven nodes of each of VRM's bones that the rig has, the hips first."""
+    """Map each VRM bone of the rig to its index among the driven nodes, the hips first."""
     if not rig.spine:
         raise CharacterError("it has no joint between pelvis and chest, and VRM Animation asks for a spine")
     spine = {1: ("spine",), 2: ("spine", "chest")}.get(len(rig.spine), ("spine", "chest", "upperChest"))
@@ -68,7 +68,7 @@ def _bones(rig: Rig) -> dict[str, int]:
 
 
 def _parent(rig: Rig, place: int, places: list[int]) -> int | None:
-    """The place of the nearest bone above one."""
+    """Return the index of the nearest bone above one."""
     node = rig.parents[rig.driven[place]]
     while node >= 0:
         above = rig.carriers[node]

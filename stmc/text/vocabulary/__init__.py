@@ -1,7 +1,6 @@
-"""What a model was trained to hear: its sentences and contents, whether it knows a prompt, how often its samples then
-show it, and the body parts of one.
+"""The vocabulary of a model: its training sentences and actions, in-vocabulary tests, success rates, and body parts.
 
-Knows sentences, their embeddings and body parts; knows no motion, no network and no timeline.
+Depends on sentences, their embeddings and body parts; independent of motions, networks and timelines.
 """
 
 from stmc.text.vocabulary.building import build_vocabulary

@@ -1,6 +1,6 @@
-"""Which of a vocabulary's sentences name the side, the direction and the speed that a prompt asks for.
+"""Agreement of a vocabulary's sentences with the side, the direction and the speed in a prompt.
 
-Knows sentences and their words; knows no embeddings.
+Depends on sentences and their words; independent of embeddings.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from stmc.text.vocabulary.sentences import Sentence
 
 
 class Agreement:
-    """The words of `sentences`, read once for all prompts."""
+    """The qualifiers of `sentences`, read once for all prompts."""
 
     def __init__(self, sentences: Sequence[Sentence]) -> None:
-        words = [frozenset(read_qualifiers(sentence.text).items()) for sentence in sentences]
-        places = {each: place for place, each in enumerate(dict.fromkeys(words))}
+        qualifiers = [frozenset(read_qualifiers(sentence.text).items()) for sentence in sentences]
+        indices = {item: index for index, item in enumerate(dict.fromkeys(qualifiers))}
         names = {sentence.content.name for sentence in sentences}
-        self._distinct = [dict(each) for each in places]
-        self._places = torch.tensor([places[each] for each in words])
-        self._mirrored = torch.tensor([_mirror_image_among(sentence.content.name, names) for sentence in sentences])
+        self._distinct = [dict(item) for item in indices]
+        self._indices = torch.tensor([indices[item] for item in qualifiers])
+        self._mirrored = torch.tensor([_has_mirror_image(sentence.content.name, names) for sentence in sentences])
 
     def of(self, text: str) -> tuple[Bool[Tensor, " sentences"], Bool[Tensor, " sentences"]]:
-        """Find the sentences that agree with a text's words, and those that contradict them.
+        """Find the sentences that agree with a text's qualifiers, and those that contradict them.
 
-        A sentence about the other side does neither, where the action of its mirror image is known as well: its own
-        mirror image may be a sentence that was not kept.
+        A sentence about the other side does neither if the mirrored action is in the vocabulary as well, since the
+        mirror image of the sentence may have been dropped.
         """
-        asked = read_qualifiers(text)
-        others_side = self._agree(read_qualifiers(mirrored(text))) & self._mirrored
-        return self._agree(asked), ~self._agree(without_defaults(asked)) & ~others_side
+        requested = read_qualifiers(text)
+        other_side = self._agree(read_qualifiers(mirrored(text))) & self._mirrored
+        return self._agree(requested), ~self._agree(without_defaults(requested)) & ~other_side
 
-    def _agree(self, asked: Qualifiers) -> Bool[Tensor, " sentences"]:
-        return torch.tensor([agree(asked, known) for known in self._distinct])[self._places]
+    def _agree(self, requested: Qualifiers) -> Bool[Tensor, " sentences"]:
+        return torch.tensor([agree(requested, present) for present in self._distinct])[self._indices]
 
 
-def _mirror_image_among(name: str, names: set[str]) -> bool:
-    """Whether an action has a mirror image of its own; data without names of actions are mirrored as a whole."""
+def _has_mirror_image(name: str, names: set[str]) -> bool:
+    """Tell whether an action has a separate mirror image; data without action names are mirrored as a whole."""
     return not name or (mirrored(name) != name and mirrored(name) in names)

@@ -1,7 +1,6 @@
-"""What was measured of a model after its training: how often its samples show which sentences and actions, and from
-which score on a prompt counts as known.
+"""Measurements of a trained model: success rates of sentences and actions, and score thresholds of the recogniser.
 
-Knows sentences and the names of actions; knows no motion, no model and no judge.
+Depends on sentences and names of actions; independent of motions, models and evaluators.
 """
 
 from __future__ import annotations
@@ -11,14 +10,16 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 RARELY = 0.5
-"""Share of the samples below which an action works rarely."""
+"""Success rate below which an action rarely works."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """How often `samples` of a sentence that asks for an `action` show it: by `geometry`, and by an `evaluator` (shares
-    from 0 to 1; None: not judged). `steps`, `guidance` (None: the model's is fixed) and `seed`, the first of
-    consecutive ones, are those of the samples."""
+    """The success rate of a sentence: the fraction of its `samples` that show its `action`.
+
+    Rates, from 0 to 1, are judged by `geometry` and by an `evaluator` (None: not judged). `steps`, `guidance` (None:
+    the model's is fixed) and `seed`, the first of consecutive seeds, are those of the samples.
+    """
 
     action: str
     samples: int
@@ -30,15 +31,16 @@ class Trial:
 
     @property
     def rate(self) -> float | int | None:
-        """The share of the samples that show the action, by geometry where it can tell."""
+        """The fraction of the samples that show the action: judged by geometry if possible, else by the evaluator."""
         return self.evaluator if self.geometry is None else self.geometry
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """`trials` by their sentences, and thresholds of the recogniser: `threshold` (None: the vocabulary's own) and those
-    of actions that have one of their own. `weights` is the SHA-256 of the model's weights, whose measurements these
-    are; "" before they are written.
+    """Measurements of a model: `trials` by sentence, and thresholds of the recogniser.
+
+    `threshold` applies to all actions (None: the vocabulary's default); `thresholds` override it for single actions.
+    `weights` is the SHA-256 of the measured model's weights; "" before they are written.
 
     Examples:
         >>> trials = {"walk forwards": Trial("walk", 8, geometry=1.0), "stroll": Trial("walk", 24, geometry=0.5)}
@@ -59,30 +61,32 @@ class Calibration:
 
     @cached_property
     def rates(self) -> Mapping[str, float]:
-        """Of each action the share of all samples that show it, whichever sentence they were asked with; where some
-        were judged by geometry, of those."""
-        judged = [each for each in self.trials.values() if each.rate is not None]
-        by_geometry = {each.action for each in judged if each.geometry is not None}
+        """The success rate of each action over the samples of all its sentences.
+
+        If geometry judged any of them, only those count.
+        """
+        judged = [trial for trial in self.trials.values() if trial.rate is not None]
+        by_geometry = {trial.action for trial in judged if trial.geometry is not None}
         samples: dict[str, int] = {}
         passed: dict[str, float] = {}
-        for each in judged:
-            if each.geometry is not None or each.action not in by_geometry:
-                samples[each.action] = samples.get(each.action, 0) + each.samples
-                passed[each.action] = passed.get(each.action, 0.0) + each.samples * each.rate
+        for trial in judged:
+            if trial.geometry is not None or trial.action not in by_geometry:
+                samples[trial.action] = samples.get(trial.action, 0) + trial.samples
+                passed[trial.action] = passed.get(trial.action, 0.0) + trial.samples * trial.rate
         return {action: passed[action] / samples[action] for action in samples}
 
     def rate(self, text: str, action: str) -> float | int | None:
-        """How often a text's samples show it: its own trial's share, else its action's; None where nobody measured."""
-        own = self._by_words.get(_words(text))
-        return self.rates.get(action) if own is None or own.rate is None else own.rate
+        """Return the success rate of a text, or else that of its action; None if neither was measured."""
+        trial = self._by_words.get(_words(text))
+        return self.rates.get(action) if trial is None or trial.rate is None else trial.rate
 
     def threshold_of(self, action: str, otherwise: float | int) -> float | int:
-        """The action's own threshold, else the model's, else that of the vocabulary."""
+        """Return the threshold of an action, or else that of the model, or else `otherwise`."""
         common = otherwise if self.threshold is None else self.threshold
         return self.thresholds.get(action, common)
 
     def with_trials(self, trials: Mapping[str, Trial]) -> Calibration:
-        """The calibration with more trials; a sentence that is asked again replaces its old trial."""
+        """Add trials; a new trial of a sentence replaces the old one."""
         return replace(self, trials={**self.trials, **trials})
 
     @cached_property

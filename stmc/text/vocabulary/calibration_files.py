@@ -1,6 +1,6 @@
-"""A calibration as one JSON file, a line for each sentence that was tried.
+"""Calibrations as JSON files, one line per measured sentence.
 
-The file may be anybody's: its size is bounded, and everything in it is checked.
+Files are untrusted: their size is limited, and all values are checked.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from stmc.text.vocabulary.sentences import LONGEST_TEXT
 from stmc.text.vocabulary.vocabulary_files import LONGEST_NAME, MOST_SENTENCES, VocabularyError, check_text
 
 MOST_BYTES = 8 * 2**20
-"""Of a file; that of the bundled model's actions takes 0.05."""
+"""Size limit of a file; that of the bundled model's actions takes 0.05 MiB."""
 
-_KEYS = tuple(each.name for each in fields(Calibration))
-_TRIAL = tuple(each.name for each in fields(Trial))
+_KEYS = tuple(field.name for field in fields(Calibration))
+_TRIAL = tuple(field.name for field in fields(Trial))
 _WHOLE = {"samples": (1, 10**6), "steps": (1, 10**6), "seed": (0, 2**63)}
 _SHARES = {"geometry": (0, 1), "evaluator": (0, 1), "guidance": (0, 1000)}
-"""Least and most of each number; the second may be null."""
+"""Limits of each number; those of `_SHARES` may be null."""
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
-    """Write the file, which appears whole or not at all."""
+    """Write a calibration to a file, which is complete or absent."""
     rows = [f"  {_json(text)}: {_json(asdict(trial))}" for text, trial in sorted(calibration.trials.items())]
     trials = "{\n" + ",\n".join(rows) + "\n }" if rows else "{}"
     others = {key: getattr(calibration, key) for key in _KEYS if key != "trials"}
@@ -38,7 +38,7 @@ def write_calibration(calibration: Calibration, path: Path) -> None:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read the file that `write_calibration` wrote. Raises `VocabularyError` for any other."""
+    """Read a file of `write_calibration`. Raises `VocabularyError` for any other file."""
     try:
         return _calibration(load_json(read_text(path, MOST_BYTES)))
     except (VocabularyError, UnreadableError, OSError) as error:
@@ -48,10 +48,10 @@ def read_calibration(path: Path) -> Calibration:
 def _calibration(table: Any) -> Calibration:
     _check_keys(table, _KEYS, "a calibration")
     if not isinstance(table["weights"], str) or not re.fullmatch(r"[0-9a-f]{64}|", table["weights"]):
-        raise VocabularyError(f"weights={shown(table['weights'])}: a SHA-256 of 64 hexadecimal digits needed")
+        raise VocabularyError(f"weights={shown(table['weights'])}: must be a SHA-256 of 64 hexadecimal digits")
     for key in ("trials", "thresholds"):
         if not isinstance(table[key], Mapping) or len(table[key]) > MOST_SENTENCES:
-            raise VocabularyError(f"{key}: an object of at most {MOST_SENTENCES} entries needed")
+            raise VocabularyError(f"{key}: must be an object of at most {MOST_SENTENCES} entries")
     if table["threshold"] is not None:
         _check_number(table["threshold"], "threshold", -3, 3)
     for name, threshold in table["thresholds"].items():
@@ -75,14 +75,14 @@ def _trial(text: str, row: Any) -> Trial:
 
 def _check_keys(table: Any, keys: tuple[str, ...], name: str) -> None:
     if not isinstance(table, Mapping) or set(table) != set(keys):
-        raise VocabularyError(f"{name}: an object of {', '.join(keys)} needed, not {shown(table)}")
+        raise VocabularyError(f"{name}: must be an object of {', '.join(keys)}, not {shown(table)}")
 
 
 def _check_number(value: Any, name: str, least: int, most: int, whole: bool = False) -> None:
     kinds = int if whole else (int, float)
     if isinstance(value, bool) or not isinstance(value, kinds) or not least <= value <= most:
         raise VocabularyError(
-            f"{name}={shown(value)}: a {'whole ' if whole else ''}number from {least} to {most} needed"
+            f"{name}={shown(value)}: must be a {'whole ' if whole else ''}number from {least} to {most}"
         )
 
 

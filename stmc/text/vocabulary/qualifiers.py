@@ -1,6 +1,6 @@
-"""Words of a text that qualify its action: which side, which direction, how fast; and the text of its mirror image.
+"""Words of a text that qualify its action by side, direction and speed, and the text of its mirror image.
 
-A closed table of English words; knows no sentences, no embeddings and no actions.
+A closed table of English words; independent of sentences, embeddings and actions.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import Literal
 Kind = Literal["side", "direction", "speed"]
 
 Qualifiers = Mapping[Kind, frozenset[str]]
-"""The values that a text names, of each kind; a kind that it does not name is absent."""
+"""Values named by a text, by kind; a kind that the text does not name is absent."""
 
 _ASIDE = r"(?! (?:away|now|after|before|here|there|behind|in front|next|up|down|angles?)\b)"
-"""Behind "right", which then names no side."""
+"""Words after "right" with which it names no side."""
 
 _WORDS: Mapping[Kind, Mapping[str, re.Pattern[str]]] = MappingProxyType({
     "side": {
@@ -44,7 +44,7 @@ _WORDS: Mapping[Kind, Mapping[str, re.Pattern[str]]] = MappingProxyType({
 _BOTH = frozenset({"left", "right"})
 
 _DEFAULTS: Mapping[Kind, frozenset[str]] = MappingProxyType({"side": _BOTH, "direction": frozenset({"forward"})})
-"""The values that a text without words for them may mean: a jog is one forwards, and applause is with both hands."""
+"""Implied values: a jog goes forwards, and applause uses both hands."""
 
 
 def read_qualifiers(text: str) -> Qualifiers:
@@ -63,34 +63,34 @@ def read_qualifiers(text: str) -> Qualifiers:
     return {kind: frozenset(values) for kind, values in named.items() if values}
 
 
-def agree(asked: Qualifiers, known: Qualifiers) -> bool:
-    """Whether a text that names `known` shows an action as `asked`.
+def agree(requested: Qualifiers, present: Qualifiers) -> bool:
+    """Tell whether a text with the qualifiers `present` shows an action as `requested`.
 
-    Whatever is not asked for may be anything. A side and a direction that are asked for must be named, but for those
-    that go without saying; a speed must not be another. Several directions or speeds ask for a change on the way, which
-    is not judged.
+    A kind that is not requested may have any value. A requested side or direction must be named, unless it is implied;
+    a named speed must be the requested one. Several directions or speeds request a change over time, which is not
+    judged.
     """
-    return all(_agrees(kind, values, known.get(kind)) for kind, values in asked.items())
+    return all(_agrees(kind, values, present.get(kind)) for kind, values in requested.items())
 
 
-def without_defaults(asked: Qualifiers) -> Qualifiers:
-    """Drop the values that go without saying."""
-    return {kind: values for kind, values in asked.items() if values != _DEFAULTS.get(kind)}
+def without_defaults(requested: Qualifiers) -> Qualifiers:
+    """Drop implied values."""
+    return {kind: values for kind, values in requested.items() if values != _DEFAULTS.get(kind)}
 
 
-def _agrees(kind: Kind, asked: frozenset[str], known: frozenset[str] | None) -> bool:
-    if kind != "side" and len(asked) > 1:
+def _agrees(kind: Kind, requested: frozenset[str], present: frozenset[str] | None) -> bool:
+    if kind != "side" and len(requested) > 1:
         return True
-    if known is None:
-        return asked == _DEFAULTS.get(kind, asked)
-    return asked == known
+    if present is None:
+        return requested == _DEFAULTS.get(kind, requested)
+    return requested == present
 
 
 def mirrored(text: str) -> str:
-    """`text` about the mirror image: left ↔ right, clockwise ↔ counterclockwise, case and everything else kept.
+    """Rewrite a text for the mirror image: left ↔ right, clockwise ↔ counterclockwise, with case and the rest kept.
 
-    Whole words only ("upright" stays), also within names ("raise-up-left-hand") and before "-ward(s)"; every spelling
-    of anticlockwise becomes clockwise, and clockwise becomes counterclockwise.
+    It replaces whole words only ("upright" stays), also within names ("raise-up-left-hand") and before "-ward(s)".
+    Every spelling of anticlockwise becomes clockwise, and clockwise becomes counterclockwise.
     """
     return _SIDED.sub(_swap, text)
 

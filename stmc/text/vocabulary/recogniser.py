@@ -1,6 +1,6 @@
-"""What a model recognises: each text compared once with what it was trained with, whoever asks again.
+"""Recognition of prompts with a cache: each text is compared with the training sentences once.
 
-Knows vocabularies and sentence encoders; knows no timeline.
+Depends on vocabularies and sentence encoders; independent of timelines.
 """
 
 from __future__ import annotations
@@ -16,32 +16,34 @@ from stmc.text.vocabulary.vocabulary import Recognition, Vocabulary
 
 logger = logging.getLogger(__name__)
 
-_REMEMBERED = 10_000
-"""Texts after which what is known of earlier ones is forgotten: a studio is asked at every key that is pressed."""
+_CACHE_SIZE = 10_000
+"""Texts after which the cache is emptied; the studio sends a text at every key press."""
 
 
 class Recogniser:
-    """Recognitions of a `vocabulary` (None: a model does not say what it was trained with), by MiniLM: the model's
-    `own` encoder, if it is that."""
+    """A cached recogniser of the prompts in a `vocabulary`; None: the model has no vocabulary.
 
-    def __init__(self, vocabulary: Vocabulary | None, own: Any = None) -> None:
-        self.vocabulary, self._own, self._known = vocabulary, own, dict[str, Recognition]()
+    Texts are embedded with MiniLM, or with the model's `encoder` if it is MiniLM.
+    """
+
+    def __init__(self, vocabulary: Vocabulary | None, encoder: Any = None) -> None:
+        self.vocabulary, self._model_encoder, self._cache = vocabulary, encoder, dict[str, Recognition]()
 
     @cached_property
     def _encoder(self) -> TextEncoder:
-        return sentence_encoder(self._own)
+        return sentence_encoder(self._model_encoder)
 
     def __call__(self, texts: Sequence[str]) -> list[Recognition]:
-        """One for each text, in order, the same text once; none without a vocabulary, or where MiniLM cannot be had."""
+        """Recognise each distinct text, in order. Empty without a vocabulary, or if MiniLM is not available."""
         if self.vocabulary is None:
             return []
-        distinct, known = list(dict.fromkeys(texts)), self._known
-        if new := [text for text in distinct if text not in known]:
+        distinct, cache = list(dict.fromkeys(texts)), self._cache
+        if new := [text for text in distinct if text not in cache]:
             try:
-                known |= zip(new, self.vocabulary.recognise(new, self._encoder), strict=True)
+                cache |= zip(new, self.vocabulary.recognise(new, self._encoder), strict=True)
             except WeightsNotFound as error:
-                logger.info("prompts are not compared with what the model knows: %s", error)
+                logger.info("prompts are not compared with the model's vocabulary: %s", error)
                 return []
-        if len(known) > _REMEMBERED:
-            self._known = {}  # other threads go on with what they began with
-        return [known[text] for text in distinct]
+        if len(cache) > _CACHE_SIZE:
+            self._cache = {}  # other threads keep the old one
+        return [cache[text] for text in distinct]

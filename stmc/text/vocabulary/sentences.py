@@ -1,7 +1,7 @@
-"""Sentences, what they are about, and their embeddings, which are MiniLM's whatever a model itself reads texts with.
+"""Sentences, their actions, and their embeddings, which are MiniLM's whatever text encoder a model has.
 
-One encoder for all: it was trained to tell what sentences mean, which CLIP and T5 were not, and what is measured with
-it holds for every model.
+MiniLM was trained for the meaning of sentences, unlike CLIP and T5, and one encoder makes measurements comparable
+between models.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from stmc.motion.body import BodyPart
 from stmc.text import Cached, MiniLM, TextEncoder
 
 LONGEST_TEXT = 1000
-"""Characters of a sentence."""
+"""Greatest number of characters of a sentence."""
 
 
 @dataclass(frozen=True)
 class Content:
-    """What sentences are about: an action, the body parts that a prompt would claim for it (none: not known), and
-    whether it goes on for as long as it is asked for (`cyclic`) or happens once. `name` is "" where it has none."""
+    """The action of sentences: its name ("": none) and the body parts that a prompt would claim (empty: unknown).
+
+    A `cyclic` action continues for the duration of its prompt; any other action happens once.
+    """
 
     name: str = ""
     parts: frozenset[BodyPart] = frozenset()
@@ -34,21 +36,20 @@ class Content:
 
 @dataclass(frozen=True)
 class Sentence:
-    """A text and what it is about."""
+    """A text and its action."""
 
     text: str
     content: Content
 
 
-def sentence_encoder(own: Any = None) -> TextEncoder:
-    """The encoder that sentences are compared with: a model's `own`, if that is MiniLM, so that no weights are read
-    twice."""
-    inner = own.encoder if isinstance(own, Cached) else own
-    return own if isinstance(inner, MiniLM) and inner.source is None else MiniLM()
+def sentence_encoder(encoder: Any = None) -> TextEncoder:
+    """Return MiniLM for comparing sentences: the model's `encoder` if it is MiniLM, so that weights are read once."""
+    inner = encoder.encoder if isinstance(encoder, Cached) else encoder
+    return encoder if isinstance(inner, MiniLM) and inner.source is None else MiniLM()
 
 
 def embed_sentences(texts: Sequence[str], encoder: TextEncoder) -> Float[Tensor, "texts width"]:
-    """The mean over each text's words, of length 1: with MiniLM's tokens the same as its sentence."""
+    """Embed texts as the mean over their words, normalised to length 1; for MiniLM, this is its sentence embedding."""
     words, lengths = encoder.encode(list(texts))
     words, lengths = words.float().cpu(), lengths.cpu()
     words = words * mask(lengths, words.shape[1])[..., None]

@@ -1,4 +1,4 @@
-"""The sentences that a model was trained with, and whether a prompt is among what they say."""
+"""The training sentences of a model, and the test of whether a prompt is in their vocabulary."""
 
 from __future__ import annotations
 
@@ -20,32 +20,35 @@ from stmc.text.vocabulary.calibration import RARELY, Calibration
 from stmc.text.vocabulary.sentences import Content, Sentence, embed_sentences
 
 THRESHOLD = 0.6
-"""Measured on prompts inside and outside of what a model of 74 contents knows: see docs/models.md."""
+"""Score from which a prompt is in the vocabulary, measured on prompts inside and outside that of a model of 74 actions;
+see docs/models.md."""
 
 NEAR = 0.45
-"""Cosine from which a known sentence is worth naming: of "tango" and "salsa footwork" it is 0.48, of "swim" and "a sip"
+"""Cosine from which a message names a training sentence: "tango" and "salsa footwork" have 0.48, "swim" and "a sip"
 0.43."""
 
 CONTRARY = 0.1
-"""Cosine by which a sentence with other words for side, direction or speed counts less than an everyday action: what it
-tells of may be known in other words. Measured with the left or right form of each action left out."""
+"""Cosine by which a contradicting sentence counts less than an everyday action, since its action may be in the
+vocabulary in other words. Measured with the left or right form of each action left out."""
 
 NEAREST = 3
-"""Known sentences that a message names."""
+"""Number of training sentences in a message."""
 
 EXAMPLES = 5
-"""Sentences that tell what a content is."""
+"""Number of example sentences of an action."""
 
-_APART = -1.0
-"""Cosine of what is not to be compared."""
+_EXCLUDED = -1.0
+"""Cosine of sentences that are excluded from a comparison."""
 
 
 @dataclass(frozen=True)
 class Recognition:
-    """How near a prompt is to what a model knows. `nearest` are known sentences, those first that agree with the
-    prompt's words for side, direction and speed: the first example of each of the nearest contents, or where contents
-    have no names the nearest themselves; `near` are those of them whose content is at least `NEAR`; `score` is what is
-    compared with `threshold`. `rate` is the share of samples that show such a prompt, from 0 to 1; None: not measured.
+    """The result of comparing a prompt with a model's vocabulary.
+
+    `nearest` holds the first example of each of the nearest actions, or the nearest sentences themselves if actions
+    have no names; those that agree with the prompt's side, direction and speed come first. `near` holds those with a
+    cosine of at least `NEAR`. The prompt is in the vocabulary if `score` is at least `threshold`. `rate` is the
+    fraction of samples that show such a prompt, from 0 to 1; None: not measured.
     """
 
     text: str
@@ -57,28 +60,28 @@ class Recognition:
 
     @property
     def known(self) -> bool:
-        """Whether the prompt is near enough."""
+        """Whether the prompt is in the vocabulary."""
         return self.score >= self.threshold
 
     @property
     def action(self) -> str:
-        """The name of the content that is nearest; "" where contents have none."""
+        """The name of the nearest action; "" if actions have no names."""
         return self.nearest[0].content.name
 
     @property
     def works(self) -> bool:
-        """Whether the prompt is known, and its samples do not show it rarely."""
+        """Whether the prompt is in the vocabulary, and does not rarely work."""
         return self.known and (self.rate is None or self.rate >= RARELY)
 
     @property
     def happens_once(self) -> bool:
-        """Whether the prompt is known, and what it tells of does not go on for as long as it is asked for."""
+        """Whether the prompt is in the vocabulary, and describes a one-shot action rather than a cyclic one."""
         content = self.nearest[0].content
         return self.known and bool(content.name) and not content.cyclic
 
     @property
     def advice(self) -> str:
-        """Describe in a line why the prompt may fail; "" where it works."""
+        """A line that explains why the prompt may fail; "" if it works."""
         if self.works:
             return ""
         if self.known:
@@ -90,16 +93,17 @@ class Recognition:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Vocabulary:
-    """What a model has heard: `known` sentences of its training, each with its content; and beside them sentences about
-    `others`, everyday actions that are not among those. `embeddings` are of the known sentences and then of the others,
-    rows of length 1, in half precision.
+    """The vocabulary of a model: `known` training sentences, each with its action, and `others`.
 
-    A prompt is known where 2 k - o is at least `threshold`: k is its cosine to the nearest known sentence, o that to
-    the nearest other one, both as seen from the mean of the others, since what all sentences share tells nothing. So
-    "ride a bicycle" is not known although "ride a motorcycle" is: it is an everyday action itself. Known sentences that
-    contradict the prompt's side, direction or speed count among the others, `CONTRARY` less: "jog backwards" is not
-    known where all jogs are forwards. `calibration` is what was measured of the model; its thresholds replace
-    `threshold`.
+    `others` are sentences of everyday actions that are absent from training. `embeddings` holds one row of length 1 in
+    half precision for each known sentence, then for each other one.
+
+    A prompt is in the vocabulary if 2 k - o is at least `threshold`: k is its cosine to the nearest known sentence, o
+    to the nearest other one, after subtraction of the others' mean, which all sentences share. For example, "ride a
+    bicycle" is out of vocabulary although "ride a motorcycle" is in it, since it is an everyday action itself. Known
+    sentences that contradict the prompt's side, direction or speed count among the others, with `CONTRARY` subtracted:
+    "jog backwards" is out of vocabulary if all jogs go forwards. `calibration` holds measurements of the model; its
+    thresholds replace `threshold`.
 
     Examples:
         >>> vocabulary = stmc.load().vocabulary
@@ -122,27 +126,33 @@ class Vocabulary:
 
     @cached_property
     def contents(self) -> tuple[Content, ...]:
-        """Each content that has a name, in the order of its first sentence."""
+        """All named actions, in the order of their first sentences."""
         return tuple(dict.fromkeys(sentence.content for sentence in self.known if sentence.content.name))
 
     @cached_property
     def examples(self) -> Mapping[Content, tuple[Sentence, ...]]:
-        """Of each content that has a name up to `EXAMPLES` sentences, those nearest to the mean of all that say it, the
-        shortest first: the shortest of all may be slang.
+        """Up to `EXAMPLES` sentences of each named action: those nearest to the mean of all its sentences.
+
+        The shortest of them comes first; the shortest of all sentences may be slang.
 
         Examples:
             >>> examples = stmc.load().vocabulary.examples
             >>> next(sentences[0].text for content, sentences in examples.items() if content.name == "sit-down")
             'sitting down'
         """
-        places: dict[Content, list[int]] = {content: [] for content in self.contents}
-        for place, sentence in enumerate(self.known):
+        indices: dict[Content, list[int]] = {content: [] for content in self.contents}
+        for index, sentence in enumerate(self.known):
             if sentence.content.name:
-                places[sentence.content].append(place)
-        return {content: self._examples(same) for content, same in places.items()}
+                indices[sentence.content].append(index)
+        return {content: self._select_examples(same) for content, same in indices.items()}
 
     def recognise(self, texts: Sequence[str], encoder: TextEncoder, count: int = NEAREST) -> list[Recognition]:
-        """How near each text is to what is known, with the nearest sentences of up to `count` contents.
+        """Compare texts with the vocabulary.
+
+        Args:
+            texts: Prompts.
+            encoder: Sentence encoder.
+            count: Greatest number of nearest actions in each result.
 
         Examples:
             >>> vocabulary, encoder = stmc.load().vocabulary, stmc.text.vocabulary.sentence_encoder()
@@ -151,23 +161,23 @@ class Vocabulary:
             (True, 'run')
         """
         rows = self.cosines(texts, encoder) if texts else []
-        return [self._recognition(text, row, count) for text, row in zip(texts, rows, strict=True)]
+        return [self._recognise(text, row, count) for text, row in zip(texts, rows, strict=True)]
 
     def cosines(self, texts: Sequence[str], encoder: TextEncoder) -> Float[Tensor, "texts sentences"]:
-        """Of one text or more to all known sentences and then to all others, as seen from the others' mean.
+        """Compute cosines of texts to all known sentences, then to all others, after subtraction of the others' mean.
 
         Examples:
             >>> vocabulary, encoder = stmc.load().vocabulary, stmc.text.vocabulary.sentence_encoder()
             >>> len(vocabulary.cosines(["walk", "jump"], encoder))
             2
         """
-        return self._centred(embed_sentences(texts, encoder)) @ self._rows.T
+        return self._centre_rows(embed_sentences(texts, encoder)) @ self._rows.T
 
-    def _recognition(self, text: str, row: Float[Tensor, " sentences"], count: int) -> Recognition:
+    def _recognise(self, text: str, row: Float[Tensor, " sentences"], count: int) -> Recognition:
         known, others = row[: len(self.known)], row[len(self.known) :]
         agrees, contradicts = self._agreement.of(text)
-        agreeing = known.masked_fill(~agrees, _APART)
-        unlike = torch.cat([others, (known - CONTRARY).masked_fill(~contradicts, _APART)])
+        agreeing = known.masked_fill(~agrees, _EXCLUDED)
+        unlike = torch.cat([others, (known - CONTRARY).masked_fill(~contradicts, _EXCLUDED)])
         nearest = self._nearest(agreeing, count) | self._nearest(known, count)
         near = [sentence for sentence, cosine in nearest.items() if cosine >= NEAR]
         action = next(iter(nearest)).content.name
@@ -181,23 +191,23 @@ class Vocabulary:
         )
 
     def _nearest(self, cosines: Float[Tensor, " known"], count: int) -> dict[Sentence, float]:
-        """The first examples of up to `count` contents, each with the cosine of its nearest sentence."""
+        """Return the first example of each of the `count` nearest actions, with the cosine of its nearest sentence."""
         nearest: dict[Sentence, float] = {}
-        for place in cosines.argsort(descending=True).tolist():
-            if len(nearest) == count or cosines[place] == _APART:
+        for index in cosines.argsort(descending=True).tolist():
+            if len(nearest) == count or cosines[index] == _EXCLUDED:
                 break
-            sentence = self.known[place]
-            nearest.setdefault(self.examples.get(sentence.content, (sentence,))[0], float(cosines[place]))
+            sentence = self.known[index]
+            nearest.setdefault(self.examples.get(sentence.content, (sentence,))[0], float(cosines[index]))
         return nearest
 
     @cached_property
     def _agreement(self) -> Agreement:
         return Agreement(self.known)
 
-    def _examples(self, places: Sequence[int]) -> tuple[Sentence, ...]:
-        rows = self._rows[list(places)]
+    def _select_examples(self, indices: Sequence[int]) -> tuple[Sentence, ...]:
+        rows = self._rows[list(indices)]
         order = (rows @ rows.mean(dim=0)).argsort(descending=True, stable=True)[:EXAMPLES].tolist()
-        return tuple(sorted((self.known[places[row]] for row in order), key=lambda each: len(each.text)))
+        return tuple(sorted((self.known[indices[row]] for row in order), key=lambda sentence: len(sentence.text)))
 
     @cached_property
     def _centre(self) -> Float[Tensor, " width"]:
@@ -205,13 +215,13 @@ class Vocabulary:
 
     @cached_property
     def _rows(self) -> Float[Tensor, "sentences width"]:
-        return self._centred(self.embeddings.float())
+        return self._centre_rows(self.embeddings.float())
 
-    def _centred(self, embeddings: Float[Tensor, "rows width"]) -> Float[Tensor, "rows width"]:
+    def _centre_rows(self, embeddings: Float[Tensor, "rows width"]) -> Float[Tensor, "rows width"]:
         return F.normalize(embeddings - self._centre, dim=-1)
 
     def __repr__(self) -> str:
-        """The contents by their body parts."""
+        """List the actions by body parts."""
         if not self.contents:
             some = ", ".join(shown(sentence.text) for sentence in self.known[:NEAREST])
             return f"Vocabulary({len(self.known):,} sentences, such as {some})"
@@ -225,7 +235,7 @@ class Vocabulary:
 
 
 def listed(parts: frozenset[BodyPart]) -> str:
-    """Body parts as a person reads them."""
+    """Describe body parts in words."""
     if parts == frozenset(BodyPart):
         return "whole body"
     return " and ".join(part for part in BodyPart if part in parts) or "parts not known"
