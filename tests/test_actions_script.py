@@ -105,7 +105,7 @@ def test_the_settings_of_sampling_reach_the_model(monkeypatch):
     monkeypatch.setattr(stmc.Model, "generate", generate)
     sampling = {"seed": 3, "guidance": 1.5, "steps": 7, "noise_scale": "std", "clean_feet": True}
     config = OmegaConf.create({"samples": 2} | sampling)
-    loaded("actions").asked(config, tiny(), "sit", "be seated", 2.04)
+    loaded("actions").sample_sentence(config, tiny(), "sit", "be seated", 2.04)
     assert requests == [([2.0, 2.0], sampling)]
 
 

@@ -137,7 +137,7 @@ def test_the_command_refuses_a_model_without_such_attention(tmp_path):
 def test_what_has_no_such_attention_and_what_is_no_frame_are_errors():
     with pytest.raises(ValueError, match=r"MdmSmpl has no FlowMDM attention"), recorded_attention(tiny().denoiser):
         pass
-    with pytest.raises(ResultError, match="0 steps, and frame 3 of 9"):
+    with pytest.raises(ResultError, match="0 steps and frame 3 of 9"):
         attention_curves(np.zeros((0, 9)), 3)
-    with pytest.raises(ResultError, match="1 steps, and frame 9 of 9"):
+    with pytest.raises(ResultError, match="1 steps and frame 9 of 9"):
         attention_curves(np.eye(9)[:1], 9)

@@ -274,9 +274,9 @@ def test_every_row_comes_once_an_epoch_and_texts_are_dropped_each_by_itself(fold
 
 
 def test_rows_of_several_texts_are_refused_where_they_cannot_be_read(folder):
-    with pytest.raises(ValueError, match="RecordedRows needs a text encoder that makes one word of a text"):
+    with pytest.raises(ValueError, match="RecordedRows needs a text encoder that returns one word per text"):
         batches(several(folder), LetterCounts(), rows=3)
-    with pytest.raises(ValueError, match="pairs are of one text each: RecordedRows makes rows of several"):
+    with pytest.raises(ValueError, match="pairs need one text per row: RecordedRows makes rows of several"):
         PairBatches(batches(several(folder), rows=3))
 
 

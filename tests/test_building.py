@@ -86,7 +86,7 @@ def test_a_folder_of_somebody_else_s_configurations_runs_nothing_and_trusts_nobo
     told = refused(capsys, "embed", *arguments)
     assert not evil[1].exists()
     assert (
-        "say it on the command line" if trusted else "'torch.load' is not a legal target of this configuration"
+        "set trusted= on the command line" if trusted else "'torch.load' is not a legal target of this configuration"
     ) in told
 
 
@@ -100,7 +100,7 @@ def test_hydra_s_own_settings_build_hydra_s_parts_alone(evil, tmp_path, capsys, 
     assert "hydra.callbacks.theirs._target_='torch.load'" in refused(capsys, "embed", *arguments)
     assert not evil[1].exists()
     for logging in ({"()": "os.system"}, {"class": "subprocess.Popen"}):
-        with pytest.raises(SettingError, match="not a part of Hydra's"):
+        with pytest.raises(SettingError, match="not a part of Hydra"):
             check_plugins({"job_logging": {"handlers": {"theirs": logging}}})
 
 
@@ -192,8 +192,8 @@ WRONG = {
     "lr=nan": ("train", "training.lr=nan", "training.lr=nan: must be a number"),
     "lr=1e6": ("train", "training.lr=1e6", r"lr (1000000.0) must be above 0 and at most 1"),
     "checkpoint_every": ("train_tmr", "training.checkpoint_every=''", "training.checkpoint_every=''"),
-    "no folder": ("train_tmr", "data.folder=null", "data.folder=null: the folder of a prepared cache needed"),
-    "no folders": ("train_tmr", "data.folder=[]", "data.folder=[]: the folder of a prepared cache needed"),
+    "no folder": ("train_tmr", "data.folder=null", "data.folder=null: must be the folder of a prepared cache"),
+    "no folders": ("train_tmr", "data.folder=[]", "data.folder=[]: must be the folder of a prepared cache"),
     "denoiser": ("train", "denoiser.width=wide", "denoiser.width='wide': must be a whole number"),
     "an unknown argument": ("train", "+denoiser.wide=3", "denoiser.wide: stmc.denoisers.MdmSmpl has no such argument"),
     "heads": ("train", "denoiser.heads=7", "denoiser"),

@@ -17,10 +17,10 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 import stmc
-from stmc.cli.arguments import quoted, read
+from stmc.cli.arguments import parse_arguments, quoted
 from stmc.cli.commands import Command
-from stmc.cli.dispatch import program, scripts
-from stmc.cli.exit_codes import MOST, explained, guarded
+from stmc.cli.dispatch import module_summaries, program
+from stmc.cli.exit_codes import MAX_CHARACTERS, explain_error, run_guarded
 from stmc.editing.generate_request import GenerateRequest
 from stmc.settings.records import defaults, field_infos
 
@@ -71,21 +71,23 @@ def ended(command: Command, arguments: list[str], capsys) -> tuple[int, str]:
 )
 def test_a_file_name_is_taken_as_it_is_typed(sample, name):
     forms = ([f"timeline={name}"], ["--timeline", name], [f"--timeline={name}"])
-    asked, *others = (read(arguments, sample.settings, sample.parts, sample.positional) for arguments in forms)
-    assert sample.composed(asked).timeline == name
+    asked, *others = (
+        parse_arguments(arguments, sample.settings, sample.parts, sample.positional) for arguments in forms
+    )
+    assert sample.compose_config(asked).timeline == name
     assert others == [asked, asked]
 
 
 def test_plain_arguments_are_the_timeline_and_the_folder(sample):
-    asked = read(["walk # 0 # 4", "out/", "--json"], sample.settings, sample.parts, sample.positional)
-    config = sample.composed(asked)
+    asked = parse_arguments(["walk # 0 # 4", "out/", "--json"], sample.settings, sample.parts, sample.positional)
+    config = sample.compose_config(asked)
     assert (config.timeline, config.output, config.json) == ("walk # 0 # 4", "out/", True)
 
 
 def test_a_list_needs_no_brackets(sample):
     for typed in ("formats=npz,bvh", "formats=[npz,bvh]", "--formats=npz,bvh"):
-        asked = read([typed], sample.settings, sample.parts, sample.positional)
-        assert list(sample.composed(asked).formats) == ["npz", "bvh"]
+        asked = parse_arguments([typed], sample.settings, sample.parts, sample.positional)
+        assert list(sample.compose_config(asked).formats) == ["npz", "bvh"]
 
 
 def test_what_is_quoted_reads_back_as_it_was():
@@ -99,10 +101,12 @@ def test_what_is_quoted_reads_back_as_it_was():
 def test_a_folder_of_one_s_own_wins_over_ours(sample, tmp_path):
     (tmp_path / "sample.yaml").write_text("steps: 7\n")
     (tmp_path / "quick.yaml").write_text("defaults: [sample, _self_]\nseed: 3\n")
-    asked = read(["--config-dir", str(tmp_path)], sample.settings, sample.parts, sample.positional)
-    assert (sample.composed(asked).steps, sample.composed(asked).samples) == (7, 1)
-    asked = read([f"--config-dir={tmp_path}", "-cn", "quick"], sample.settings, sample.parts, sample.positional)
-    assert (sample.composed(asked).steps, sample.composed(asked).seed) == (7, 3)
+    asked = parse_arguments(["--config-dir", str(tmp_path)], sample.settings, sample.parts, sample.positional)
+    assert (sample.compose_config(asked).steps, sample.compose_config(asked).samples) == (7, 1)
+    asked = parse_arguments(
+        [f"--config-dir={tmp_path}", "-cn", "quick"], sample.settings, sample.parts, sample.positional
+    )
+    assert (sample.compose_config(asked).steps, sample.compose_config(asked).seed) == (7, 3)
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
@@ -121,7 +125,7 @@ def test_every_command_takes_a_folder_of_one_s_own_beside_ours(found, name, tmp_
 def test_a_folder_of_one_s_own_is_forgotten_after_the_command(sample, tmp_path):
     (tmp_path / "sample.yaml").write_text("steps: 7\n")
     for given, steps in ((["--config-dir", str(tmp_path)], 7), ([], None)):
-        config = sample.composed(read(given, sample.settings, sample.parts, sample.positional))
+        config = sample.compose_config(parse_arguments(given, sample.settings, sample.parts, sample.positional))
         assert config.steps == steps
 
 
@@ -309,11 +313,11 @@ def test_every_script_ends_in_one_line_when_it_is_stopped(found, name, capsys):
     [
         (OSError(28, "No space left on device", "/out/a.npz"), "/out/a.npz: no space left on device"),
         (ModuleNotFoundError("No module named 'accelerate'", name="accelerate"), "pip install 'stmc[train]'"),
-        (BrokenProcessPool(), "a worker was killed, perhaps for lack of memory"),
+        (BrokenProcessPool(), "a worker process was killed, perhaps for lack of memory"),
     ],
 )
 def test_what_a_user_can_mend_is_one_line(error, message, capsys):
-    assert guarded(lambda: raising(error)(None)) == 2
+    assert run_guarded(lambda: raising(error)(None)) == 2
     told = capsys.readouterr().err
     assert message in told
     assert told.count("\n") == 1
@@ -321,7 +325,7 @@ def test_what_a_user_can_mend_is_one_line(error, message, capsys):
 
 def test_a_bug_keeps_its_traceback():
     with pytest.raises(TypeError, match="a bug"):
-        guarded(lambda: raising(TypeError("a bug"))(None))
+        run_guarded(lambda: raising(TypeError("a bug"))(None))
 
 
 def raising(error: BaseException):
@@ -335,25 +339,25 @@ def raising(error: BaseException):
 def test_what_must_be_given_is_asked_for_before_anything_is_loaded(found, name, capsys):
     code, told = ended(found[name], [], capsys)
     assert code == 2
-    assert told.startswith("needed: ")
+    assert told.startswith("missing: ")
     assert NEEDED[name][0].partition("=")[0] in told
 
 
 def test_what_follows_from_what_must_be_given_is_not_asked_for(found, capsys):
     code, told = ended(found["evaluate"], ["benchmark=flow_mdm_humanml3d"], capsys)
-    assert code == 2 and told.startswith("needed: benchmark.compositions.path=, ")
+    assert code == 2 and told.startswith("missing: benchmark.compositions.path=, ")
     assert "benchmark.references.folder=" in told and "tags" not in told
 
 
 @pytest.mark.parametrize("typed", ["models.mine=runs/mine", "models={mine: runs/mine}"])
 def test_a_key_of_one_s_own_is_told_to_need_a_plus(found, typed, capsys):
     code, told = ended(found["evaluate"], [typed], capsys)
-    assert (code, told) == (2, "there is no setting models.mine; a plus adds a key of your own: +models.mine=…\n")
+    assert (code, told) == (2, "there is no setting models.mine; add a key of your own with a plus: +models.mine=…\n")
 
 
 def test_a_value_error_of_ours_is_a_sentence_and_one_of_torch_a_bug():
-    assert explained(caught(lambda: stmc.Timeline.parse("walk # 3 # 1"))) is not None
-    assert explained(caught(lambda: torch.distributions.Normal(0.0, -1.0))) is None
+    assert explain_error(caught(lambda: stmc.Timeline.parse("walk # 3 # 1"))) is not None
+    assert explain_error(caught(lambda: torch.distributions.Normal(0.0, -1.0))) is None
 
 
 def caught(run) -> Exception:
@@ -366,16 +370,16 @@ def caught(run) -> Exception:
 
 def test_a_message_is_one_line_however_long_and_odd_it_is(capsys):
     odd = {"a\nb\x00\x1b[2J" + "x" * 10_000: 1}
-    assert guarded(lambda: stmc.settings.records.record_of(stmc.Sampling, odd)) == 2
+    assert run_guarded(lambda: stmc.settings.records.record_of(stmc.Sampling, odd)) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1
-    assert len(told) <= MOST + 2
+    assert len(told) <= MAX_CHARACTERS + 2
     assert "\x1b" not in told
 
 
 def test_a_warning_of_the_library_is_one_line_without_code(capsys):
     clash = "walk # 0 # 2 # legs\nrun # 0 # 2 # legs"
-    assert guarded(lambda: stmc.assign(stmc.Timeline.parse(clash), fps=20)) == 0
+    assert run_guarded(lambda: stmc.assign(stmc.Timeline.parse(clash), fps=20)) == 0
     told = capsys.readouterr().err.splitlines()
     assert told
     assert all(line.startswith("warning: ") and ".py" not in line for line in told)
@@ -387,7 +391,7 @@ def test_a_warning_of_the_library_is_one_line_without_code(capsys):
 def test_one_program_lists_and_runs_all_scripts(capsys):
     assert program([]) == 0
     told = capsys.readouterr().out
-    assert set(scripts()) == set(SCRIPTS)
+    assert set(module_summaries()) == set(SCRIPTS)
     assert all(f"  {'import' if name == 'import_checkpoint' else name} " in told for name in SCRIPTS)
     assert program(["sample", "steps=0"]) == 2
     assert "steps=0" in capsys.readouterr().err

@@ -86,8 +86,8 @@ def test_a_content_is_drawn_so_many_times_as_often_as_its_emphasis_says(dataset)
     share = sum(clip.content == "walk" for clip in clips) / len(clips)
     assert share == pytest.approx(3 / 4, abs=0.03)
     for emphasis, error in (
-        ({"wlak": 2.0}, r"emphasis of \['wlak'\]: the data have kick, raise, walk"),
-        ({"walk": -1.0}, "at least 0 times"),
+        ({"wlak": 2.0}, r"emphasis: unknown contents \['wlak'\]; choose from kick, raise, walk"),
+        ({"walk": -1.0}, "factors must be at least 0"),
         ({"walk": 0.0, "raise": 0.0}, "no content is left"),
     ):
         with pytest.raises(ValueError, match=error):
@@ -285,7 +285,7 @@ def test_unchanged_speed_gives_the_very_frames_by_both_ways(dataset):
 
 
 def test_a_layout_that_does_not_fit_is_an_error():
-    with pytest.raises(ValueError, match="11 features, the layout 3"):
+    with pytest.raises(ValueError, match="11 features, but the layout has 3"):
         Dataset(cache(), LetterCounts(), Layout((Field("positions", 3),)))
 
 

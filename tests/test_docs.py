@@ -18,7 +18,7 @@ from test_architecture import TIERS
 
 import stmc
 from stmc.cli.arguments import read
-from stmc.cli.dispatch import SHORT, found, scripts
+from stmc.cli.dispatch import SHORT, find_command, module_summaries
 from stmc.composing import METHODS
 from stmc.composing.sampling import DEFAULT, Sampling
 from stmc.model import Model
@@ -196,7 +196,7 @@ def test_a_page_on_extending_is_short_and_has_an_example_that_is_run():
 
 def test_the_table_of_commands_has_every_command_once():
     rows = re.findall(r"^\| `stmc (\w+)", text(DOCS / "commands.md"), flags=re.MULTILINE)
-    assert sorted(SHORT.get(row, row) for row in rows) == sorted(scripts())
+    assert sorted(SHORT.get(row, row) for row in rows) == sorted(module_summaries())
 
 
 COMMANDS = sorted(
@@ -221,11 +221,11 @@ def test_every_command_of_the_pages_is_understood():
 
 def understood(line: str) -> None:
     _, script, *arguments = shlex.split(line, comments=True)
-    command = found(script)
+    command = find_command(script)
     try:
         asked = read(arguments, command.settings, command.parts, command.positional)
         if not asked.multirun:  # whose values Hydra tells apart, and whose launcher need not be installed
-            command.composed(asked)
+            command.compose_config(asked)
     except Exception as error:
         raise AssertionError(f"{line}: {error}") from error
 

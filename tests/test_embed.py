@@ -53,10 +53,10 @@ def test_a_folder_is_all_its_files(found, tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("empty.txt", b"\n\n", "holds no text"),
+        ("empty.txt", b"\n\n", "contains no text"),
         ("broken.json", b"{", r"broken\.json cannot be read"),
         ("latin.txt", b"caf\xe9", r"latin\.txt cannot be read"),
-        ("other.json", b'{"texts": 3}', "holds no text"),
+        ("other.json", b'{"texts": 3}', "contains no text"),
     ],
 )
 def test_what_holds_no_texts_is_an_error(found, tmp_path, name, content, message):

@@ -364,7 +364,7 @@ def test_training_goes_on_where_it_stopped(trained):
     folder, settings, _ = trained
     longer = ("training.steps=6", "training.lr_decay_steps=4")
     done = script("train_tmr", *settings, *longer, folder=folder / "here")
-    assert "4 of 6 steps are done" in done.stdout
+    assert "4 of 6 steps done" in done.stdout
     assert json.loads((folder / "run" / "results.json").read_text())["step"] == 6
     with (folder / "run" / "retrieval.csv").open() as file:
         assert [row["step"] for row in csv.DictReader(file)] == ["2", "4", "6"]

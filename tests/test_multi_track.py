@@ -343,20 +343,20 @@ def test_ground_truth_is_held_out_and_contents_without_any_are_named():
         ("walk", "clip-1", 9.2),  # any of its pieces is a walk
     ]
     assert [(each.longest, each.cyclic) for each in prompts] == [(9.0, False), (4.0, False), (9.2, True)]
-    assert script.left_out(cache, prompts) == ["jump-up", "kick"]
+    assert script.find_omitted(cache, prompts) == ["jump-up", "kick"]
 
 
 def test_each_of_two_clips_at_once_is_asked_about_and_all_of_what_happens_once_is_there():
     script, cache = loaded("open_mtt"), shots()
     prompts = script.atomic_prompts(cache)
     bow, sit, walk = (each.text for each in prompts)
-    alone, composed = script.alone(cache, prompts), script.composed(cache, prompts)
+    alone, composed = script.single_motions(cache, prompts), script.composed_motions(cache, prompts)
     assert sorted(map(len, alone[walk])) == [120, 184]
     assert {len(motion) for motion in composed[walk]} == {120, 184}
     assert {len(motion) for motion in composed[sit]} <= {40, 50}  # on legs: as long as the sitting itself
     assert {len(motion) for motion in composed[bow]} <= {20, 80, 120}
     whole = dataclasses.replace(prompts[0], parts=frozenset(BodyPart))
-    assert script.composed(cache, [whole, prompts[2]])[bow] == []
+    assert script.composed_motions(cache, [whole, prompts[2]])[bow] == []
 
 
 def test_the_open_benchmark_is_the_same_for_its_seed_and_says_how_its_prompts_are_heard(work, tmp_path, capsys):
@@ -467,9 +467,9 @@ def test_shares_make_what_one_process_makes_and_the_last_one_measures(work, quic
     evaluated(work, *few(tmp_path / "whole"))
     assert not (tmp_path / "shares" / "results.jsonl").exists()
     evaluated(work, *few(tmp_path / "shares"), "shard=2/2")
-    assert "share 2/2 is made" in capsys.readouterr().out
+    assert "shard 2/2 is complete" in capsys.readouterr().out
     assert {each.method for each in read_results(tmp_path / "shares" / "results.jsonl")} == {"ground_truth"}
-    with pytest.raises(ValueError, match=r"motions are missing of shard 1/2 \(1\); ask for these"):
+    with pytest.raises(ValueError, match=r"motions are missing of shard 1/2 \(1\); run these shards"):
         evaluated(work, *few(tmp_path / "shares"), "shard=all/2")
     evaluated(work, *few(tmp_path / "shares"), "shard=1/2")
     one, two = (read_results(tmp_path / name / "results.jsonl") for name in ("whole", "shares"))
@@ -524,7 +524,7 @@ def test_whatever_an_experiment_asks_for_can_be_shown(name):
     models = {"MDM-SMPL": tiny()}
     if "flow_mdm" in experiment.methods:
         models["FlowMDM"] = dataclasses.replace(tiny(), denoiser=FlowMdm(205, 384, 90, 16, 32, 1, 2))
-    settings = list(dict.fromkeys(loaded("evaluate").chosen(experiment, models, ())))
+    settings = list(dict.fromkeys(loaded("evaluate").choose_settings(experiment, models, ())))
     keys = [measure.key for measure in MEASURES]
     results = [
         Result(seed=seed, metrics=dict.fromkeys(keys, 1.0 + seed), curves={"jerk": [1.0] * 17}, **vars(setting))

@@ -310,7 +310,7 @@ def test_the_papers_protocol_is_the_default():
 def test_sampling_techniques_have_absolute_positions_throughout_and_flow_mdm_its_own():
     experiment = configured("evaluate", "experiment=flowmdm_table_1").experiment
     flow = dataclasses.replace(tiny(), denoiser=FlowMdm(205, WIDTH, 90, 16, 32, 1, 2))
-    asked = list(loaded("evaluate").chosen(experiment, {"FlowMDM": flow, "MDM": tiny()}, ()))
+    asked = list(loaded("evaluate").choose_settings(experiment, {"FlowMDM": flow, "MDM": tiny()}, ()))
     shares = {(each.denoiser, each.method): each.sampling.ape_steps for each in asked if each.denoiser}
     rules = ("teach_b", "teach", "double_take", "multi_diffusion", "single_track")
     assert shares == {("FlowMDM", rule): 1.0 for rule in rules} | {("MDM", rule): None for rule in rules} | {
@@ -324,7 +324,7 @@ def test_ablations_are_sampled_with_either_encoding_where_they_have_both():
         dataclasses.replace(tiny(), denoiser=FlowMdm(205, WIDTH, 90, 16, 32, 1, 2, positions=positions))
         for positions in ("blended", "relative")
     )
-    settings = dict.fromkeys(loaded("evaluate").chosen(experiment, {"B": both, "R": one}, ()))
+    settings = dict.fromkeys(loaded("evaluate").choose_settings(experiment, {"B": both, "R": one}, ()))
     asked = [each for each in settings if each.denoiser]
     assert [(each.denoiser, each.sampling.ape_steps) for each in asked] == [
         ("B", 0.1),

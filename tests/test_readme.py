@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from helpers.scripts import ROOT
 
-from stmc.cli.dispatch import found
+from stmc.cli.dispatch import find_command
 from stmc.model import Model
 from stmc.run import WEIGHTS, bundled
 from stmc.settings.records import field_infos
@@ -39,7 +39,7 @@ def test_settings_that_are_only_mentioned_exist_too():
     rows = [line for line in README.splitlines() if line.startswith("| `stmc ")]
     assert rows
     for row in rows:
-        command = found(re.match(r"\| `stmc (\w+)", row)[1])
+        command = find_command(re.match(r"\| `stmc (\w+)", row)[1])
         for key in re.findall(r"`(\w+)=", row):
             assert key in field_infos(command.settings) or key in command.parts, (
                 f"stmc {command.name} has no setting {key}"

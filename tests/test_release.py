@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import stmc
-from stmc.cli.dispatch import named_commands
+from stmc.cli.dispatch import command_summaries
 from stmc.io.extras import EXTRAS, missing_extra, require
 from stmc.run import bundled
 from stmc.run.directories import BUNDLED
@@ -85,13 +85,13 @@ def test_a_bare_install_samples_writes_and_reads(tmp_path):
 def test_a_missing_extra_is_named_in_python_and_by_the_command_line():
     code = (
         "import importlib, stmc\n"
-        "from stmc.cli.exit_codes import explained\n"
+        "from stmc.cli.exit_codes import explain_error\n"
         "tried = [lambda: stmc.plot_plan, lambda: stmc.render_film]\n"
         "modules = ('stmc.training.loop', 'stmc.training.device')\n"
         "tried += [lambda name=name: importlib.import_module(name) for name in modules]\n"
         "for each in tried:\n"
         "    try: each()\n"
-        "    except ModuleNotFoundError as error: print(explained(error))"
+        "    except ModuleNotFoundError as error: print(explain_error(error))"
     )
     advice = [re.fullmatch(r"this needs (\S+): pip install 'stmc\[(\w+)\]'", line) for line in run(code).splitlines()]
     figures, train = ("matplotlib", "figures"), ("accelerate", "train")
@@ -99,7 +99,7 @@ def test_a_missing_extra_is_named_in_python_and_by_the_command_line():
 
 
 def test_without_extras_every_help_is_told_and_a_format_that_needs_one_is_refused_before_sampling(tmp_path):
-    names = sorted(named_commands())
+    names = sorted(command_summaries())
     code = (
         "import sys\n"
         "from stmc.cli.dispatch import program\n"

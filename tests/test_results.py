@@ -164,7 +164,7 @@ def test_latex_has_the_best_in_bold_and_escapes_what_latex_would_take_for_its_ow
 
 
 def test_a_comparison_is_of_one_setting_each():
-    with pytest.raises(ResultError, match="stmc of mdm_smpl is there with steps 100 and 50; choose one"):
+    with pytest.raises(ResultError, match="stmc of mdm_smpl has several settings, steps 100 and 50; choose one"):
         comparison_table([*runs("stmc", [50]), *runs("stmc", [50], steps=50)])
 
 
@@ -225,7 +225,7 @@ def test_records_of_earlier_versions_have_todays_settings(tmp_path):
     ("line", "complaint"),
     [
         ("{", "not JSON"),
-        ("[]", "a record is an object"),
+        ("[]", "a record must be an object"),
         ('{"method": "stmc", "seed": 0}', "no metrics"),
         (
             '{"method": "stmc", "seed": 0, "metrics": {}, "stepps": 3}',

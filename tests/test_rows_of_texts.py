@@ -221,9 +221,9 @@ def test_a_number_of_texts_that_cannot_be_meant_is_an_error(wrong):
 
 
 def test_texts_of_several_words_and_pairs_are_refused():
-    with pytest.raises(ValueError, match="PackedRows needs a text encoder that makes one word of a text"):
+    with pytest.raises(ValueError, match="PackedRows needs a text encoder that returns one word per text"):
         batches(dataset([0.0, 0.1], words=LetterCounts()))
-    with pytest.raises(ValueError, match="pairs are of one text each: PackedRows makes rows of several"):
+    with pytest.raises(ValueError, match="pairs need one text per row: PackedRows makes rows of several"):
         PairBatches(batches(dataset([0.0, 0.1])))
 
 

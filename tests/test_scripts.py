@@ -199,9 +199,9 @@ def test_a_distilled_model_loads_says_of_what_it_is_one_and_needs_no_guidance(wo
 def test_a_distilled_model_is_otherwise_sampled_as_its_teacher(work, trained, distilling):
     train = loaded("train")
     teacher = replace(stmc.load(trained), sampling=stmc.Sampling(guidance=4, stitch_from=0.2))
-    own = train.own_sampling(configured("train", *distilling), teacher)
+    own = train.default_sampling(configured("train", *distilling), teacher)
     assert dict(own.given) == {"noise_scale": "std", "guidance": 1, "stitch_from": 0.2}
-    asked = train.own_sampling(configured("train", *distilling, "guidance=1.5"), teacher)
+    asked = train.default_sampling(configured("train", *distilling, "guidance=1.5"), teacher)
     assert asked.guidance == 1.5
 
 
@@ -223,7 +223,7 @@ def test_a_model_with_a_text_for_every_frame_is_not_distilled(trained, distillin
     model = stmc.load(trained)
     model.denoiser.per_frame_text = True
     with pytest.raises(ValueError, match="choose a denoiser of one text a row"):
-        loaded("train").to_distil(configured("train", *distilling), model)
+        loaded("train").find_teacher(configured("train", *distilling), model)
 
 
 def test_a_model_of_another_frame_rate_is_not_distilled(trained, distilling, monkeypatch):

@@ -177,12 +177,12 @@ def test_the_last_bits_of_motions_which_no_two_processors_share_change_nothing_o
 
 
 def test_too_few_timelines_and_methods_of_one_name_are_errors(pairs):
-    with pytest.raises(StudyError, match="14 timelines with motions; a survey of 10 pairs needs 15"):
+    with pytest.raises(StudyError, match="14 timelines have motions, but a survey of 10 pairs needs 15"):
         design(pairs[:14], METHODS)
     assert len(design(pairs[:14], METHODS, size=9)[0][0].questions) == 14
     with pytest.raises(StudyError, match="both methods are called 'stmc'"):
         design(pairs, ("stmc", "stmc"))
-    with pytest.raises(StudyError, match="two pairs have one name"):
+    with pytest.raises(StudyError, match="two pairs have the same name"):
         design([*pairs, pairs[0]], METHODS)
 
 
@@ -196,7 +196,7 @@ def test_the_stranger_has_other_texts_few_of_the_words_and_about_the_same_length
     assert stranger(own, [same, words, short, right]) is right
     tied = replace(right, name="a")
     assert stranger(own, [right, tied]) is stranger(own, [tied, right]) is tied
-    with pytest.raises(StudyError, match="no timeline without 'walk forwards', 'wave'"):
+    with pytest.raises(StudyError, match="a honeypot needs a timeline without 'walk forwards', 'wave'"):
         stranger(own, [same])
 
 
@@ -383,7 +383,7 @@ def test_the_majority_decides_and_ties_are_no_preference(study, tmp_path):
     assert found.data()["preferences"]["realism"]["shares"]["first"]["interval"] == list(wilson(10, 10))
     text = found.text()
     assert re.search(r"collage or similar +10 +100\.0 % +\[72\.2, 100\.0\]", text)
-    assert "7 pairs are judged by nobody: " in text
+    assert "7 pairs have no answers: " in text
 
 
 @pytest.mark.parametrize(
@@ -600,7 +600,7 @@ def test_the_scripts_leave_nothing_in_the_folder_that_they_are_called_in(asked, 
 def test_a_study_is_not_overwritten_and_an_analysis_needs_answers(tmp_path):
     (tmp_path / "key.json").write_text("{}")
     with pytest.raises(StudyError, match="holds a study already, whose key its answers need"):
-        loaded("study").made(OmegaConf.create(), tmp_path)
+        loaded("study").write_study(OmegaConf.create(), tmp_path)
     Key(METHODS, {}).write(tmp_path / "key.json")
     with pytest.raises(StudyError, match="has no answer files"):
-        loaded("analyse_study").analysed(tmp_path, tmp_path / "answers")
+        loaded("analyse_study").analyse_folder(tmp_path, tmp_path / "answers")

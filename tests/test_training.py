@@ -385,7 +385,7 @@ def test_a_run_may_go_on_with_other_settings_where_that_is_asked_for_and_remembe
     trainer(tmp_path, steps=2, described={"cache": "abc"}).run()
     changed = {"steps": 4, "lr_decay_steps": 2, "described": {"cache": "abd"}}
     trainer(tmp_path, **changed, allow_changed_settings=True).run()
-    assert "goes on with other settings: cache: abc → abd" in caplog.text
+    assert "resumes with other settings: cache: abc → abd" in caplog.text
     again = trainer(tmp_path, **changed)
     assert (again.step, again.changes) == (4, ["after step 2: cache: abc → abd"])
 
@@ -400,7 +400,7 @@ def test_places_machines_and_intervals_may_change(tmp_path):
 
 def test_a_longer_run_must_say_where_its_rate_has_fallen(tmp_path):
     trainer(tmp_path, steps=2, warmup=1).run()
-    with pytest.raises(SettingsChanged, match=r"a longer run needs training\.lr_decay_steps=2"):
+    with pytest.raises(SettingsChanged, match=r"to extend the run, set training\.lr_decay_steps=2"):
         trainer(tmp_path, steps=4, warmup=1)
     trainer(tmp_path, steps=4, lr_decay_steps=2, warmup=1).run()
     trainer(tmp_path / "whole", steps=4, lr_decay_steps=2, warmup=1, validate_every=2).run()
@@ -425,7 +425,7 @@ def test_a_damaged_checkpoint_is_passed_over_and_named(tmp_path, damage, caplog)
     newest = tmp_path / "step-00000008.pt"
     newest.write_bytes(damage(newest.read_bytes()))
     assert checkpoints.restore(lambda step, state: found.append(int(state["value"]))) == 4
-    assert found == [4] and "step-00000008.pt is damaged (checksum); going on from step 4" in caplog.text
+    assert found == [4] and "step-00000008.pt is damaged (its checksum is wrong); resuming from step 4" in caplog.text
 
 
 def test_where_no_checkpoint_is_whole_the_message_says_what_to_do(tmp_path):
@@ -452,7 +452,7 @@ def test_a_checkpoint_of_another_network_is_passed_over_and_changes_nothing(tmp_
     wide = trainer(tmp_path / "wide", MdmSmpl(LAYOUT.width, 8, width=32, feedforward=32, layers=1, heads=2), steps=4)
     Checkpoints(tmp_path / "checkpoints").save(8, wide._state())
     resumed = trainer(tmp_path, steps=4)
-    assert resumed.step == 4 and "step-00000008.pt is damaged (it is of another network)" in caplog.text
+    assert resumed.step == 4 and "step-00000008.pt is damaged (it belongs to another network)" in caplog.text
 
 
 def test_a_damaged_checkpoint_of_a_later_step_outlives_no_whole_one(tmp_path):
@@ -541,10 +541,10 @@ def test_an_accelerator_that_is_not_there_is_an_error(monkeypatch):
 def test_where_there_is_no_terminal_the_loss_is_told_in_lines(tmp_path, caplog):
     caplog.set_level("INFO")
     trainer(tmp_path, steps=2).run()
-    assert f"beginning {tmp_path} on cpu: 0 of 2 steps are done" in caplog.text
+    assert f"starting {tmp_path} on cpu: 0 of 2 steps done" in caplog.text
     assert "step 2 of 2: loss " in caplog.text
     trainer(tmp_path, steps=2)
-    assert f"resuming {tmp_path} on cpu: 2 of 2 steps are done" in caplog.text
+    assert f"resuming {tmp_path} on cpu: 2 of 2 steps done" in caplog.text
 
 
 def test_a_table_forgets_later_rows_and_half_rows(tmp_path):

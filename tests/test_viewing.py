@@ -212,7 +212,7 @@ def test_pictures_of_a_motion_of_one_frame_show_it_once():
 
 
 def test_pictures_need_at_least_one_frame(motion):
-    with pytest.raises(ValueError, match="1 or more, not 0"):
+    with pytest.raises(ValueError, match="at least 1, not 0"):
         film_strip(motion, frames=0)
 
 

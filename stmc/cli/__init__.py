@@ -1,5 +1,5 @@
 """The command line: one module per command, and the machinery that they share.
 
-`command` turns a function and a record of settings into a command, `program` is `stmc COMMAND …`. Knows Hydra, which
-composes configurations.
+`command` turns a function and a record of settings into a command; `program` runs `stmc COMMAND …`. This package knows
+Hydra, which composes configurations.
 """

@@ -32,15 +32,23 @@ from stmc.settings.records import setting
 class Settings(OnModel):
     """Settings of `stmc abilities`."""
 
-    samples: int = setting(32, "motions of each ability", at_least=2)
-    seed: int = setting(0, "of the first motion", at_least=0)
-    guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
-    overlap: float | int = setting(0.5, "how long transitions are", unit="s", at_least=0)
-    steps: int | None = setting(None, "of denoising; null: as many as in training", at_least=1)
-    noise_scales: tuple[str, ...] = setting(("std", "variance"), "of DDPM's noise", choices=get_args(NoiseScale))
-    cache: tuple[str, ...] = setting((), "prepared data, to measure the test split's foot sliding beside the model's")
-    output: str = setting("outputs/abilities", "folder of pictures and numbers")
-    precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+    samples: int = setting(32, "number of motions of each ability", at_least=2)
+    seed: int = setting(0, "seed of the first motion", at_least=0)
+    guidance: float | int | None = setting(
+        None, "classifier-free guidance scale; null: the model's default", at_least=0
+    )
+    overlap: float | int = setting(0.5, "length of transitions", unit="s", at_least=0)
+    steps: int | None = setting(None, "denoising steps; null: as many as in training", at_least=1)
+    noise_scales: tuple[str, ...] = setting(
+        ("std", "variance"), "scales of DDPM's noise to compare", choices=get_args(NoiseScale)
+    )
+    cache: tuple[str, ...] = setting(
+        (), "folders of prepared data whose test split gives the foot sliding of real motion"
+    )
+    output: str = setting("outputs/abilities", "folder for pictures and numbers")
+    precision: str = setting(
+        "bf16", "precision of the denoiser; bf16 is fast on some processors", choices=get_args(Precision)
+    )
 
 
 @command("abilities", Settings, ("model", "output"))
@@ -62,18 +70,18 @@ def main(config: DictConfig) -> None:
                     noise_scale=scale,
                     clean_feet=False,
                 )
-                results.setdefault(ability.name, {})[scale] = measured(ability, motions)
+                results.setdefault(ability.name, {})[scale] = measure_motions(ability, motions)
                 figure = partial(stmc.film_strip(motions[0], ability.timeline).savefig, format="png", dpi=80)
                 write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)
                 progress.advance(task)
     if config.cache:
-        results["real"] = real(read_caches(list(config.cache)), model)
+        results["real"] = measure_real_sliding(read_caches(list(config.cache)), model)
     write_text(folder / "abilities.json", json.dumps(results, indent=1) + "\n")
-    report(results, config.noise_scales)
+    print_report(results, config.noise_scales)
 
 
-def measured(ability, motions) -> dict[str, float]:
-    """Share of motions that show the ability, and what else they tell."""
+def measure_motions(ability, motions) -> dict[str, float]:
+    """Measure motions: success rate, expected rate, speed (m/s), turn (degrees), foot sliding and diversity (cm)."""
     return {
         "shown": float(np.mean([ability.shown(motion) for motion in motions])),
         "expected": ability.expected,
@@ -84,8 +92,8 @@ def measured(ability, motions) -> dict[str, float]:
     }
 
 
-def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
-    """Foot sliding of the test split's real clips, by content."""
+def measure_real_sliding(cache: Cache, model: stmc.Model) -> dict[str, float]:
+    """Measure the foot sliding of the test split's real clips, in cm by content."""
     contents = {}
     for clip in cache.clips:
         if clip.split == "test":
@@ -94,7 +102,7 @@ def real(cache: Cache, model: stmc.Model) -> dict[str, float]:
     return {content: float(np.nanmean(values)) for content, values in sorted(contents.items())}
 
 
-def report(results: dict, noise_scales: list[str]) -> None:
+def print_report(results: dict, noise_scales: list[str]) -> None:
     """Print the table of the results."""
     columns = ("success", "m/s", "°", "slide cm", "div cm")
     table = Table("", "expected", *(f"{column}, {scale}" for scale in noise_scales for column in columns))

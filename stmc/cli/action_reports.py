@@ -1,6 +1,6 @@
-"""The tables that `stmc actions` prints: success by action, by distance from the training, and of MTT's texts.
+"""Tables of `stmc actions`: success by action, by distance from the training texts, and by text of MTT.
 
-Knows results and consoles; knows no model and no motion.
+This module knows results and consoles; it knows no model and no motion.
 """
 
 from __future__ import annotations
@@ -18,20 +18,23 @@ from stmc.evaluation.benchmarks.novelty import success_by_distance
 from stmc.text import MiniLM
 
 CONFUSED = 0.2
-"""The share of motions of one text that pass the check of another, from which on it is named."""
+"""A text is reported as confused with another if a larger share of its motions passes the other's check."""
 
 
-def report(results: dict, console: Console) -> None:
-    """How often the samples show each content, beside how often real motion of it does, and real motion of others; how
-    often the evaluator finds it; how far feet slide in them, and in real motion."""
+def print_report(results: dict, console: Console) -> None:
+    """Print how well samples show each content.
+
+    The table compares success with that of real motion and of other contents (chance), and the evaluator's retrieval
+    and the foot sliding with those of real motion.
+    """
     shares = ("shown", "ceiling", "chance", "found", "real_found")
     table = Table("content", "success", "real motion", "chance", "found", "real motion", "slide, cm", "real motion")
     for name, row in results.items():
         slides = [row[whose]["sliding_cm"] for whose in ("sampled", "real")]
         cells = ["" if slide is None else f"{slide:.1f}" for slide in slides]
-        table.add_row(name, *(percent(row[column]) for column in shares), *cells)
+        table.add_row(name, *(format_percent(row[column]) for column in shares), *cells)
     columns = [[row[column] for row in results.values() if row[column] is not None] for column in shares]
-    table.add_row("mean", *(percent(fmean(column) if column else None) for column in columns))
+    table.add_row("mean", *(format_percent(fmean(column) if column else None) for column in columns))
     console.print(table)
     for whose in ("sampled", "real"):
         console.print(
@@ -39,13 +42,13 @@ def report(results: dict, console: Console) -> None:
         )
 
 
-def percent(share: float | None) -> str:
-    """A share as a table shows it; nothing where it was not judged."""
+def format_percent(share: float | None) -> str:
+    """Format a share for a table; empty if it was not measured."""
     return "" if share is None else f"{share:.0%}"
 
 
-def report_by_distance(results: dict, console: Console) -> None:
-    """How often the samples show sentences that are near to one of the training on these contents, and far from all."""
+def print_by_distance(results: dict, console: Console) -> None:
+    """Print success by the distance of a sentence to the nearest training sentence on the same contents."""
     shares = {text: share for row in results.values() for text, share in row["sentences"].items()}
     training = [text for name in results for text in CONTENTS[name].sentences]
     table = Table("cosine to the nearest training sentence", "sentences", "success")
@@ -54,14 +57,14 @@ def report_by_distance(results: dict, console: Console) -> None:
     console.print(table)
 
 
-def report_texts(results: Mapping[str, Mapping], samples: int) -> None:
-    """Each text with its samples, whether it warns and which others they pass; then how many texts are shown."""
-    console, table = Console(), Table("text", "shown", "its side alone", "warns", "passes also")
+def print_texts(results: Mapping[str, Mapping], samples: int) -> None:
+    """Print each text with its success, its warning and the other checks that its samples pass; then a summary."""
+    console, table = Console(), Table("text", "shown", "on its own side", "warns", "also passes")
     for text, row in results.items():
         counts = [f"{samples * row[name]:.0f}/{samples}" for name in ("shown", "sided")]
         name = text if row["words"] == text else f"{text}: {row['words']}"
         warns = {None: "?", True: "warns", False: ""}[row["warned"]]
-        table.add_row(name, counts[0], counts[1] if mirror_words(text) != text else "", warns, others_passed(row))
+        table.add_row(name, counts[0], counts[1] if mirror_words(text) != text else "", warns, name_confusions(row))
     console.print(table)
     shown = {text: row["sided"] >= SHOWN for text, row in results.items()}
     silent = sum(not shown[text] and row["warned"] is False for text, row in results.items())
@@ -69,12 +72,12 @@ def report_texts(results: Mapping[str, Mapping], samples: int) -> None:
     mean = fmean(row["shown"] for row in results.values())
     console.print(
         f"shown: {sum(shown.values())} of {len(results)} texts, in {SHOWN:.0%} of the samples or more; "
-        f"mean {mean:.2f}; missed without a warning: {silent}; shown although warned of: {warned}",
+        f"mean {mean:.2f}; missed without a warning: {silent}; shown despite a warning: {warned}",
         soft_wrap=True,
     )
 
 
-def others_passed(row: Mapping) -> str:
-    """The other texts whose checks are passed most often, above `CONFUSED`."""
+def name_confusions(row: Mapping) -> str:
+    """List the three other texts whose checks are passed most often, above `CONFUSED`."""
     passed = sorted(((row[other], other) for other in MTT_CHECKS if row.get(other, 0) > CONFUSED), reverse=True)
     return ", ".join(f"{other} {share:.0%}" for share, other in passed[:3])

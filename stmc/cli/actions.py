@@ -1,7 +1,8 @@
-"""Ask a model for every action of its data that geometry can tell: `stmc actions model=RUN`.
+"""Measure how often samples show the action of their text: `stmc actions model=RUN`.
 
-With `texts=texts.txt`, ask for the 60 texts of MTT, each alone on its own body parts. `record=true` stores in the run
-directory how often samples show what they were asked for; `prompts=prompts.json` calibrates when the model warns.
+Geometric checks judge every action of the model's data that they can recognise. With `texts=texts.txt`, the command
+samples the 60 texts of MTT instead, each alone on its own body parts. `record=true` stores success rates in the run
+directory; `prompts=prompts.json` calibrates the warnings of the model.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
-from stmc.cli.action_reports import CONFUSED, report, report_by_distance, report_texts
+from stmc.cli.action_reports import CONFUSED, print_by_distance, print_report, print_texts
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel
 from stmc.data.cache import Cache, read_caches
@@ -47,37 +48,51 @@ from stmc.text.vocabulary import Trial
 from stmc.timeline import Prompt, Timeline
 
 WINDOW = 4.0
-"""Seconds of a cyclic clip that are asked at once, and of a cyclic content that are sampled."""
+"""Length in seconds of the windows of cyclic clips, and the maximum length of samples."""
 
 AMONG = 3
-"""A content is found where the evaluator has it among its best so many."""
+"""A content counts as found if the evaluator ranks it among this many best."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(OnModel):
     """Settings of `stmc actions`."""
 
-    cache: tuple[str, ...] = setting(("cache/bandai", "cache/cmu"), "prepared data, for the contents and real motion")
-    evaluator: str | None = setting(None, "run directory of what is to find the contents; null: the bundled one")
-    contents: tuple[str, ...] = setting((), "what to ask for; none: all of the data that geometry can tell")
-    seen: bool = setting(False, "ask with sentences of the training, not with those that it left out")
-    sentences: int = setting(3, "of each content", at_least=1)
-    samples: int = setting(8, "motions of each sentence", at_least=1)
-    clips: int = setting(20, "real motions of each content", at_least=1)
-    seed: int = setting(0, "of the first motion", at_least=0)
-    guidance: float | int | None = setting(None, "how much the text weighs; null: the model's own", at_least=0)
-    steps: int | None = setting(50, "of denoising, fast actions need many; null: as many as in training", at_least=1)
-    clean_feet: bool = setting(False, "feet stay where they stand, and above the floor; false: as the model made them")
-    noise_scale: str | None = setting(None, "of DDPM's noise; null: the model's own", choices=get_args(NoiseScale))
-    texts: str | None = setting(None, "MTT's texts.txt: ask for its 60 texts, not for the contents of the data")
-    paraphrases: str | None = setting(None, "JSON of other words for the texts, as in {text: words}")
-    recorded: bool = setting(False, "judge the recordings of the cache that show the texts, not a model")
-    seconds: float | int = setting(6.0, "that each text lasts", at_least=1)
-    batch: int = setting(64, "motions of texts that are sampled at once", at_least=1)
-    record: bool = setting(False, "store the success of each sentence, or the thresholds, in the model's run directory")
-    prompts: str | None = setting(None, "JSON of prompts that the model knows and does not: calibrate its warnings")
-    output: str = setting("outputs/actions", "folder of pictures and numbers")
-    precision: str = setting("fp32", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+    cache: tuple[str, ...] = setting(
+        ("cache/bandai", "cache/cmu"), "folders of prepared data: the source of contents and real motion"
+    )
+    evaluator: str | None = setting(None, "run directory of the evaluator that finds contents; null: the bundled one")
+    contents: tuple[str, ...] = setting(
+        (), "contents to sample; empty: all contents of the data that geometry can recognise"
+    )
+    seen: bool = setting(False, "use sentences of the training instead of held-out ones")
+    sentences: int = setting(3, "number of sentences of each content", at_least=1)
+    samples: int = setting(8, "number of motions of each sentence", at_least=1)
+    clips: int = setting(20, "maximum number of real motions of each content", at_least=1)
+    seed: int = setting(0, "seed of the first motion", at_least=0)
+    guidance: float | int | None = setting(
+        None, "classifier-free guidance scale; null: the model's default", at_least=0
+    )
+    steps: int | None = setting(50, "denoising steps, fast actions need many; null: as many as in training", at_least=1)
+    clean_feet: bool = setting(False, "remove foot sliding and floor penetration after sampling")
+    noise_scale: str | None = setting(
+        None, "scale of DDPM's noise; null: the model's default", choices=get_args(NoiseScale)
+    )
+    texts: str | None = setting(None, "MTT's texts.txt: sample its 60 texts instead of the contents of the data")
+    paraphrases: str | None = setting(
+        None, "JSON file {text: paraphrase} of the sentences to sample instead of MTT's texts"
+    )
+    recorded: bool = setting(False, "check recordings of the cache that show the texts instead of samples")
+    seconds: float | int = setting(6.0, "duration of each text", at_least=1)
+    batch: int = setting(64, "number of motions of texts to sample at once", at_least=1)
+    record: bool = setting(False, "store success rates, or thresholds, in the model's run directory")
+    prompts: str | None = setting(
+        None, "JSON file of in- and out-of-vocabulary prompts: calibrate the model's warnings"
+    )
+    output: str = setting("outputs/actions", "folder for pictures and numbers")
+    precision: str = setting(
+        "fp32", "precision of the denoiser; bf16 is fast on some processors", choices=get_args(Precision)
+    )
 
 
 @command("actions", Settings, ("model", "evaluator", "output"))
@@ -85,34 +100,33 @@ def main(config: DictConfig) -> None:
     if config.prompts:
         return calibrate_warnings(config)
     if config.texts:
-        return calibrate_checks(config) if config.recorded else ask_texts(config)
+        return calibrate_checks(config) if config.recorded else evaluate_texts(config)
     require("matplotlib", "PIL")
-    model, folder = loaded(config), Path(config.output)
+    model, folder = load_model(config), Path(config.output)
     cache, results, trials, console = read_caches(list(config.cache)), {}, {}, Console()
     evaluator = stmc.load_evaluator(config.evaluator, device=config.device)
     finder = Finder(evaluator, {clip.content for clip in cache.clips})
-    real = recorded(cache, model.representation, model.skeleton, config.clips)
-    for name in track(chosen(config, set(real)), "Sampling", console=console):
+    real = real_motions(cache, model.representation, model.skeleton, config.clips)
+    for name in track(choose_contents(config, set(real)), "Sampling", console=console):
         seconds = min(WINDOW, median(motion.duration for motion in real[name]))
-        motions = {text: asked(config, model, name, text, seconds) for text in sentences(config, name)}
-        answers = geometry_answers(name, motions, real)
+        motions = {text: sample_sentence(config, model, name, text, seconds) for text in sentences(config, name)}
+        answers = check_geometry(name, motions, real)
         sampled = [motion for several in motions.values() for motion in several]
-        plausible = {"sampled": plausibility(sampled), "real": plausibility(real[name])}
+        plausible = {"sampled": measure_plausibility(sampled), "real": measure_plausibility(real[name])}
         found = {text: finder.found(name, several) for text, several in motions.items()}
         heard = {"found": fmean(found.values()), "real_found": finder.found(name, real[name])}
         results[name] = answers | heard | plausible
         for text, several in motions.items():
-            trials[text] = trial(config, model, name, several, answers["sentences"].get(text), found[text])
+            trials[text] = make_trial(config, model, name, several, answers["sentences"].get(text), found[text])
         draw(folder / f"{name}.png", {f"{name}, recorded": real[name][0]} | {t: m[0] for t, m in motions.items()})
         write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
-    report(results, console)
-    report_by_distance(results, console)
+    print_report(results, console)
+    print_by_distance(results, console)
     record(config, model, trials)
 
 
-def geometry_answers(name: str, motions: Mapping[str, Sequence[Motion]], real: Mapping[str, Sequence[Motion]]) -> dict:
-    """How often samples of each sentence show a content, real motion of it, and real motion of others; None where
-    geometry cannot tell."""
+def check_geometry(name: str, motions: Mapping[str, Sequence[Motion]], real: Mapping[str, Sequence[Motion]]) -> dict:
+    """Measure how often samples, real motion of a content and real motion of others show it; None without a check."""
     if name not in QUESTIONS:
         return {"shown": None, "ceiling": None, "chance": None, "sentences": {}}
     question = QUESTIONS[name]
@@ -121,7 +135,7 @@ def geometry_answers(name: str, motions: Mapping[str, Sequence[Motion]], real: M
     return {"shown": fmean(shares.values()), "ceiling": known.ceiling, "chance": known.chance, "sentences": shares}
 
 
-def trial(
+def make_trial(
     config: DictConfig,
     model: stmc.Model,
     action: str,
@@ -129,45 +143,45 @@ def trial(
     geometry: float | None,
     evaluator: float | None = None,
 ) -> Trial:
-    """What a run directory keeps of a sentence's samples."""
+    """Return the record that a run directory keeps of a sentence's samples."""
     settings = model.settings(guidance=config.guidance, steps=config.steps, noise_scale=config.noise_scale)
     return Trial(action, len(motions), geometry, evaluator, settings.steps, settings.guidance, config.seed)
 
 
 def record(config: DictConfig, model: stmc.Model, trials: Mapping[str, Trial]) -> None:
-    """Store trials in the model's run directory, where that is asked for, beside those of other sentences."""
+    """Store trials in the model's run directory beside those of other sentences if `record` is set."""
     if config.record:
         path = calibrate(config.model, model.vocabulary.calibration.with_trials(trials))
         Console().print(f"success of {len(trials)} sentences stored in {path}", soft_wrap=True, markup=False)
 
 
-def loaded(config: DictConfig) -> stmc.Model:
-    """The model. Raises `SettingError` where success cannot be stored, since no prompt would be compared with it."""
+def load_model(config: DictConfig) -> stmc.Model:
+    """Load the model. Raises `SettingError` if results are to be stored and the model has no vocabulary."""
     model = stmc.load(config.model, device=config.device, precision=config.precision)
     if (config.record or config.prompts) and model.vocabulary is None:
         raise SettingError(f"model={config.model}: has no vocabulary, so there is nothing to calibrate")
     return model
 
 
-def chosen(config: DictConfig, recorded: set[str]) -> list[str]:
-    """The contents to ask for. Raises `SettingError` where real motion, a question or a sentence is missing."""
-    told = {CONTENTS[name].sentences for name in QUESTIONS}  # walks to either side are called walks
-    others = [name for name, each in CONTENTS.items() if config.record and each.sentences not in told]
-    known = [name for name in (*QUESTIONS, *others) if name in recorded and CONTENTS[name].unseen]
+def choose_contents(config: DictConfig, available: set[str]) -> list[str]:
+    """Choose the contents to sample. Raises `SettingError` if one lacks real motion, a check or a held-out sentence."""
+    checked = {CONTENTS[name].sentences for name in QUESTIONS}  # walks to either side are called walks
+    others = [name for name, content in CONTENTS.items() if config.record and content.sentences not in checked]
+    known = [name for name in (*QUESTIONS, *others) if name in available and CONTENTS[name].unseen]
     if not known:
-        raise SettingError(f"cache={', '.join(config.cache)}: no content that geometry can tell")
+        raise SettingError(f"cache={', '.join(config.cache)}: has no content that geometry can recognise")
     if missing := [name for name in config.contents if name not in known]:
         raise SettingError(f"contents={missing[0]}: choose from {', '.join(known)}")
     return list(config.contents) or known
 
 
 def sentences(config: DictConfig, name: str) -> tuple[str, ...]:
-    """Sentences that no training sees; or, where asked for, those that it does."""
+    """Return held-out sentences of a content, or training sentences if `seen` is set."""
     return (CONTENTS[name].sentences if config.seen else CONTENTS[name].unseen)[: config.sentences]
 
 
-def asked(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: float) -> list[Motion]:
-    """The samples of a sentence on the content's body parts."""
+def sample_sentence(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: float) -> list[Motion]:
+    """Sample a sentence on the content's body parts."""
     timeline = Timeline((Prompt(text, 0.0, round(seconds, 1), CONTENTS[name].parts),), name=f"{name}: {text}")
     return model.generate(
         [timeline] * config.samples,
@@ -180,8 +194,10 @@ def asked(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: 
 
 
 class Finder:
-    """How often an evaluator has a content among its best `AMONG` of the `contents` of the data, each told by its first
-    sentence."""
+    """Retrieval by an evaluator: a content is found if it ranks among the best `AMONG` of the data's `contents`.
+
+    The first sentence of a content stands for it.
+    """
 
     def __init__(self, evaluator: Evaluator, contents: Collection[str]) -> None:
         self.evaluator = evaluator
@@ -190,15 +206,15 @@ class Finder:
         self.latents = evaluator.texts(self.texts)
 
     def found(self, name: str, motions: Sequence[Motion]) -> float:
-        """The share of the motions whose content, `name`, is found."""
+        """Return the share of motions of the content `name` for which the evaluator finds it."""
         features = [self.evaluator.features(motion) for motion in motions]
         scores = cosines(self.evaluator.motions(features), self.latents)
         own = torch.tensor([text == CONTENTS[name].sentences[0] for text in self.texts])
         return float((ranks(scores, own.expand(len(motions), -1)) < AMONG).float().mean())
 
 
-def plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:
-    """How far feet slide in a frame of contact (mean) and hands jump in a frame (most of all), in centimetres."""
+def measure_plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:
+    """Measure the mean foot sliding per frame of contact and the largest hand step of a frame, in centimetres."""
     slides = [100 * foot_sliding(motion) for motion in motions]
     stands = [slide for slide in slides if not math.isnan(slide)]
     return {
@@ -208,7 +224,7 @@ def plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:
 
 
 def draw(path: Path, motions: Mapping[str, Motion]) -> None:
-    """Film strips of some motions, one below the other, each under its name."""
+    """Draw film strips of named motions, one below the other."""
     from PIL import Image  # not above: it comes with an extra
 
     strips = []
@@ -224,10 +240,10 @@ def draw(path: Path, motions: Mapping[str, Motion]) -> None:
     write_whole(path, partial(page.save, format="png"))
 
 
-def recorded(
+def real_motions(
     cache: Cache, representation: Representation, skeleton: stmc.Skeleton, most: int
 ) -> dict[str, list[Motion]]:
-    """Up to `most` real motions of every content, spread over its clips; of cyclic clips, windows."""
+    """Return up to `most` real motions of each content, spread over its clips; windows of cyclic clips."""
     places: dict[str, list[tuple[int, int]]] = {}
     window = round(WINDOW * cache.fps)
     for clip in cache.clips:
@@ -245,39 +261,41 @@ def recorded(
     }
 
 
-def ask_texts(config: DictConfig) -> None:
-    """How many samples of each text of MTT show it, and their own side alone, and whether its prompt warns."""
-    model = loaded(config)
+def evaluate_texts(config: DictConfig) -> None:
+    """Measure how many samples of each text of MTT show it, and show it on its own side only; report warnings."""
+    model = load_model(config)
     prompts = read_texts(config.texts)
     if unknown := [prompt.text for prompt in prompts if prompt.text not in MTT_CHECKS]:
-        raise SettingError(f"texts={config.texts}: {unknown[0]!r} is none of MTT's {len(MTT_CHECKS)} texts")
-    words = reworded(config.paraphrases, prompts)
+        raise SettingError(f"texts={config.texts}: {unknown[0]!r} is not one of MTT's {len(MTT_CHECKS)} texts")
+    words = read_paraphrases(config.paraphrases, prompts)
     known = model.recognise(list(words.values())) if model.vocabulary else []
     warned = {text: not each.works for text, each in zip(words, known, strict=False)}
     results, trials = {}, {}
-    for prompt, motions in zip(prompts, sampled_texts(config, model, prompts, words), strict=True):
-        answers = [text_answers(prompt.text, motion) for motion in motions]
+    for prompt, motions in zip(prompts, sample_texts(config, model, prompts, words), strict=True):
+        answers = [check_text(prompt.text, motion) for motion in motions]
         results[prompt.text] = {"words": words[prompt.text], "warned": warned.get(prompt.text)} | {
             name: fmean(answer[name] for answer in answers) for name in answers[0]
         }
-        action = asked_action(prompt.text, model)
-        trials[words[prompt.text]] = trial(config, model, action, motions, results[prompt.text]["sided"])
+        action = find_action(prompt.text, model)
+        trials[words[prompt.text]] = make_trial(config, model, action, motions, results[prompt.text]["sided"])
     write_text(Path(config.output) / "mtt_texts.json", json.dumps(results, indent=1) + "\n")
-    report_texts(results, config.samples)
+    print_texts(results, config.samples)
     record(config, model, trials)
 
 
-def asked_action(text: str, model: stmc.Model) -> str:
-    """The action that a text of MTT asks for: the first of those whose clips show it that the model knows, if any."""
+def find_action(text: str, model: stmc.Model) -> str:
+    """Return the action of a text of MTT: the first in the model's vocabulary, or else the first of all."""
     actions = MTT_CHECKS[text].actions
     known = {content.name for content in model.vocabulary.contents} if model.vocabulary else ()
     return next((action for action in actions if action in known), actions[0])
 
 
 def calibrate_warnings(config: DictConfig) -> None:
-    """Choose the recogniser's thresholds by listed prompts and by sentences that no training sees; print how well the
-    model warns with its old ones and with these, and store these where that is asked for."""
-    model = loaded(config)
+    """Choose the recogniser's thresholds from listed prompts and held-out sentences.
+
+    Prints the rates of warnings with the old and the new thresholds, and stores the new ones if `record` is set.
+    """
+    model = load_model(config)
     before, contents = model.vocabulary.calibration, {content.name for content in model.vocabulary.contents}
     inside, unknown = read_prompts(config.prompts)
     known = {text: name for name in CONTENTS if name in contents for text in CONTENTS[name].unseen}
@@ -285,7 +303,7 @@ def calibrate_warnings(config: DictConfig) -> None:
     texts = [*known, *unknown, *MTT_CHECKS]
     found = {each.text: each for each in model.recognise(texts)}
     if not found:
-        raise SettingError(f"prompts={config.prompts}: MiniLM, by which prompts are compared, cannot be had")
+        raise SettingError(f"prompts={config.prompts}: comparing prompts needs MiniLM, which is not available")
     after = calibrated(before, known, unknown, found)
     console = Console(soft_wrap=True, highlight=False)
     for name, calibration in (("before", before), ("after", after)):
@@ -295,20 +313,20 @@ def calibrate_warnings(config: DictConfig) -> None:
         console.print(f"stored in {calibrate(config.model, after)}", markup=False)
 
 
-def reworded(path: str | None, prompts: Sequence[AtomicPrompt]) -> dict[str, str]:
-    """The words to ask with, by the text. Raises `SettingError` where a text has none."""
+def read_paraphrases(path: str | None, prompts: Sequence[AtomicPrompt]) -> dict[str, str]:
+    """Return the sentence to sample for each text. Raises `SettingError` if a text has none."""
     if path is None:
         return {prompt.text: prompt.text for prompt in prompts}
     table = json.loads(Path(path).read_text(encoding="utf-8"))
     if missing := [prompt.text for prompt in prompts if not isinstance(table.get(prompt.text), str)]:
-        raise SettingError(f"paraphrases={path}: no words for {missing[0]!r}")
+        raise SettingError(f"paraphrases={path}: has no sentence for {missing[0]!r}")
     return {prompt.text: table[prompt.text] for prompt in prompts}
 
 
-def sampled_texts(
+def sample_texts(
     config: DictConfig, model: stmc.Model, prompts: Sequence[AtomicPrompt], words: Mapping[str, str]
 ) -> Iterator[list[Motion]]:
-    """The samples of one text after the other; those of several are made at once."""
+    """Yield the samples of each text in turn; one batch may hold several texts."""
     timelines = [Timeline((Prompt(words[each.text], 0.0, config.seconds, each.parts),)) for each in prompts]
     requests = [(timeline, config.seed + number) for timeline in timelines for number in range(config.samples)]
     motions: list[Motion] = []
@@ -327,8 +345,8 @@ def sampled_texts(
             motions = motions[config.samples :]
 
 
-def text_answers(text: str, motion: Motion) -> dict[str, bool]:
-    """Whether a motion shows a text, and its side alone (its mirror image does not); and which others it passes."""
+def check_text(text: str, motion: Motion) -> dict[str, bool]:
+    """Check whether a motion shows a text, does so on its own side only (its mirror image fails), and passes others."""
     shown = MTT_CHECKS[text].shows(motion)
     sided = shown and (mirror_words(text) == text or not MTT_CHECKS[text].shows(motion.mirrored()))
     others = {other: check.shows(motion) for other, check in MTT_CHECKS.items() if other not in same_meaning(text)}
@@ -336,10 +354,12 @@ def text_answers(text: str, motion: Motion) -> dict[str, bool]:
 
 
 def calibrate_checks(config: DictConfig) -> None:
-    """Of each text, how often recorded motions of its own pass its check, and those of all other texts. A text that
-    claims other body parts is not named: what its motions do with these is no part of it."""
+    """Measure how often recorded motions of each text, and of all others, pass the check of the text.
+
+    The table names confusions only between texts that share body parts.
+    """
     cache, representation = read_caches(list(config.cache)), SmplRepresentation()
-    real = recorded(cache, representation, cache.skeleton or stmc.Skeleton.default(), config.clips)
+    real = real_motions(cache, representation, cache.skeleton or stmc.Skeleton.default(), config.clips)
     parts = {prompt.text: prompt.parts for prompt in read_texts(config.texts)}
     own = {text: [motion for action in MTT_CHECKS[text].actions for motion in real.get(action, [])] for text in parts}
     shares = confusions({text: motions for text, motions in own.items() if motions})

@@ -18,22 +18,22 @@ from stmc.settings.records import setting
 class Settings:
     """Settings of `stmc analyse-study`."""
 
-    answers: str = setting(MISSING, "folder of the files that raters sent back")
-    study: str = setting("outputs/study", "folder with key.json; analysis.txt and analysis.json are written there")
+    answers: str = setting(MISSING, "folder of the answer files that raters sent back")
+    study: str = setting("outputs/study", "folder of the study, with key.json; receives analysis.txt and analysis.json")
 
 
 @command("analyse_study", Settings, ("answers", "study"))
 def main(config: DictConfig) -> None:
     folder = Path(config.study).expanduser()
-    analysis = analysed(folder, Path(config.answers).expanduser())
+    analysis = analyse_folder(folder, Path(config.answers).expanduser())
     contents = {"txt": analysis.text(), "json": json.dumps(analysis.data(), indent=1, ensure_ascii=False) + "\n"}
     for kind, content in contents.items():
         write_text(folder / f"analysis.{kind}", content)
     print(analysis.text(), end="")
 
 
-def analysed(folder: Path, answers: Path) -> Analysis:
-    """Of every answer file in a folder."""
+def analyse_folder(folder: Path, answers: Path) -> Analysis:
+    """Analyse all answer files of a folder. Raises `StudyError` if there are none."""
     key = Key.read(folder / "key.json")
     paths = sorted(answers.glob("*.json"))
     if not paths:

@@ -1,7 +1,6 @@
-"""What was typed behind a command, as Hydra's overrides: `key=value`, `--key value`, and plain arguments.
+"""Parse the arguments of a command into Hydra's overrides: `key=value`, `--key value` and positional arguments.
 
-A text is taken as it is typed: file names with spaces, commas, quotes or parentheses need no more quoting than the
-shell's.
+Text is taken literally: file names with spaces, commas, quotes or parentheses need only the shell's own quoting.
 """
 
 from __future__ import annotations
@@ -18,15 +17,15 @@ from hydra.errors import HydraException
 
 from stmc.settings.records import SettingError, check_name, shown
 
-_GIVEN = re.compile(r"([+~]{0,2})([A-Za-z_][\w./@-]*)=(.*)", re.DOTALL)
+_OVERRIDE = re.compile(r"([+~]{0,2})([A-Za-z_][\w./@-]*)=(.*)", re.DOTALL)
 _DELETED = re.compile(r"~[A-Za-z_][\w./@-]*")
 _FLAGS = {"--config-name": "name", "-cn": "name", "--config-dir": "folder", "-cd": "folder"}
 _HELP, _SHOW, _MULTIRUN = ("--help", "-h"), ("--cfg", "-c"), ("--multirun", "-m")
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What was asked of a command. `name` is of its configuration, `folder` the user's own configurations."""
+class Arguments:
+    """Parsed arguments of a command. `name`: configuration to start from; `folder`: the user's own configurations."""
 
     overrides: tuple[str, ...] = ()
     name: str | None = None
@@ -34,79 +33,89 @@ class Asked:
     help: bool = False
     show: bool = False
     multirun: bool = False
-    """A job for every combination of values; these are then in Hydra's grammar: `shard=1/4,2/4`."""
+    """Whether to run a job for every combination of values, in Hydra's grammar: `shard=1/4,2/4`."""
 
 
-def read(arguments: Sequence[str], record: type, groups: Mapping[str, Any], positional: Sequence[str]) -> Asked:
-    """The arguments of a command with the settings of `record` and groups of configurations; plain ones are the
-    settings `positional`, in order. Raises `SettingError`."""
+def parse_arguments(
+    arguments: Sequence[str], record: type, groups: Mapping[str, Any], positional: Sequence[str]
+) -> Arguments:
+    """Parse the arguments of a command. Raises `SettingError` for unknown settings and missing values.
+
+    Args:
+        arguments: Words of the command line.
+        record: Record of the command's settings.
+        groups: Configuration groups of the command.
+        positional: Names of the settings that positional arguments set, in order.
+    """
     multirun = any(argument in _MULTIRUN for argument in arguments)
-    hints, left = get_type_hints(record), [each for each in arguments if each not in _MULTIRUN]
+    hints, remaining = get_type_hints(record), [each for each in arguments if each not in _MULTIRUN]
     groups = {**groups, "hydra": None} if multirun else groups
-    places, overrides, flags = iter(positional), [], {}
-    while left:
-        argument = left.pop(0)
+    names, overrides, flags = iter(positional), [], {}
+    while remaining:
+        argument = remaining.pop(0)
         flag, equals, value = argument.partition("=")
         key = flag[2:].replace("-", "_")
         if argument in _HELP:
             flags["help"] = True
         elif flag in _SHOW:
             flags["show"] = True
-            if not equals and left[:1] == ["job"]:
-                left.pop(0)
+            if not equals and remaining[:1] == ["job"]:
+                remaining.pop(0)
         elif flag in _FLAGS:
-            flags[_FLAGS[flag]] = value if equals else _next(left, flag)
+            flags[_FLAGS[flag]] = value if equals else _pop_value(remaining, flag)
         elif flag.startswith("--") and (key.partition(".")[0] in hints or key.partition(".")[0] in groups):
-            value = value if equals else _value(left, flag, hints.get(key))
-            overrides.append(_override("", key, value, hints, multirun))
+            value = value if equals else _flag_value(remaining, flag, hints.get(key))
+            overrides.append(_as_override("", key, value, hints, multirun))
         elif argument.startswith("--"):
-            raise SettingError(f"unknown setting {shown(flag)}: --help lists all settings")
-        elif found := _GIVEN.fullmatch(argument):
+            raise SettingError(f"unknown setting {shown(flag)}; --help lists all settings")
+        elif found := _OVERRIDE.fullmatch(argument):
             check_name(re.split(r"[.@/]", found[2])[0], [*hints, *groups])
-            overrides.append(_override(*found.groups(), hints, multirun))
+            overrides.append(_as_override(*found.groups(), hints, multirun))
         elif _DELETED.fullmatch(argument):
             overrides.append(argument)
-        elif (key := next(places, None)) is not None:
-            overrides.append(_override("", key, argument, hints, multirun))
+        elif (key := next(names, None)) is not None:
+            overrides.append(_as_override("", key, argument, hints, multirun))
         else:
-            raise SettingError(f"{shown(argument)} is not a setting: give them as key=value; --help lists all")
+            raise SettingError(f"{shown(argument)} is not a setting; write settings as key=value, --help lists them")
     folder = Path(flags.pop("folder")).expanduser() if "folder" in flags else None
-    return Asked(tuple(overrides), folder=folder, multirun=multirun, **flags)
+    return Arguments(tuple(overrides), folder=folder, multirun=multirun, **flags)
 
 
-def kinds(hint: Any) -> Iterator[Any]:
-    """The types that a setting may have, without null."""
+def setting_types(hint: Any) -> Iterator[Any]:
+    """Yield the types that a setting may have, without null."""
     yield from (kind for kind in (get_args(hint) if get_origin(hint) is UnionType else (hint,)) if kind is not NoneType)
 
 
-def _value(left: list[str], flag: str, hint: Any) -> str:
-    """Of a flag that stands apart from it; a setting that is true or false needs none."""
-    if hint is bool and left[:1] not in (["true"], ["false"]):
+def _flag_value(remaining: list[str], flag: str, hint: Any) -> str:
+    """Return the value that follows a flag; Boolean flags may omit it."""
+    if hint is bool and remaining[:1] not in (["true"], ["false"]):
         return "true"
-    return _next(left, flag)
+    return _pop_value(remaining, flag)
 
 
-def _next(left: list[str], flag: str) -> str:
-    if not left:
+def _pop_value(remaining: list[str], flag: str) -> str:
+    if not remaining:
         raise SettingError(f"{flag} needs a value")
-    return left.pop(0)
+    return remaining.pop(0)
 
 
-def _override(sign: str, key: str, value: str, hints: Mapping[str, Any], multirun: bool) -> str:
-    """As Hydra reads it: a setting that is a text is quoted, and so is everything that Hydra has no grammar for. For
-    many runs a list with commas is one value each."""
+def _as_override(sign: str, key: str, value: str, hints: Mapping[str, Any], multirun: bool) -> str:
+    """Write an override in Hydra's grammar: text, and anything that Hydra cannot parse, is quoted.
+
+    With `multirun`, commas separate the values of different jobs.
+    """
     hint, plain = hints.get(key), f"{sign}{key}={value}"
-    if multirun and "," in value and _reads(plain, sweeps=True):
+    if multirun and "," in value and _parses(plain, sweeps=True):
         return plain
-    if hint is not None and str in kinds(hint) and value != "null":
+    if hint is not None and str in setting_types(hint) and value != "null":
         return f"{sign}{key}={quoted(value)}"
-    if get_origin(hint) is tuple and value != "null" and _reads(f"{key}=[{value}]") and not value.startswith("["):
+    if get_origin(hint) is tuple and value != "null" and _parses(f"{key}=[{value}]") and not value.startswith("["):
         return f"{sign}{key}=[{value}]"
-    return plain if _reads(plain) else f"{sign}{key}={quoted(value)}"
+    return plain if _parses(plain) else f"{sign}{key}={quoted(value)}"
 
 
 def quoted(value: str) -> str:
-    """A text as Hydra's grammar has it; what is quoted already stays."""
+    """Quote a text for Hydra's grammar; a quoted text is unchanged."""
     if len(value) > 1 and value[0] == value[-1] and value[0] in "'\"":
         return value
     escaped = re.sub(r"(\\*)'", lambda found: found[1] * 2 + r"\'", value)
@@ -114,7 +123,7 @@ def quoted(value: str) -> str:
     return f"'{escaped}{chr(92) * trailing}'"
 
 
-def _reads(override: str, sweeps: bool = False) -> bool:
+def _parses(override: str, sweeps: bool = False) -> bool:
     try:
         return OverridesParser.create().parse_override(override).is_sweep_override() == sweeps
     except (HydraException, RecursionError):

@@ -1,7 +1,7 @@
-"""Draw the frames that one frame attends to at each step of FlowMDM's denoising (its Fig. 2): blue early, red late.
+"""Draw the frames that one frame attends to at each denoising step of FlowMDM (its Fig. 2): blue early, red late.
 
-`stmc attention runs/flow_humanml3d` writes the figure and its numbers, and prints the average distance between the
-frame and those that it attends to.
+`stmc attention runs/flow_humanml3d` writes the figure and its numbers, and prints the mean distance between the frame
+and the frames that it attends to.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from stmc.denoisers import recorded_attention
 from stmc.io.files import write_whole
 from stmc.settings.records import SettingError, setting
 
-TOLD = 5
-"""Steps in the table, from the first to the last."""
+TABLE_STEPS = 5
+"""Number of steps in the table, from the first to the last."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,17 +36,17 @@ class Settings(OnDevice, Threaded):
     """Settings of `stmc attention`."""
 
     model: str = setting(MISSING, "run directory of a model with FlowMDM's network")
-    timeline: str = setting("walk forwards # 0 # 6", "what is sampled, a text # start # end; one track")
-    frame: int | None = setting(None, "the one that attends; null: the middle one", at_least=0)
+    timeline: str = setting("walk forwards # 0 # 6", "timeline to sample, as text # start # end; a single track")
+    frame: int | None = setting(None, "index of the attending frame; null: the middle one", at_least=0)
     ape_steps: float | int | None = setting(
         1.0,
-        "noisiest steps with absolute positions; 1: all, as in the paper's figure; null: the model's own",
+        "noisiest steps with absolute positions; 1: all, as in the paper's figure; null: the model's default",
         unit="share of steps", at_least=0, at_most=1,
     )  # fmt: skip
-    steps: int | None = setting(None, "of denoising; null: the model's own", at_least=1)
-    guidance: float | int | None = setting(None, "how much the text counts; null: the model's own", above=0)
-    seed: int = setting(0, "of the motion", at_least=0)
-    output: str = setting("outputs/attention", "folder of attention.png and attention.npz")
+    steps: int | None = setting(None, "denoising steps; null: the model's default", at_least=1)
+    guidance: float | int | None = setting(None, "classifier-free guidance scale; null: the model's default", above=0)
+    seed: int = setting(0, "seed of the motion", at_least=0)
+    output: str = setting("outputs/attention", "folder for attention.png and attention.npz")
 
 
 @command("attention", Settings, ("model", "output"))
@@ -55,25 +55,30 @@ def main(config: DictConfig) -> None:
 
     console, folder = Console(), Path(config.output).expanduser()
     model = stmc.load(config.model, device=config.device)
-    scores, frame = recorded(model, config, console)
+    scores, frame = record_scores(model, config, console)
     distance = (scores * np.abs(np.arange(scores.shape[1]) - frame)).sum(axis=1)
     figure = attention_curves(scores, frame)
     write_whole(folder / "attention.png", partial(figure.savefig, format="png", dpi=150))
-    write_whole(folder / "attention.npz", partial(saved, scores=scores, frame=frame, distance=distance))
-    console.print(table(distance, frame))
+    write_whole(folder / "attention.npz", partial(save_arrays, scores=scores, frame=frame, distance=distance))
+    console.print(distance_table(distance, frame))
     console.print(f"{folder / 'attention.png'}, {folder / 'attention.npz'}", markup=False, soft_wrap=True)
 
 
-def recorded(model: stmc.Model, config: DictConfig, console: Console) -> tuple[Float[np.ndarray, "steps frames"], int]:
-    """How much the frame attends to each at every step, the noisiest first, with its text; and which frame it is.
-    Raises `SettingError` for a frame behind the end, and for a timeline that takes several calls a step."""
+def record_scores(
+    model: stmc.Model, config: DictConfig, console: Console
+) -> tuple[Float[np.ndarray, "steps frames"], int]:
+    """Record the attention of one frame to all frames at every step, noisiest first, with its text; return the frame.
+
+    Raises `SettingError` for a frame beyond the end, and for a timeline that needs several tracks or several calls of
+    the denoiser per step.
+    """
     timeline = stmc.Timeline.parse(config.timeline)
     frames = timeline.frames(model.fps)
     frame = frames // 2 if config.frame is None else config.frame
     if len(timeline.tracks) > 1:
-        raise SettingError(f"the timeline has {len(timeline.tracks)} tracks; here it must have one")
+        raise SettingError(f"the timeline has {len(timeline.tracks)} tracks; this command needs a single one")
     if frame >= frames:
-        raise SettingError(f"frame={frame}: the timeline has {frames}, of which the last is {frames - 1}")
+        raise SettingError(f"frame={frame}: the last frame of the timeline is {frames - 1}")
     given = {name: config[name] for name in ("steps", "guidance", "ape_steps") if config[name] is not None}
     steps = 0
 
@@ -86,20 +91,20 @@ def recorded(model: stmc.Model, config: DictConfig, console: Console) -> tuple[F
         model.generate(timeline, seed=config.seed, method="flow_mdm", progress=watched, clean_feet=False, **given)
     if len(calls) != steps:
         raise SettingError(
-            f"{len(calls)} calls of the network for {steps} steps: the timeline is too long for one each"
+            f"the timeline is too long: {len(calls)} calls of the denoiser for {steps} steps, not one per step"
         )
     return torch.stack([each[0, 0] for each in calls]).numpy(), frame
 
 
-def saved(path: Path, **arrays: object) -> None:
-    """Without the suffix that NumPy would give a temporary name."""
+def save_arrays(path: Path, **arrays: object) -> None:
+    """Write arrays without the suffix that NumPy would append to a temporary name."""
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
 
-def table(distance: Float[np.ndarray, " steps"], frame: int) -> Table:
-    """A few of the steps."""
-    made = Table("step", "mean distance, frames", title=f"What frame {frame} attends to")
-    for step in dict.fromkeys(np.linspace(0, len(distance) - 1, TOLD).round().astype(int).tolist()):
-        made.add_row(f"{step + 1} of {len(distance)}", f"{distance[step]:.1f}")
-    return made
+def distance_table(distance: Float[np.ndarray, " steps"], frame: int) -> Table:
+    """Return a table of the mean distance at a few steps."""
+    rows = Table("step", "mean distance, frames", title=f"Attention of frame {frame}")
+    for step in dict.fromkeys(np.linspace(0, len(distance) - 1, TABLE_STEPS).round().astype(int).tolist()):
+        rows.add_row(f"{step + 1} of {len(distance)}", f"{distance[step]:.1f}")
+    return rows

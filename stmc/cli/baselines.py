@@ -21,19 +21,19 @@ from stmc.settings.records import setting
 class Settings:
     """Settings of `stmc baselines`."""
 
-    timelines: str = setting(MISSING, "file of timelines, .txt or .json")
+    timelines: str = setting(MISSING, "file of timelines (.txt or .json)")
     output: str = setting("outputs/baselines", "folder to write the two files to")
-    fps: float | int = setting(20, "frames per second of the tool; no piece is shorter than a frame", above=0)
-    longest: float | int = setting(9.8, "seconds of the longest motion that the tool can make", above=0)
+    fps: float | int = setting(20, "frames per second of the other tool; no segment is shorter than a frame", above=0)
+    longest: float | int = setting(9.8, "longest motion that the other tool can generate, in seconds", above=0)
 
 
 @command("baselines", Settings, ("timelines", "output"))
 def main(config: DictConfig) -> None:
     source, folder = Path(config.timelines).expanduser(), Path(config.output).expanduser()
     timelines = stmc.Timeline.read_all(source)
-    for name, made in (
+    for name, baseline in (
         ("onetext", [stmc.one_text(timeline, config.longest) for timeline in timelines]),
         ("singletrack", [stmc.single_track(timeline, config.fps) for timeline in timelines]),
     ):
-        stmc.Timeline.write_all(made, folder / f"{source.stem}_{name}.txt")
-        Console().print(f"{len(made)} timelines in {folder / f'{source.stem}_{name}.txt'}", markup=False)
+        stmc.Timeline.write_all(baseline, folder / f"{source.stem}_{name}.txt")
+        Console().print(f"{len(baseline)} timelines in {folder / f'{source.stem}_{name}.txt'}", markup=False)

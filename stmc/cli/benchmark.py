@@ -1,5 +1,7 @@
-"""Measure the speed of sampling: a batch against single timelines, padding, STMC against other methods in time and in
-denoised frames."""
+"""Measure the speed of sampling: batching, padding, and methods against each other.
+
+Methods are compared in time and in the number of denoised frames.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,14 @@ from stmc.settings.records import setting
 class Settings(OnModel):
     """Settings of `stmc benchmark`."""
 
-    timelines: str = setting(MISSING, "file of many timelines, such as MTT.txt")
-    method: str = setting("stmc", "whose time it is; stmc_paper: as published")
+    timelines: str = setting(MISSING, "file of timelines, such as MTT.txt")
+    method: str = setting("stmc", "method to measure; stmc_paper: STMC as published")
     baselines: tuple[Mapping, ...] = setting(
-        ({"method": "sinc", "model": "${model}"},), "what its time is compared with: methods and their models"
+        ({"method": "sinc", "model": "${model}"},), "methods to compare with, each with its model"
     )
-    batch: int = setting(32, "timelines at a time", at_least=1)
-    steps: int = setting(10, "of denoising", at_least=1)
-    repeats: int = setting(3, "of every measurement; the median counts", at_least=1)
+    batch: int = setting(32, "number of timelines per batch", at_least=1)
+    steps: int = setting(10, "denoising steps", at_least=1)
+    repeats: int = setting(3, "repetitions of every measurement; the median is reported", at_least=1)
 
 
 @command("benchmark", Settings, ("timelines",))
@@ -46,14 +48,16 @@ def main(config: DictConfig) -> None:
     timelines = stmc.Timeline.read_all(Path(config.timelines).expanduser())
     chosen = timelines[: config.batch]
 
-    def sampled(model: stmc.Model, asked: object, seed: int, method: str = config.method) -> list[stmc.Motion]:
-        return model.generate(asked, seed=seed, steps=config.steps, method=method, clean_feet=False)
+    def sample_motions(
+        model: stmc.Model, timelines: object, seed: int, method: str = config.method
+    ) -> list[stmc.Motion]:
+        return model.generate(timelines, seed=seed, steps=config.steps, method=method, clean_feet=False)
 
     rows = []
     for _ in track(range(config.repeats), "Repeats"):
-        alone, apart = clock(lambda: [sampled(model, one, seed)[0] for seed, one in enumerate(chosen)])
-        batch, together = clock(lambda: sampled(model, chosen, 0))
-        spent = [clock(partial(sampled, models[place], chosen, 0, name))[0] for name, place in baselines]
+        alone, apart = clock(lambda: [sample_motions(model, one, seed)[0] for seed, one in enumerate(chosen)])
+        batch, together = clock(lambda: sample_motions(model, chosen, 0))
+        spent = [clock(partial(sample_motions, models[place], chosen, 0, name))[0] for name, place in baselines]
         rows.append((alone / batch, *(batch / seconds for seconds in spent)))
     difference = max(float((a.joints - b.joints).abs().max()) for a, b in zip(apart, together, strict=True))
     works = [
@@ -78,32 +82,37 @@ def main(config: DictConfig) -> None:
 
 
 def clock(run) -> tuple[float, list[stmc.Motion]]:
-    """Seconds and result; results are on the CPU, so an accelerator has finished when they are there."""
+    """Time a call and return seconds and result; results are on the CPU, so an accelerator has finished by then."""
     start = time.perf_counter()
     motions = run()
     return time.perf_counter() - start, motions
 
 
 def poses_denoised(model: stmc.Model, timelines: list[stmc.Timeline], method: str, steps: int) -> float:
-    """How often a frame of a motion is denoised in a step, on average: FlowMDM's measure of efficiency (section 4.2),
-    which no machine changes. Crops that overlap, transitions, a second take, and guidance all add to it."""
+    """Count how often a frame is denoised per step, on average.
+
+    This is FlowMDM's measure of efficiency (section 4.2) and independent of the machine. Overlapping crops,
+    transitions, a second take and guidance add to it.
+    """
     chosen, predictors = find_method(method), []
 
-    def noted(make):
-        def made(*given, **settings):
+    def record_calls(make):
+        def call(*given, **settings):
             predictors.append(make(*given, **settings))
             return predictors[-1]
 
-        return made
+        return call
 
     def sample(run: Run):
-        return chosen.sample(replace(run, guided=noted(run.guided), guided_sequences=noted(run.guided_sequences)))
+        return chosen.sample(
+            replace(run, guided=record_calls(run.guided), guided_sequences=record_calls(run.guided_sequences))
+        )
 
     motions = model.generate(timelines, steps=steps, method=replace(chosen, sample=sample), clean_feet=False)
     return sum(each.frames_denoised for each in predictors) / (steps * sum(motion.frames for motion in motions))
 
 
 def batched_padding(model: stmc.Model, plans: list[stmc.Plan], size: int) -> float:
-    """Mean padding of the batches that sampling would make of these plans."""
+    """Return the mean padding of the batches in which sampling would arrange these plans."""
     batches = [plans[start : start + size] for start in range(0, len(plans), size)]
     return sum(model.guided(batch).padding for batch in batches) / len(batches)

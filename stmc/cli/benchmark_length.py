@@ -34,8 +34,7 @@ TEXTS = ("walk forwards", "turn left", "wave with the right hand", "run", "raise
 
 
 class Measured(NamedTuple):
-    """Of one timeline: seconds that sampling took (on a CPU those that the process had of it), and the peak of memory
-    in bytes, before sampling and in all."""
+    """Cost of a timeline: seconds of sampling (CPU time on a CPU); peak bytes of memory before sampling and overall."""
 
     time: float
     loaded: int
@@ -48,14 +47,17 @@ class Settings(OnDevice, Threaded):
     """Settings of `stmc benchmark-length`."""
 
     runs: tuple[Mapping, ...] = setting(
-        ({"method": "stmc", "model": None},), "methods, each with its model's run directory (null: the bundled one)"
+        ({"method": "stmc", "model": None},),
+        "methods, each with the run directory of its model (null: the bundled one)",
     )
-    seconds: tuple[float | int, ...] = setting((10, 30, 60, 120, 300, 600), "of each timeline", unit="s", above=0)
+    seconds: tuple[float | int, ...] = setting(
+        (10, 30, 60, 120, 300, 600), "length of each timeline", unit="s", above=0
+    )
     prompt: float | int = setting(5, "length of each prompt", unit="s", above=0)
-    texts: tuple[str, ...] = setting(TEXTS, "of the prompts, again and again")
-    steps: int = setting(3, "of denoising", at_least=1)
-    repeats: int = setting(3, "of every measurement; the fastest counts", at_least=1)
-    output: str = setting("outputs/length", "folder of length.png and length.json")
+    texts: tuple[str, ...] = setting(TEXTS, "texts of the prompts, repeated cyclically")
+    steps: int = setting(3, "denoising steps", at_least=1)
+    repeats: int = setting(3, "repetitions of every measurement; the fastest is reported", at_least=1)
+    output: str = setting("outputs/length", "folder for length.png and length.json")
 
 
 @command("benchmark_length", Settings)
@@ -67,7 +69,9 @@ def main(config: DictConfig) -> None:
     console = Console()
     found = {}
     for name, model, seconds in track(jobs, "Lengths", console=console):
-        with ProcessPoolExecutor(1, get_context("spawn")) as process:  # the maximum of memory is a process's own
+        with ProcessPoolExecutor(
+            1, get_context("spawn")
+        ) as process:  # the system keeps one maximum of memory per process
             found[name, model, seconds] = process.submit(measure, name, model, seconds, settings).result()
     rows = records(found)
     console.print(table(rows))
@@ -78,7 +82,7 @@ def main(config: DictConfig) -> None:
 
 
 def timeline(seconds: float | int, prompt: float | int, texts: list[str]) -> stmc.Timeline:
-    """One track of prompts that follow each other, the last one perhaps shorter."""
+    """Return a single-track timeline of consecutive prompts; the last one may be shorter."""
     starts = [number * prompt for number in range(-int(-seconds // prompt))]
     return stmc.Timeline(
         [
@@ -89,30 +93,37 @@ def timeline(seconds: float | int, prompt: float | int, texts: list[str]) -> stm
 
 
 def measure(name: str, folder: str | None, seconds: float | int, settings: dict) -> Measured:
-    """Samples a timeline of so many seconds in this process, after one of a single prompt that loads everything."""
+    """Measure sampling in this process, after a one-prompt timeline that loads everything.
+
+    Args:
+        name: Name of the method.
+        folder: Run directory of the model; None: the bundled model.
+        seconds: Duration of the timeline.
+        settings: Settings of the command as plain data.
+    """
     if settings["threads"]:
         torch.set_num_threads(settings["threads"])
     model = stmc.load(folder, device=settings["device"])
     prompt, texts = settings["prompt"], settings["texts"]
-    asked = timeline(seconds, prompt, texts)
+    full_timeline = timeline(seconds, prompt, texts)
     model.generate(timeline(prompt, prompt, texts), steps=1, method=name, clean_feet=False)
     model.embed(texts)
     loaded = peak(model.device)
-    clock = time.process_time if model.device.type == "cpu" else time.perf_counter  # other work does not count
+    clock = time.process_time if model.device.type == "cpu" else time.perf_counter  # CPU time excludes other processes
     spent = []
     for _ in range(settings["repeats"]):
         start = clock()
-        model.generate(asked, steps=settings["steps"], method=name, clean_feet=False)
+        model.generate(full_timeline, steps=settings["steps"], method=name, clean_feet=False)
         spent.append(clock() - start)
     return Measured(min(spent), loaded, peak(model.device), str(model.device))
 
 
 def peak(device: torch.device) -> int:
-    """The most bytes that this process ever had: on the GPU, or else altogether."""
+    """Return the peak memory of this process in bytes: of the GPU, or else resident memory."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
     if sys.platform == "win32":
-        raise SettingError("device=cpu: memory is measured on Linux and macOS alone; choose device=cuda")
+        raise SettingError("device=cpu: memory can be measured on Linux and macOS only; choose device=cuda")
     import resource  # not on Windows
 
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -120,7 +131,7 @@ def peak(device: torch.device) -> int:
 
 
 def records(found: dict[tuple[str, str | None, float | int], Measured]) -> list[dict]:
-    """A row for each length: time relative to the run's shortest, and in seconds on a GPU alone."""
+    """Return a row per length: time relative to the run's shortest timeline, and in seconds on a GPU only."""
     shortest: dict[tuple[str, str | None], Measured] = {}
     rows = []
     for (name, model, seconds), measured in found.items():
@@ -134,10 +145,8 @@ def records(found: dict[tuple[str, str | None, float | int], Measured]) -> list[
 
 
 def table(rows: list[dict]) -> Table:
-    """The rows as text."""
-    table = Table(
-        "method", "length", "time / shortest", "seconds", "peak memory", "of it for sampling", title="Lengths"
-    )
+    """Return the rows as a printable table."""
+    table = Table("method", "length", "time / shortest", "seconds", "peak memory", "used by sampling", title="Lengths")
     for row in rows:
         seconds = f"{row['seconds']:.2f}" if "seconds" in row else "–"
         memory = [f"{row[name] / MEBIBYTE:.0f} MiB" for name in ("peak_bytes", "sampling_bytes")]

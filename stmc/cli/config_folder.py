@@ -1,4 +1,4 @@
-"""The folder of the configurations: inside the package once it is installed, beside it in a checkout."""
+"""Find the configurations: inside the installed package, or beside it in a checkout."""
 
 from pathlib import Path
 

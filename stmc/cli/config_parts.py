@@ -1,7 +1,7 @@
-"""What a command builds of its configuration: the same constructor as for run directories, with a table of its own.
+"""Build parts of a command's configuration with the constructor of run directories and a table of its own.
 
-A configuration may be anybody's: a file in `--config-dir`, or an override. It builds classes and functions of the table
-below and of packages that the command line trusts, and nothing else.
+A configuration may come from a stranger: a file in `--config-dir`, or an override. It can build only classes and
+functions of the table below and of packages that the command line trusts.
 """
 
 from __future__ import annotations
@@ -67,25 +67,30 @@ NAMES = (
     "stmc.motion.representation.BabelRepresentation",
     "stmc.motion.representation.HumanML3DRepresentation",
 )
-"""The classes and functions that configurations build beside the text encoders, by their names in `_target_`."""
+"""Names in `_target_` of the classes and functions that configurations may build, besides text encoders."""
 
 
 def build_part(config: Any, place: str, kind: type = object, **given: Any) -> Any:
-    """Build the part of a configuration that stands at `place`, such as `data.sampling`, with the arguments `given`.
+    """Build one part of a configuration.
 
-    Raises `RunError` for a name that is neither in the table nor of a trusted package, and for arguments that do not
-    fit.
+    Raises `RunError` for a name that is neither in the table nor in a trusted package, and for invalid arguments.
+
+    Args:
+        config: Composed configuration.
+        place: Dotted key of the part, such as `data.sampling`.
+        kind: Class that the part must be an instance of.
+        **given: Arguments that override those of the configuration.
     """
     return construct(described(config, place) | given, place, _part(kind), _trusted(config))
 
 
 def signature_of_part(config: Any, place: str) -> Signature:
-    """The arguments of what stands at `place`. Raises as `build_part`."""
+    """Return the signature of the part at `place`. Raises the errors of `build_part`."""
     return signature_of(described(config, place), place, _part(object), _trusted(config))
 
 
 def record_of_part(config: Any, place: str) -> type | None:
-    """The class that the description at `place` names, if it is one of the table and a record of settings."""
+    """Return the class of the part at `place` if it is in the table and a record of settings, or else None."""
     target = OmegaConf.select(config, f"{place}.{TARGET}")
     if target not in NAMES:
         return None
@@ -95,10 +100,10 @@ def record_of_part(config: Any, place: str) -> type | None:
 
 
 def described(config: Any, place: str) -> dict[str, Any]:
-    """The description at `place` as plain data. Raises `SettingError` where there is none."""
+    """Return the description of the part at `place` as plain data. Raises `SettingError` if there is none."""
     node = OmegaConf.select(config, place)
     if not OmegaConf.is_dict(node):
-        raise SettingError(f"{place}={shown(node)}: a table with `_target_` needed")
+        raise SettingError(f"{place}={shown(node)}: must be a table with `_target_`")
     return OmegaConf.to_container(node, resolve=True)
 
 
@@ -111,8 +116,10 @@ def _trusted(config: Any) -> Sequence[str]:
 
 
 def check_plugins(node: Any, place: str = "hydra") -> None:
-    """Raise `SettingError` where Hydra's own settings name anything but its launchers, sweepers and log handlers: it
-    builds these itself, before the first job."""
+    """Raise `SettingError` if Hydra's own settings name anything but its launchers, sweepers and log handlers.
+
+    Hydra builds these itself, before the first job.
+    """
     pairs = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, value in pairs:
         if (
@@ -120,7 +127,7 @@ def check_plugins(node: Any, place: str = "hydra") -> None:
             or key == "()"
             or (key == "class" and not _starts(value, _LOGS))
         ):
-            raise SettingError(f"{place}.{key}={shown(value)}: this is not a part of Hydra's")
+            raise SettingError(f"{place}.{key}={shown(value)}: is not a part of Hydra")
         check_plugins(value, f"{place}.{key}")
 
 
@@ -129,10 +136,12 @@ def _starts(value: Any, beginnings: tuple[str, ...]) -> bool:
 
 
 def check_trust(config: Mapping[str, Any], overrides: Sequence[str]) -> None:
-    """Raise `SettingError` where a file names trusted packages and the command line does not: a stranger's
-    configuration would trust itself."""
-    said = any(each.lstrip("+").partition("=")[0] == "trusted" for each in overrides)
-    if config.get("trusted") and not said:
+    """Raise `SettingError` if a file names trusted packages but the command line does not.
+
+    Otherwise a stranger's configuration could trust itself.
+    """
+    granted = any(each.lstrip("+").partition("=")[0] == "trusted" for each in overrides)
+    if config.get("trusted") and not granted:
         raise SettingError(
-            f"trusted={shown(list(config['trusted']))}: a file may not say so; say it on the command line"
+            f"trusted={shown(list(config['trusted']))}: a file cannot grant trust; set trusted= on the command line"
         )

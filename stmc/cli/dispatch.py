@@ -1,4 +1,4 @@
-"""`stmc COMMAND …`: every script of the repository as a command of one program."""
+"""The program `stmc COMMAND …` and the list of its commands."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import stmc
 from stmc.cli.commands import SHORT, Command
-from stmc.cli.exit_codes import guarded
+from stmc.cli.exit_codes import run_guarded
 from stmc.settings.records import check_name
 
 COMMANDS = (
@@ -32,48 +32,59 @@ COMMANDS = (
     "train",
     "train_tmr",
 )
-"""Modules of this package that are commands."""
+"""Modules of this package that define a command."""
 
 
 def program(arguments: Sequence[str] | None = None) -> int:
-    """Runs `stmc` with what was typed behind it, and returns the exit code: the first argument names the command, the
-    others are the command's; without any, all commands are listed."""
+    """Run `stmc` with `arguments` (by default those of the process) and return the exit code.
+
+    The first argument names the command and the others belong to it. Without arguments, list all commands.
+    """
     name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     code = 0
 
     def run() -> None:
         nonlocal code
         if name in ("--help", "-h", "help"):
-            sys.stdout.write(listed())
+            sys.stdout.write(list_commands())
         elif name == "--version":
             sys.stdout.write(f"stmc {stmc.__version__}\n")
         else:
-            code = found(name)(others)
+            code = find_command(name)(others)
 
-    return guarded(run) or code
+    return run_guarded(run) or code
 
 
-def found(name: str) -> Command:
-    """The command of that name. Raises `SettingError`."""
+def find_command(name: str) -> Command:
+    """Import a command by its name. Raises `SettingError` for an unknown one."""
     script = SHORT.get(name, name).replace("-", "_")
-    if script not in scripts():
-        check_name(name, named_commands(), "command")
+    if script not in module_summaries():
+        check_name(name, command_summaries(), "command")
     return import_module(f"stmc.cli.{script}").main
 
 
-def scripts() -> dict[str, str]:
+def module_summaries() -> dict[str, str]:
     """Return every command's module with the first line of its docstring, without importing it."""
     texts = {name: (Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8") for name in COMMANDS}
     return {name: (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0] for name, text in texts.items()}
 
 
-def named_commands() -> dict[str, str]:
-    """Every command with the first line of its script's docstring."""
+def command_summaries() -> dict[str, str]:
+    """Return every command's name with the first line of its module's docstring."""
     names = {script: short for short, script in SHORT.items()}
-    return {names.get(script, script): told for script, told in scripts().items()}
+    return {names.get(script, script): summary for script, summary in module_summaries().items()}
 
 
-def listed() -> str:
-    """What `stmc --help` prints."""
-    rows = [f"  {name:<18}{told.partition(':')[0].rstrip('.')}" for name, told in named_commands().items()]
-    return "\n".join(["Usage: stmc COMMAND [SETTING=VALUE …]", "", *rows, "", "stmc COMMAND --help says more.", ""])
+def list_commands() -> str:
+    """Return the text that `stmc --help` prints."""
+    rows = [f"  {name:<18}{summary.partition(':')[0].rstrip('.')}" for name, summary in command_summaries().items()]
+    return "\n".join(
+        [
+            "Usage: stmc COMMAND [SETTING=VALUE …]",
+            "",
+            *rows,
+            "",
+            "See stmc COMMAND --help for the settings of a command.",
+            "",
+        ]
+    )

@@ -21,9 +21,11 @@ from stmc.text import Cached, TextEncoder
 class Settings:
     """Settings of `stmc embed`."""
 
-    texts: str = setting(MISSING, "timelines or annotations (.json), a text a line (.txt), or a folder of such files")
-    folder: str = setting("cache/text", "folder of the embeddings: what training calls text_cache")
-    trusted: tuple[str, ...] = setting((), "packages of your own that the encoder may be a class of")
+    texts: str = setting(
+        MISSING, "timelines or annotations (.json), one text per line (.txt), or a folder of such files"
+    )
+    folder: str = setting("cache/text", "folder for the embeddings; training calls it text_cache")
+    trusted: tuple[str, ...] = setting((), "your own packages that define the encoder")
 
 
 @command("embed", Settings, ("texts",))
@@ -37,9 +39,9 @@ def main(config: DictConfig) -> None:
 
 
 def texts_in(path: Path) -> Iterator[str]:
-    """Every text of a file, or of all `.txt` and `.json` files below a folder. Raises `ValueError` where none is."""
+    """Yield the texts of a file, or of all `.txt` and `.json` files of a folder. Raises `ValueError` if none exists."""
     if not path.exists():
-        raise ValueError(f"texts={path} does not exist; it should be a .txt or .json file, or a folder of them")
+        raise ValueError(f"texts={path} does not exist; expected a .txt or .json file, or a folder of them")
     files = sorted(found for found in path.rglob("*") if found.suffix in (".txt", ".json")) if path.is_dir() else [path]
     found = False
     for file in files:
@@ -52,11 +54,11 @@ def texts_in(path: Path) -> Iterator[str]:
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
             raise ValueError(f"{file} cannot be read: {error}") from error
     if not found:
-        raise ValueError(f"texts={path} holds no text: a line of a .txt is a text, and so is each `text` of a .json")
+        raise ValueError(f"texts={path} contains no text; a text is a line of a .txt file or a `text` of a .json file")
 
 
 def _in_lines(document: str) -> Iterator[str]:
-    """What stands before the first # of a line: a text alone, a prompt of a timeline, or a caption of HumanML3D."""
+    """Yield the part of each line before its first `#`: a plain text, a prompt of a timeline or a HumanML3D caption."""
     for line in document.splitlines():
         text = line.partition("#")[0].strip()
         if text:
@@ -64,7 +66,7 @@ def _in_lines(document: str) -> Iterator[str]:
 
 
 def _in_json(node: Any) -> Iterator[str]:
-    """What stands under `text`, wherever it is: prompts of timelines, annotations of motions."""
+    """Yield every value of a key `text` at any depth: prompts of timelines, annotations of motions."""
     if isinstance(node, list):
         for each in node:
             yield from _in_json(each)

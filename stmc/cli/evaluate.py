@@ -1,7 +1,7 @@
 """Compare methods, samplers and settings on a benchmark: `stmc evaluate experiment=comparison`.
 
-The output folder gets `results.jsonl` (a record per run), `about.json` (the settings that all runs share), and for
-every experiment a table as text and LaTeX, and a figure.
+The command writes to the output folder `results.jsonl` (one record per run), `about.json` (the settings shared by all
+runs), and for every experiment a table as text and LaTeX, and a figure.
 """
 
 from __future__ import annotations
@@ -46,16 +46,18 @@ from stmc.settings.shards import Incomplete, Shard, listed
 class Settings(OnDevice, Threaded, Sharded):
     """Settings of `stmc evaluate`."""
 
-    models: Mapping = setting({"MDM-SMPL": None}, "names for the tables: run directories (null: the bundled model)")
-    evaluator: str | None = setting(None, "run directory; null: the bundled one")
-    output: str = setting(
-        "outputs/evaluation", "folder of all experiments on one benchmark: what one has run, the others need not"
+    models: Mapping = setting(
+        {"MDM-SMPL": None}, "run directories by their names in the tables (null: the bundled model)"
     )
-    seeds: tuple[int, ...] = setting((0, 1, 2), "each is a run of its own", at_least=0)
-    batch: int = setting(50, "timelines at a time; a killed run loses at most so many", at_least=1)
-    precision: str = setting("bf16", "of the denoiser; bf16 is fast on some processors", choices=get_args(Precision))
+    evaluator: str | None = setting(None, "run directory; null: the bundled one")
+    output: str = setting("outputs/evaluation", "folder for all experiments on one benchmark; they share their runs")
+    seeds: tuple[int, ...] = setting((0, 1, 2), "seeds; each one is a separate run", at_least=0)
+    batch: int = setting(50, "timelines per batch; an interrupted run loses at most one batch", at_least=1)
+    precision: str = setting(
+        "bf16", "precision of the denoiser; bf16 is fast on some processors", choices=get_args(Precision)
+    )
     trusted: tuple[str, ...] = setting(
-        (), "packages of your own that models are made of, or methods named of, as in mylab.rules.mine"
+        (), "your own packages that define parts of models, or methods such as mylab.rules.mine"
     )
 
     def __post_init__(self) -> None:
@@ -63,23 +65,23 @@ class Settings(OnDevice, Threaded, Sharded):
 
 
 PATIENCE = math.inf
-"""Seconds to wait for another process that measures: it ends."""
+"""Maximum seconds to wait for another process that measures a run."""
 
 
 @command("evaluate", Settings, ("output",))
 def main(config: DictConfig) -> None:
-    """Runs whatever is not in the output yet, then writes the tables and the figure of all that was asked for."""
+    """Run everything that the output lacks, then write the table and the figure of the experiment."""
     console, folder, shard = Console(), Path(config.output).expanduser(), Shard.asked(config.shard)
     models = {
         name: stmc.load(place, device=config.device, precision=config.precision, trusted=config.trusted)
         for name, place in config.models.items()
     }
-    settings = list(dict.fromkeys(chosen(config.experiment, models, tuple(config.trusted))))
+    settings = list(dict.fromkeys(choose_settings(config.experiment, models, tuple(config.trusted))))
     for part in ("table", *(["figure"] if config.experiment.figure else [])):
-        build_part(config, f"experiment.{part}")  # what cannot be drawn fails now
-    benchmark = prepared(config)
+        build_part(config, f"experiment.{part}")  # fail now rather than after the runs
+    benchmark = build_benchmark(config)
     with locked(folder, PATIENCE):
-        begin(folder, about(config))
+        begin(folder, describe_output(config))
     runs = [Run(benchmark, models.get(each.denoiser), each, seed, folder) for seed in config.seeds for each in settings]
     with Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
@@ -87,46 +89,50 @@ def main(config: DictConfig) -> None:
     ) as progress:  # fmt: skip
         task = progress.add_task("Runs", total=len(runs))
         for run in runs:
-            if (run.setting, run.seed) not in recorded(folder):
+            if (run.setting, run.seed) not in read_records(folder):
                 sample(run, shard, config, progress)
-                if not run.samples.missing(run.order):  # or else others need not wait
+                if not run.samples.missing(run.order):  # else the lock would only delay other processes
                     measure(run)
             progress.advance(task)
     conclude(runs, shard, config, console)
 
 
-def prepared(config: DictConfig) -> Benchmark:
-    """The benchmark, judged by `config.evaluator` unless it brings an evaluator of its own."""
+def build_benchmark(config: DictConfig) -> Benchmark:
+    """Build the benchmark, with `config.evaluator` unless it has its own evaluator."""
     benchmark = build_part(config, "benchmark")
     if "evaluator" in config.benchmark:
         return benchmark()
     return benchmark(evaluator=stmc.load_evaluator(config.evaluator, device=config.device, trusted=config.trusted))
 
 
-def chosen(experiment: DictConfig, models: dict[str, stmc.Model], trusted: tuple[str, ...]) -> Iterator[Setting]:
-    """All combinations of an experiment, each with what does not apply to it left out, and the model's own where the
-    experiment leaves it open. A method that needs a text for every frame is of such networks alone. Raises
-    `SettingError` for unknown names and values that do not fit."""
+def choose_settings(
+    experiment: DictConfig, models: dict[str, stmc.Model], trusted: tuple[str, ...]
+) -> Iterator[Setting]:
+    """Yield all combinations of an experiment, without settings that do not apply and with the models' defaults.
+
+    Methods that need a text for every frame run with networks that accept it only. Raises `SettingError` for unknown
+    names and invalid values.
+    """
     methods = {name: find_method(name, trusted) for name in experiment.methods}
-    asked = {name: combinations({**experiment.settings, **experiment.of_methods.get(name, {})}) for name in methods}
+    choices = {name: combinations({**experiment.settings, **experiment.of_methods.get(name, {})}) for name in methods}
     if experiment.real:
         yield Setting(REAL)
     for (name, model), method in itertools.product(models.items(), methods):
         if model.network.per_frame_text or not methods[method].per_frame_text:
-            for each in asked[method]:
+            for each in choices[method]:
                 yield Setting(method, name, settled(each, methods[method], model.own_sampling))
 
 
 def combinations(settings: Mapping) -> list[Sampling]:
-    """Every combination of the values of the settings."""
+    """Return every combination of the values of the settings."""
     return [
         record_of(Sampling, dict(zip(settings, values, strict=True)))
         for values in itertools.product(*settings.values())
     ]
 
 
-def about(config: DictConfig) -> dict:
-    """What every run of an output shares, beside its settings."""
+def describe_output(config: DictConfig) -> dict:
+    """Return the conditions that all runs of an output folder share."""
     own = "evaluator" in config.benchmark
     return {
         "models": {name: fingerprint(place) for name, place in config.models.items()},
@@ -137,26 +143,25 @@ def about(config: DictConfig) -> dict:
     }
 
 
-def begin(folder: Path, told: dict) -> None:
-    """Keeps what the results are made with. Raises `ValueError` where they were made with something else: they do not
-    compare."""
+def begin(folder: Path, conditions: dict) -> None:
+    """Store the shared conditions of the results. Raises `ValueError` if earlier results had other conditions."""
     path = folder / "about.json"
     if path.exists():
         before = json.loads(path.read_text(encoding="utf-8"))
-        known = {name: value for name, value in told["models"].items() if name in before["models"]}
+        known = {name: value for name, value in conditions["models"].items() if name in before["models"]}
         if different := [
             key
-            for key in told
-            if (known.items() - before[key].items() if key == "models" else before.get(key) != told[key])
+            for key in conditions
+            if (known.items() - before[key].items() if key == "models" else before.get(key) != conditions[key])
         ]:
-            raise ValueError(f"{folder} holds results with another {different[0]} ({path}); choose another output")
-        told = told | {"models": before["models"] | told["models"]}
-    write_text(path, json.dumps(told, indent=1) + "\n")
+            raise ValueError(f"{folder} holds results of another {different[0]} ({path}); choose another output folder")
+        conditions = conditions | {"models": before["models"] | conditions["models"]}
+    write_text(path, json.dumps(conditions, indent=1) + "\n")
 
 
 @dataclass(frozen=True)
 class Run:
-    """What becomes one record: a setting with a seed. Real motion has no model, and nothing to sample."""
+    """One record to be: a setting with a seed. Real motion has no model and nothing to sample."""
 
     benchmark: Benchmark
     model: stmc.Model | None
@@ -171,45 +176,55 @@ class Run:
 
     @cached_property
     def order(self) -> list[int]:
-        """The numbers of the timelines, the longest first: shares are alike, and memory runs out early."""
+        """The indices of the timelines, longest first: shards are balanced, and memory runs out early if at all."""
         return sorted(range(len(self.timelines)), key=lambda number: -self.timelines[number].duration)
 
     @property
     def samples(self) -> Samples:
-        """Where the motions wait for the others."""
+        """The store of motions until the run is complete."""
         name = "_".join(str(self.setting.value(name)) for name in SETTINGS) + f"_{self.seed}"
         place = self.folder / "unfinished" / re.sub(r"[^\w.-]+", "_", name)
         return Samples(place, 0 if self.model is None else self.model.fps)
 
 
-def recorded(folder: Path) -> dict[tuple[Setting, int], Result]:
-    """The records that are there by now, whoever made them."""
+def read_records(folder: Path) -> dict[tuple[Setting, int], Result]:
+    """Read the records that exist so far, from any process."""
     path = folder / "results.jsonl"
     return {(each.setting, each.seed): each for each in read_results(path)} if path.exists() else {}
 
 
 def sample(run: Run, shard: Shard, config: DictConfig, progress: Progress) -> None:
-    """Makes the share's motions that are not there yet. In bf16 a motion depends, a bit, on its batch, so there a batch
-    is made whole although only some of its motions are missing."""
+    """Sample the missing motions of a shard.
+
+    In bf16 a motion depends slightly on its batch, so incomplete batches are sampled whole.
+
+    Args:
+        run: The run that the motions belong to.
+        shard: The shard to complete.
+        config: Configuration of the command.
+        progress: Progress bar, which shows the shard as a task.
+    """
     own = shard.of(run.order)
     missing = set(run.samples.missing(own))
     task = progress.add_task(f"{run.setting.denoiser}, {run.setting.method}, seed {run.seed}", total=len(own))
     for start in range(0, len(own), config.batch):
         batch = own[start : start + config.batch]
         lacking = [number for number in batch if number in missing]
-        made = batch if lacking and config.precision == "bf16" else lacking
-        if made:
-            motions, seconds = generated(run, made, config)
-            for number, motion in zip(made, motions, strict=True):
+        numbers = batch if lacking and config.precision == "bf16" else lacking
+        if numbers:
+            motions, seconds = generate(run, numbers, config)
+            for number, motion in zip(numbers, motions, strict=True):
                 if number in missing:
                     run.samples.write(number, motion, seconds)
         progress.advance(task, len(batch))
     progress.remove_task(task)
 
 
-def generated(run: Run, numbers: list[int], config: DictConfig) -> tuple[list[stmc.Motion], float | None]:
-    """The motions, each with its own seed, and on an accelerator the seconds that one took: those of a CPU say more of
-    its other work."""
+def generate(run: Run, numbers: list[int], config: DictConfig) -> tuple[list[stmc.Motion], float | None]:
+    """Sample motions, each with its own seed; return them, and seconds per motion on an accelerator.
+
+    Times on a CPU would rather reflect its other load.
+    """
     began = time.perf_counter()
     motions = run.model.generate(
         [run.timelines[number] for number in numbers],
@@ -223,20 +238,19 @@ def generated(run: Run, numbers: list[int], config: DictConfig) -> tuple[list[st
 
 
 def measure(run: Run) -> list[int]:
-    """Adds the run's record where all motions are there, whoever made them, and nobody else has. Returns the numbers of
-    those that are not."""
+    """Add the run's record once all its motions exist, unless another process did; return the missing indices."""
     with locked(run.folder, PATIENCE):
-        results = recorded(run.folder)
+        results = read_records(run.folder)
         if (run.setting, run.seed) in results:
             return []
         if missing := run.samples.missing(run.order):
             return missing
-        write_results([*results.values(), measured(run)], run.folder / "results.jsonl")
+        write_results([*results.values(), compute_result(run)], run.folder / "results.jsonl")
         run.samples.remove()
         return []
 
 
-def measured(run: Run) -> Result:
+def compute_result(run: Run) -> Result:
     """Measure the samples of a run."""
     motions, seconds = [], []
     for number in range(len(run.timelines)):
@@ -251,22 +265,22 @@ def measured(run: Run) -> Result:
 
 
 def conclude(runs: list[Run], shard: Shard, config: DictConfig, console: Console) -> None:
-    """The tables once everything is there; else what is missing. Raises `Incomplete` where nothing else was asked."""
+    """Report complete results, or list missing ones. Raises `Incomplete` if only completeness was to be checked."""
     missing: Counter[Shard] = Counter()
     for run in runs:
         missing.update(shard.lacking(run.order, measure(run)))
     if not missing:
-        results = recorded(runs[0].folder)
+        results = read_records(runs[0].folder)
         report([results[run.setting, run.seed] for run in runs], config, console)
         return
-    told = f"{config.output}: motions are missing of {listed(missing)}"
+    message = f"{config.output}: motions are missing of {listed(missing)}"
     if shard.number is None:
-        raise Incomplete(f"{told}; ask for these, or without shard= for all that is missing")
-    console.print(f"share {shard} is made; {told}", markup=False, soft_wrap=True)
+        raise Incomplete(f"{message}; run these shards, or omit shard= to sample all missing motions")
+    console.print(f"shard {shard} is complete; {message}", markup=False, soft_wrap=True)
 
 
 def report(results: list[Result], config: DictConfig, console: Console) -> None:
-    """The table as text and LaTeX, and the figure, beside the records."""
+    """Write the table as text and LaTeX, and the figure, beside the records."""
     folder = Path(config.output).expanduser()
     table = build_part(config, "experiment.table")(results)
     name = config.experiment.name

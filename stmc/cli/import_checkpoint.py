@@ -1,4 +1,4 @@
-"""Convert published checkpoints into run directories: `stmc import PATH runs/mdm`."""
+"""Convert a published checkpoint into a run directory: `stmc import PATH runs/mdm`."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class Settings:
 
     source: str = setting(
         MISSING,
-        "run directory of STMC or TMR, model….pt of MDM or FlowMDM (args.json beside it), or MotionDiffuse's folder",
+        "run directory of STMC or TMR, model….pt of MDM or FlowMDM (beside args.json), or folder of MotionDiffuse",
     )
     output: str = setting(MISSING, "run directory to write")
     statistics: str | None = setting(
         None,
-        "folder of HumanML3D's Mean.npy and Std.npy for MDM and FlowMDM, of BABEL's rfeats_mean.pt and rfeats_std.pt "
-        "for FlowMDM, of mean.pt and std.pt for TMR; null: by the weights",
+        "folder with HumanML3D's Mean.npy and Std.npy (MDM, FlowMDM), BABEL's rfeats_mean.pt and rfeats_std.pt "
+        "(FlowMDM), or mean.pt and std.pt (TMR); null: the files that come with the weights",
     )
     text_model: str | None = setting(
-        None, "folder or hub name of the text encoder's weights; null: the published ones on the hub"
+        None, "folder or hub name of the text encoder's weights; null: the published weights on the hub"
     )
 
 

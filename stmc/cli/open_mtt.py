@@ -1,8 +1,8 @@
 """Rebuild the open benchmark: `stmc open_mtt cache=[cache/bandai,cache/cmu]`.
 
-Every action that held-out recordings show becomes an atomic prompt; the command names the actions that it leaves out.
-It then reports how well an evaluator finds the text of each prompt among all texts: in held-out clips alone, and in
-compositions of two of them.
+Every action that held-out recordings show becomes an atomic prompt; the command lists the actions that it leaves out.
+It then reports how well an evaluator retrieves the text of each prompt among all texts, given held-out clips and
+compositions of two clips.
 """
 
 from __future__ import annotations
@@ -39,36 +39,36 @@ from stmc.settings.records import setting
 
 PLAIN = "normal"
 MOST_CLIPS, PARTNERS = 12, 4
-"""Clips of each prompt that the evaluator is asked about, and compositions of each of them."""
+"""Maximum number of clips per prompt for the retrieval report, and number of compositions per clip."""
 
-BRIEF = 1.5
-"""Seconds: clips shorter than this are ground truth only where there is no other."""
+SHORT_CLIP = 1.5
+"""Length in seconds; shorter clips are ground truth only if there is no longer one."""
 
-ONCE, AT_LEAST = 1.5, 4.0
-"""What happens once may be asked for this many times as long as the longest clip of it, and for so many seconds."""
+MAX_STRETCH, MIN_LONGEST = 1.5, 4.0
+"""Longest prompt of a non-cyclic action, as a multiple of its longest clip, and at least in seconds."""
 
-WORST = 10
+MAX_WORST = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of `stmc open-mtt`."""
 
-    cache: tuple[str, ...] = setting(("cache/bandai", "cache/cmu"), "prepared data")
-    evaluator: str | None = setting(None, "run directory; null: the bundled one")
-    output: str = setting("stmc/assets/open_mtt", "folder of the prompts and timelines")
-    count: int = setting(500, "timelines", at_least=1)
-    seed: int = setting(0, "of the timelines", at_least=0)
+    cache: tuple[str, ...] = setting(("cache/bandai", "cache/cmu"), "folders of prepared data")
+    evaluator: str | None = setting(None, "run directory of the evaluator; null: the bundled one")
+    output: str = setting("stmc/assets/open_mtt", "folder for the prompts and timelines")
+    count: int = setting(500, "number of timelines", at_least=1)
+    seed: int = setting(0, "seed of the timelines", at_least=0)
 
 
 class Found(NamedTuple):
-    """Of a prompt's motions: the places of its text among all (0 is best), and which texts stood first."""
+    """Retrieval of a prompt's motions: ranks of its text among all texts (0 is best), and the texts ranked first."""
 
     places: tuple[int, ...]
     first: tuple[str, ...]
 
     def recall(self, count: int) -> float:
-        """The fraction of motions whose own text is among the first `count`."""
+        """Return the fraction of motions whose own text is among the first `count`."""
         return fmean(place < count for place in self.places)
 
 
@@ -81,17 +81,22 @@ def main(config: DictConfig) -> None:
     write_atomic_prompts(prompts, folder / "prompts.json")
     stmc.Timeline.write_all(timelines, folder / "timelines.json")
     console.print(f"{len(prompts)} atomic prompts, {len(timelines)} timelines in {folder.resolve()}")
-    console.print(f"no held-out clip shows {', '.join(left_out(cache, prompts)) or 'nothing'}")
+    console.print(f"no held-out clip shows {', '.join(find_omitted(cache, prompts)) or 'nothing'}")
     evaluator = stmc.load_evaluator(config.evaluator)
-    report(console, prompts, found(evaluator, prompts, alone(cache, prompts)), "alone")
-    report(
-        console, prompts, found(evaluator, prompts, composed(cache, prompts)), "with another clip on other body parts"
+    print_report(console, prompts, found(evaluator, prompts, single_motions(cache, prompts)), "alone")
+    print_report(
+        console,
+        prompts,
+        found(evaluator, prompts, composed_motions(cache, prompts)),
+        "with another clip on other body parts",
     )
 
 
 def atomic_prompts(cache: Cache) -> list[AtomicPrompt]:
-    """One for every content that an unmirrored held-out clip shows, told by its first sentence; of contents that are
-    told in the same words one."""
+    """Return one prompt for every content that an unmirrored held-out clip shows.
+
+    The text is the content's first sentence; contents with the same sentence share a prompt.
+    """
     clips = [clip for clip in cache.clips if clip.split in HELD_OUT and not clip.mirrored and cache.texts[clip.texts]]
     shown = sorted({clip.content for clip in clips})
     texts = {CONTENTS[name].sentences[0]: name for name in reversed(shown)}
@@ -99,8 +104,11 @@ def atomic_prompts(cache: Cache) -> list[AtomicPrompt]:
 
 
 def prompt(cache: Cache, text: str, name: str) -> AtomicPrompt:
-    """A content with its ground truth: of the held-out clips that its text describes, neither brief nor of the
-    validation split nor in a style if that can be, the one that lasts about as long as prompts do."""
+    """Return the prompt of a content, with its ground truth.
+
+    The ground truth is the held-out clip whose length is closest to the mean of prompts; clips that are short, of the
+    validation split or in a style are used only if there is no other.
+    """
 
     def seconds(clip: Clip) -> float:
         return (clip.end - clip.start) / cache.fps
@@ -108,7 +116,7 @@ def prompt(cache: Cache, text: str, name: str) -> AtomicPrompt:
     clip = min(
         (clip for clip in cache.held_out(text) if not clip.mirrored and clip.content == name),
         key=lambda clip: (
-            seconds(clip) < BRIEF,
+            seconds(clip) < SHORT_CLIP,
             HELD_OUT.index(clip.split),
             clip.style != PLAIN,
             abs(seconds(clip) - MEAN),
@@ -116,21 +124,21 @@ def prompt(cache: Cache, text: str, name: str) -> AtomicPrompt:
         ),
     )
     content, own = CONTENTS[name], [each for each in cache.clips if each.content == name]
-    once = min(LONGEST, round(max(AT_LEAST, ONCE * max(map(seconds, own))), 1))
+    once = min(LONGEST, round(max(MIN_LONGEST, MAX_STRETCH * max(map(seconds, own))), 1))
     end = min(seconds(clip), LONGEST) if content.cyclic else seconds(clip)
     longest = LONGEST if content.cyclic else once
     return AtomicPrompt(text, content.parts, clip.name, 0.0, end, SHORTEST, longest, content.cyclic)
 
 
-def left_out(cache: Cache, prompts: list[AtomicPrompt]) -> list[str]:
-    """The contents of the cache whose text is none of the prompts'."""
+def find_omitted(cache: Cache, prompts: list[AtomicPrompt]) -> list[str]:
+    """List the contents of the cache whose text is not a prompt."""
     texts = {prompt.text for prompt in prompts}
     names = {clip.content for clip in cache.clips if cache.texts[clip.texts]}
     return sorted(name for name in names if CONTENTS[name].sentences[0] not in texts)
 
 
 def own_clips(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[Clip]]:
-    """Of each text, held-out clips that it describes, mirror images too."""
+    """Return for each text the held-out clips that it describes, including mirror images."""
     rng, chosen = np.random.default_rng(0), {}
     for prompt in prompts:
         clips = cache.held_out(prompt.text)
@@ -138,8 +146,8 @@ def own_clips(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[Clip]
     return chosen
 
 
-def alone(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[torch.Tensor]]:
-    """Of each text, the features of held-out clips that it describes."""
+def single_motions(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[torch.Tensor]]:
+    """Return for each text the features of the held-out clips that it describes."""
     longest = int(LONGEST * cache.fps)
     return {
         text: [cache.features[clip.start : clip.end][:longest] for clip in clips]
@@ -147,9 +155,12 @@ def alone(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[torch.Ten
     }
 
 
-def composed(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[torch.Tensor]]:
-    """Of each text, the features of held-out clips that it describes with the body parts of clips of other texts, drawn
-    evenly among those that leave its parts alone; none where it claims the whole body."""
+def composed_motions(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[torch.Tensor]]:
+    """Return for each text the features of compositions of its clips with clips of other texts.
+
+    The other texts are drawn uniformly among those that claim none of its body parts. A text of the whole body has no
+    compositions.
+    """
     rng, chosen = np.random.default_rng(0), own_clips(cache, prompts)
     motions: dict[str, list[torch.Tensor]] = {prompt.text: [] for prompt in prompts}
     for prompt in prompts:
@@ -157,19 +168,19 @@ def composed(cache: Cache, prompts: list[AtomicPrompt]) -> dict[str, list[torch.
         for clip in chosen[prompt.text] if others else ():
             for text in rng.choice(others, size=PARTNERS):
                 partner = chosen[text][rng.integers(len(chosen[text]))]
-                if whole(prompt, clip, partner):
-                    motions[prompt.text].append(composition(cache, clip, partner)[: int(LONGEST * cache.fps)])
+                if shows_whole(prompt, clip, partner):
+                    motions[prompt.text].append(compose_clips(cache, clip, partner)[: int(LONGEST * cache.fps)])
     return motions
 
 
-def whole(prompt: AtomicPrompt, clip: Clip, partner: Clip) -> bool:
-    """Whether a composition of the two shows the prompt: not half of it, where it happens once."""
+def shows_whole(prompt: AtomicPrompt, clip: Clip, partner: Clip) -> bool:
+    """Return whether a composition of two clips shows the prompt in full; a non-cyclic action must not be cut."""
     lasts, others = clip.end - clip.start, partner.end - partner.start
     return prompt.cyclic or BodyPart.LEGS in prompt.parts or others >= lasts
 
 
-def composition(cache: Cache, clip: Clip, partner: Clip) -> torch.Tensor:
-    """Features of what `clip` shows, for as long as it lasts, while the partner's parts do what the partner shows."""
+def compose_clips(cache: Cache, clip: Clip, partner: Clip) -> torch.Tensor:
+    """Return the features of `clip` with the partner's body parts replaced by those of the partner."""
     own, other = (cache.features[each.start : each.end] for each in (clip, partner))
     body, guest, parts = (own, other, partner.parts) if BodyPart.LEGS in clip.parts else (other, own, clip.parts)
     body = body[: len(own)].clone()
@@ -182,7 +193,7 @@ def composition(cache: Cache, clip: Clip, partner: Clip) -> torch.Tensor:
 def found(
     evaluator: Evaluator, prompts: list[AtomicPrompt], motions: dict[str, list[torch.Tensor]]
 ) -> dict[str, Found]:
-    """How an evaluator ranks the prompts' texts for the motions of each of them that has any."""
+    """Rank all texts for the motions of each prompt; prompts without motions are left out."""
     texts = [prompt.text for prompt in prompts]
     rows = [(number, motion) for number, text in enumerate(texts) for motion in motions[text]]
     scores = cosines(evaluator.motions([motion for _, motion in rows]), evaluator.texts(texts))
@@ -199,13 +210,13 @@ def found(
     }
 
 
-def report(console: Console, prompts: list[AtomicPrompt], results: dict[str, Found], how: str) -> None:
-    """The mean over prompts, chance, and the prompts that are found least often with what they are taken for."""
+def print_report(console: Console, prompts: list[AtomicPrompt], results: dict[str, Found], how: str) -> None:
+    """Print the mean over prompts, chance, and the worst prompts with the texts that they are mistaken for."""
     means = [100 * fmean(each.recall(count) for each in results.values()) for count in (1, 3)]
     chance = [100 * count / len(prompts) for count in (1, 3)]
     title = f"{how}, {len(results)} prompts: R@1 {means[0]:.1f}% (chance {chance[0]:.1f}), "
-    table = Table("the worst", "R@1", "R@3", "taken for", title=f"{title}R@3 {means[1]:.1f}% ({chance[1]:.1f})")
-    for text, each in sorted(results.items(), key=lambda item: (item[1].recall(3), item[1].recall(1)))[:WORST]:
+    table = Table("worst prompts", "R@1", "R@3", "mistaken for", title=f"{title}R@3 {means[1]:.1f}% ({chance[1]:.1f})")
+    for text, each in sorted(results.items(), key=lambda item: (item[1].recall(3), item[1].recall(1)))[:MAX_WORST]:
         mistaken = Counter(best for best in each.first if best != text).most_common(2)
         table.add_row(text, f"{each.recall(1):.0%}", f"{each.recall(3):.0%}", ", ".join(best for best, _ in mistaken))
     console.print(table)

@@ -19,28 +19,30 @@ from stmc.settings.records import setting
 class Settings:
     """Settings of `stmc study`."""
 
-    first: str = setting(MISSING, "folder that sampling filled, by the method under study")
-    second: str = setting(MISSING, "the same timelines by the method that it is compared with")
-    timelines: str = setting(MISSING, "file that both were sampled from")
-    names: tuple[str | None, ...] = setting((None, None), "of the two methods in the analysis; null: as their folders")
-    output: str = setting("outputs/study", "folder: surveys/ for the raters, key.json for the analysis")
-    size: int = setting(10, "pairs in a survey, besides three warm-ups and two honeypots", at_least=1)
-    seed: int = setting(0, "of the surveys", at_least=0)
+    first: str = setting(MISSING, "folder of sampled motions of the method under study")
+    second: str = setting(MISSING, "folder of sampled motions of the other method, of the same timelines")
+    timelines: str = setting(MISSING, "file of the timelines of both folders")
+    names: tuple[str | None, ...] = setting(
+        (None, None), "names of the two methods in the analysis; null: their folders' names"
+    )
+    output: str = setting("outputs/study", "folder for the study: surveys/ for raters, key.json for the analysis")
+    size: int = setting(10, "pairs per survey, not counting three warm-ups and two honeypots", at_least=1)
+    seed: int = setting(0, "seed of the surveys", at_least=0)
 
 
 @command("study", Settings, ("first", "second", "timelines"))
 def main(config: DictConfig) -> None:
     folder = Path(config.output).expanduser()
-    surveys = made(config, folder)
+    surveys = write_study(config, folder)
     console = Console()
     console.print(f"{surveys} surveys in {folder.resolve() / 'surveys'}: give each rater one of the pages")
     console.print(f"the answer key is {folder.resolve() / 'key.json'}: keep it to yourself")
 
 
-def made(config: DictConfig, folder: Path) -> int:
-    """Writes the pages, then the key; how many pages."""
+def write_study(config: DictConfig, folder: Path) -> int:
+    """Write the pages, then the key; return the number of pages."""
     if (folder / "key.json").exists():
-        raise StudyError(f"{folder} holds a study already, whose key its answers need; choose another output")
+        raise StudyError(f"{folder} already holds a study, and its answers need its key; choose another output folder")
     first, second = (Path(config[side]).expanduser() for side in ("first", "second"))
     pairs = read_pairs(first, second, stmc.Timeline.read_all(Path(config.timelines).expanduser()))
     names = (config.names[0] or first.name, config.names[1] or second.name)

@@ -35,7 +35,7 @@ from stmc.training.data.vocabularies import vocabulary_of
 if TYPE_CHECKING:  # an extra, which the help does without
     import accelerate
 
-DRAWN = (
+DRAWN_TIMELINES = (
     "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
     "turn left # 0 # 5 # legs",
 )
@@ -47,22 +47,22 @@ class Settings(Trained):
 
     objective: Mapping = setting(
         {"prediction": "x0", "weights": {}},
-        "prediction: what the denoiser says (x0, eps, v or score); weights: of fields that count more or less than 1; "
-        "timestep_alpha: more than 1 trains noisy steps more often; energy_floor: small motions count as much as "
-        "large; distilled_guidance: weight of the texts with which the teacher predicts what is learned",
+        "prediction: quantity that the denoiser predicts (x0, eps, v or score); weights: loss weights of fields other "
+        "than 1; timestep_alpha: above 1, noisy steps are drawn more often; energy_floor: weigh small motions as much "
+        "as large ones; distilled_guidance: guidance scale of the teacher whose predictions are learned",
     )
     noise_scale: str = setting(
-        "variance", "what scales DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
+        "variance", "scale of DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
     )
     guidance: float | int | None = setting(
-        None, "weight of the texts when the model is sampled, unless told otherwise; null: 2.5, of a distilled model 1"
+        None, "default guidance scale when the model is sampled; null: 2.5, or 1 for a distilled model"
     )
-    init_from: str | None = setting(None, "run directory of the same denoiser to begin with; null: fresh weights")
+    init_from: str | None = setting(None, "run directory of the same denoiser to start from; null: fresh weights")
     teacher: str | None = setting(
-        None, "run directory of another denoiser whose predictions are learned with distilled_guidance; null: init_from"
+        None, "run directory of another denoiser to distil with distilled_guidance; null: init_from"
     )
-    draw_every: int = setting(2000, "steps between pictures", at_least=1)
-    draw: tuple[str, ...] = setting(DRAWN, "timelines of which pictures are drawn")
+    draw_every: int = setting(2000, "number of steps between pictures", at_least=1)
+    draw: tuple[str, ...] = setting(DRAWN_TIMELINES, "timelines to draw pictures of")
 
 
 @command("train", Settings, ("run",))
@@ -72,11 +72,11 @@ def main(config: DictConfig) -> None:
 
 
 def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
-    """All of it, from the data to the run directory."""
+    """Train a denoiser, from the data to the run directory."""
     settings, recipe = build_part(config, "training", training.Settings), build_part(config, "data.sampling", Recipe)
     check_parts(config)
     started = stmc.load(config.init_from, trusted=config.trusted) if config.init_from else None
-    distilled = to_distil(config, stmc.load(config.teacher, trusted=config.trusted) if config.teacher else started)
+    distilled = find_teacher(config, stmc.load(config.teacher, trusted=config.trusted) if config.teacher else started)
     cache, dataset = read_training_data(
         config,
         started.text_statistics if started else None,
@@ -87,24 +87,24 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     torch.manual_seed(settings.seed)
     with open_dict(config):
         config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
-    model = record(config, dataset, cache, own_sampling(config, distilled), int(recipe.longest * dataset.fps))
+    model = build_model(config, dataset, cache, default_sampling(config, distilled), int(recipe.longest * dataset.fps))
     denoiser = model.denoiser
     if started:
         denoiser.load_state_dict(started.denoiser.state_dict())
         denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
     if recipe.several_texts and not denoiser.per_frame_text:
         raise ValueError(
-            f"data.sampling: {type(recipe).__name__} makes rows of several texts, which need a denoiser with "
-            f"per_frame_text, such as denoiser=flow_mdm_small, not {type(denoiser).__name__}; others see one text a "
-            "row: data/sampling=balanced"
+            f"data.sampling: {type(recipe).__name__} makes rows of several texts, which require a denoiser with "
+            f"per_frame_text, such as denoiser=flow_mdm_small, not {type(denoiser).__name__}; for other "
+            "denoisers use data/sampling=balanced, which has one text per row"
         )
-    check(model, config.trusted)  # before the first step: what could not be loaded is not trained
+    check(model, config.trusted)  # before the first step: refuse to train a model that could not be loaded
     described = OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint}
     if config.teacher is None:
-        del described["teacher"]  # trainings that began before there were teachers go on
+        del described["teacher"]  # runs from before this setting existed can be resumed
     trainer = training.Trainer(
         denoiser,
-        objective(config, dataset, model, distilled),
+        build_objective(config, dataset, model, distilled),
         ClipBatches(dataset, "train", recipe, settings.seed),
         Path(config.run).expanduser(),
         settings,
@@ -126,27 +126,27 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
 
 
 def check_parts(config: DictConfig) -> None:
-    """Refuse a denoiser, a schedule and an objective that cannot be built, before the data are read."""
+    """Check that denoiser, schedule and objective can be built, before the data are read."""
     described = OmegaConf.to_container(config, resolve=True)
     reading = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
     widths = {"features": reading["representation"].width, "text_width": reading["text_encoder"].width}
     if not isinstance(described["denoiser"], dict):
-        raise SettingError(f"denoiser={shown(described['denoiser'])}: a table with `_target_` needed")
+        raise SettingError(f"denoiser={shown(described['denoiser'])}: must be a table with `_target_`")
     described["denoiser"] |= widths
     with torch.random.fork_rng(devices=[]):
         built = build(described, {part: PARTS[part] for part in ("denoiser", "schedule")}, config.trusted)
     settings = dict(config.objective)
     check_value("objective.distilled_guidance", settings.pop("distilled_guidance", None), float | int | None)
-    settings.pop("weights", None)  # of fields that the data may add
+    settings.pop("weights", None)  # may name fields that only the data add
     checked = OmegaConf.create({"objective": {TARGET: "stmc.training.Denoising", PARTIAL: True} | settings})
     build_part(checked, "objective")(schedule=built["schedule"])
 
 
-def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
-    """The model whose guided predictions are what is learned; None where the data are.
+def find_teacher(config: DictConfig, teacher: Model | None) -> Model | None:
+    """Return the teacher whose guided predictions are learned, or None if training learns from the data.
 
-    Raises `ValueError` where there is none, and for one that does not predict what this training's networks do: other
-    motions, at other noise, with a text for every frame, or, where training begins with it, of other texts.
+    Raises `ValueError` if the teacher is missing or incompatible with this training: another representation, noise
+    schedule or prediction, a text for every frame, or another text encoder if training starts from the teacher.
     """
     guidance = config.objective.get("distilled_guidance")
     if guidance is None:
@@ -155,46 +155,46 @@ def to_distil(config: DictConfig, teacher: Model | None) -> Model | None:
         return None
     if teacher is None:
         raise SettingError(
-            f"objective.distilled_guidance={guidance} needs init_from=RUN or teacher=RUN: the model to be distilled"
+            f"objective.distilled_guidance={guidance} needs a model to distil: init_from=RUN or teacher=RUN"
         )
     described = OmegaConf.to_container(config, resolve=True)
-    reading = () if config.teacher else ("text_encoder",)  # another model reads the texts in its own way
+    reading = () if config.teacher else ("text_encoder",)  # another model may have its own text encoder
     asked = {part: described[part] for part in ("schedule", "representation", *reading)}
     asked |= {"objective.prediction": config.objective.prediction}
     has = {**teacher.config, "objective.prediction": teacher.prediction}
     differing = [f"{part} is {has[part]} there and {value} here" for part, value in asked.items() if has[part] != value]
-    named = taught_by(config)
+    named = teacher_path(config)
     if differing:
         raise ValueError(f"{named} cannot be distilled by this training: {'; '.join(differing)}")
     if teacher.network.per_frame_text:
         raise ValueError(
             f"{named} cannot be distilled: {type(teacher.denoiser).__name__} has a text for every frame; "
-            "choose a denoiser of one text a row, such as MdmSmpl"
+            "choose a denoiser of one text per motion, such as MdmSmpl"
         )
     return teacher
 
 
-def taught_by(config: DictConfig) -> str | None:
-    """The name of the model that is to be distilled."""
+def teacher_path(config: DictConfig) -> str | None:
+    """Return the run directory of the distilled model."""
     return config.teacher or config.init_from
 
 
-def objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Model | None) -> Denoising:
-    """What `model` learns: the data or, where there is a model to be distilled, its guided predictions."""
+def build_objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Model | None) -> Denoising:
+    """Build the objective of `model`: learn from the data, or from the guided predictions of a distilled model."""
     auxiliary, settings = config.data.auxiliary_loss, dict(config.objective)
     guidance = settings.pop("distilled_guidance", None)
     auxiliary_loss = build_part(config, "data.auxiliary_loss", dataset=dataset) if auxiliary else None
     fields = dict(dataset.layout.slices)
     if auxiliary_loss:
         fields[auxiliary_loss.name] = slice(dataset.features_width, None)
-    teacher = taught(config, dataset, distilled, guidance) if distilled else None
+    teacher = build_teacher(config, dataset, distilled, guidance) if distilled else None
     return Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, teacher=teacher, **settings)
 
 
-def taught(config: DictConfig, dataset: Dataset, distilled: Model, guidance: float | int) -> GuidedTeacher:
-    """The model that is distilled as a teacher of the data set's sentences, which it reads with its own encoder."""
+def build_teacher(config: DictConfig, dataset: Dataset, distilled: Model, guidance: float | int) -> GuidedTeacher:
+    """Return the distilled model as a teacher; it encodes the data set's sentences with its own text encoder."""
     if distilled.fps != dataset.fps:
-        raise ValueError(f"{taught_by(config)} has {distilled.fps:g} frames a second, the data {dataset.fps:g}")
+        raise ValueError(f"{teacher_path(config)} has {distilled.fps:g} frames per second, the data {dataset.fps:g}")
     device = dataset.motion.mean.device
     reading = replace(distilled, text_encoder=Cached(distilled.text_encoder, config.text_cache))
     texts, words = tensors.pad(list(reading.embed(dataset.sentences).values()))
@@ -204,16 +204,23 @@ def taught(config: DictConfig, dataset: Dataset, distilled: Model, guidance: flo
     return GuidedTeacher(denoiser, guidance, texts.to(device), words.to(device))
 
 
-def own_sampling(config: DictConfig, distilled: Model | None = None) -> Sampling:
-    """How the model is sampled unless told otherwise: a distilled one as its teacher, but without guidance."""
+def default_sampling(config: DictConfig, distilled: Model | None = None) -> Sampling:
+    """Return the model's sampling defaults: those of the teacher without guidance for a distilled model."""
     guidance = 1 if distilled and config.guidance is None else config.guidance
     own = record_of(Sampling, {"noise_scale": config.noise_scale, "guidance": guidance})
     return own.over(distilled.sampling) if distilled else own
 
 
-def record(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sampling, longest: int) -> Model:
-    """The model as it would be loaded from the run's folder, with fresh weights; its motions have at most `longest`
-    frames."""
+def build_model(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sampling, longest: int) -> Model:
+    """Build the model as it would be loaded from the run directory, with fresh weights.
+
+    Args:
+        config: Configuration of the command.
+        dataset: Training data, which give statistics, skeleton and frame rate.
+        cache: Prepared data, which give the vocabulary.
+        sampling: Sampling defaults.
+        longest: Maximum number of frames of a motion.
+    """
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, trusted=config.trusted)
     representation, encoder = parts["representation"], Cached(parts["text_encoder"], config.text_cache)
@@ -235,14 +242,13 @@ def record(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Samplin
 
 
 def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) -> None:
-    """The moving average so far as a run directory, and beside it everything that was asked for, and what was changed
-    while it was trained."""
+    """Save the moving average as a run directory, with a card that lists settings and their changes."""
     folder = Path(config.run).expanduser()
     settings = OmegaConf.to_yaml(config, resolve=True)
     card = f"# Trained with stmc train, step {step}\n\n"
     if guidance := config.objective.get("distilled_guidance"):
         card += (
-            f"Distilled from {taught_by(config)}: one pass predicts what that model does with guidance {guidance}. "
+            f"Distilled from {teacher_path(config)}: one pass predicts what that model does with guidance {guidance}. "
             f"Its own guidance is {model.own_sampling.guidance:g}.\n\n"
         )
     card += f"```yaml\n{settings}```\n"
@@ -251,7 +257,7 @@ def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) 
 
 
 def draw(config: DictConfig, model: Model, step: int) -> None:
-    """Pictures of the timelines in `config.draw`, always of the same seed: how the model comes along."""
+    """Draw the timelines of `config.draw` with a fixed seed, to show the progress of training."""
     folder = Path(config.run).expanduser() / "pictures"
     timelines = [stmc.Timeline.parse(text) for text in config.draw]
     motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim, clean_feet=False)

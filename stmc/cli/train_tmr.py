@@ -37,15 +37,15 @@ if TYPE_CHECKING:  # an extra, which the help does without
 class Settings(Trained):
     """Settings of `stmc train-tmr`."""
 
-    objective: Mapping = setting({"_target_": "stmc.training.TmrObjective"}, "what is minimised")
+    objective: Mapping = setting({"_target_": "stmc.training.TmrObjective"}, "training objective")
     false_negative_encoder: Mapping | None = setting(
         None,
-        "encoder of whole sentences (+text_encoder@false_negative_encoder=minilm) for data whose texts are not shared",
+        "sentence encoder for data without shared texts (+text_encoder@false_negative_encoder=minilm)",
     )
     false_negative_threshold: float | int = setting(
-        0.8, "texts that it scores above this are no wrong answers to each other", at_most=1
+        0.8, "cosine of two texts above which they are no negatives of each other", at_most=1
     )
-    init_from: str | None = setting(None, "run directory of the same network to begin with; null: fresh weights")
+    init_from: str | None = setting(None, "run directory of the same network to start from; null: fresh weights")
 
 
 @command("train_tmr", Settings, ("run",))
@@ -55,7 +55,7 @@ def main(config: DictConfig) -> None:
 
 
 def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
-    """All of it, from the data to the run directory."""
+    """Train an evaluator, from the data to the run directory."""
     settings, recipe = build_part(config, "training", training.Settings), build_part(config, "data.sampling", Recipe)
     objective = build_part(config, "objective", Objective)
     sentences = (
@@ -73,11 +73,11 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     with open_dict(config):
         config.network.update(features=dataset.features_width, text_width=dataset.text_width)
     folder = Path(config.run).expanduser()
-    evaluator = record(config, dataset)
+    evaluator = build_evaluator(config, dataset)
     if started:
         evaluator.network.load_state_dict(started.network.state_dict())
         evaluator.network.restate(started.motion_statistics, dataset.motion.to("cpu"))
-    check(evaluator, config.trusted)  # before the first step: what could not be loaded is not trained
+    check(evaluator, config.trusted)  # before the first step: refuse to train an evaluator that could not be loaded
     trainer = training.Trainer(
         evaluator.network,
         objective,
@@ -101,13 +101,13 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     table = Table(folder / "retrieval.csv", columns, trainer.step)
 
     def watch(step: int, evaluator: Evaluator) -> None:
-        """How well the validation split's clips are found, as training goes on."""
-        found = measured(evaluator, held_out, "val")["true"]
+        """Log the retrieval of the validation split's clips."""
+        found = measure_retrieval(evaluator, held_out, "val")["true"]
         table.write(step, {f"{way}_R{count}": found[way]["recall"][count] for way in found for count in (1, 3, 10)})
 
     def export(step: int, evaluator: Evaluator) -> None:
-        """The moving average so far as a run directory, with what the test split says of it."""
-        results = {"step": step, "test": measured(evaluator, held_out, "test")}
+        """Save the moving average as a run directory, with retrieval on the test split."""
+        results = {"step": step, "test": measure_retrieval(evaluator, held_out, "test")}
         text = json.dumps(results, indent=1) + "\n"
         write_text(folder / "results.json", text)
         made = f"# Trained with stmc train_tmr, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
@@ -118,8 +118,8 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     trainer.run()
 
 
-def record(config: DictConfig, dataset: Dataset) -> Evaluator:
-    """The evaluator as it would be loaded from the run's folder, with fresh weights."""
+def build_evaluator(config: DictConfig, dataset: Dataset) -> Evaluator:
+    """Build the evaluator as it would be loaded from the run directory, with fresh weights."""
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, EVALUATOR_PARTS, config.trusted)
     return Evaluator(
@@ -133,10 +133,12 @@ def record(config: DictConfig, dataset: Dataset) -> Evaluator:
     )
 
 
-def measured(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:
-    """Retrieval among the clips of a split, each with one of its sentences, by three protocols: "all" (its own pair
-    alone is right), "true" (every pair whose text is true of the motion), "guo" (as "all" in batches of 32); and the
-    contents that are taken for others most often."""
+def measure_retrieval(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:
+    """Measure retrieval among the clips of a split, each with one of its sentences.
+
+    There are three protocols: "all" (only the own pair counts), "true" (every pair whose text is true of the motion
+    counts), and "guo" ("all" in batches of 32). "confused" lists the contents that are most often mistaken.
+    """
     dataset = pairs.batches.dataset
     clips, sentences = pairs.drawn(split)
     chosen = [dataset.clips[clip] for clip in clips]
@@ -147,18 +149,18 @@ def measured(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:
     ways = {"all": t2m_m2t(table), "true": t2m_m2t(table, right)}
     if len(chosen) >= 32:
         ways["guo"] = small_batches(table, [clip.name for clip in chosen])
-    return {name: dict(zip(("t2m", "m2t"), map(described, found), strict=True)) for name, found in ways.items()} | {
-        "confused": confused([clip.content for clip in chosen], table)
+    return {name: dict(zip(("t2m", "m2t"), map(as_data, found), strict=True)) for name, found in ways.items()} | {
+        "confused": count_confusions([clip.content for clip in chosen], table)
     }
 
 
-def described(found: Retrieval) -> dict:
-    """The retrieval measures as plain data."""
+def as_data(found: Retrieval) -> dict:
+    """Return the retrieval measures as plain data."""
     return {"recall": found.recall, "median_rank": found.median_rank, "candidates": found.candidates}
 
 
-def confused(contents: list[str], table: torch.Tensor) -> list[tuple[str, str, int]]:
-    """Of the motions whose best text is about another content: what they show, what is read, how often."""
+def count_confusions(contents: list[str], table: torch.Tensor) -> list[tuple[str, str, int]]:
+    """Count the pairs (content of a motion, other content of its best text), the most frequent first."""
     read = [contents[best] for best in table.argmax(dim=0).tolist()]
     mistakes = Counter((shown, taken) for shown, taken in zip(contents, read, strict=True) if shown != taken)
     return [(*pair, count) for pair, count in mistakes.most_common(12)]

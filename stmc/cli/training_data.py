@@ -1,6 +1,6 @@
-"""The data that a command trains on, as its settings describe them: for a denoiser and for an evaluator alike.
+"""Training data of denoisers and evaluators, as the settings of a command describe them.
 
-Knows settings; knows no network and no loss.
+This module knows settings; it knows no network and no loss.
 """
 
 from __future__ import annotations
@@ -31,11 +31,13 @@ def read_training_data(
     device: torch.device,
     motion_statistics: Statistics | None = None,
 ) -> tuple[Cache, Dataset]:
-    """The caches of `data.folder` as one, prolonged where `data.prolonging` says how, and the data set that it makes
-    with the representation and the text encoder of `config`.
+    """Read the caches of `data.folder` as one, extend them as `data.prolonging` says, and build the data set.
 
-    `text_statistics`: those of the network that training begins with; None: the data set's own. `motion_statistics`:
-    likewise.
+    Args:
+        config: Configuration, with the representation and the text encoder.
+        text_statistics: Statistics of the network that training starts from; None: those of the data set.
+        device: Device of the data set.
+        motion_statistics: Statistics of the teacher; None: those of the data set.
     """
     described = OmegaConf.to_container(config, resolve=True)
     parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
@@ -62,10 +64,10 @@ def read_training_data(
 
 
 def folders(config: Config) -> str | list[str]:
-    """The folders of the prepared data. Raises `SettingError` where `data.folder` names none."""
+    """Return the folders of the prepared data. Raises `SettingError` if `data.folder` names none."""
     folder = config.data.folder
     folder = OmegaConf.to_container(folder) if OmegaConf.is_config(folder) else folder
     names = [folder] if isinstance(folder, str) else list(folder or ())
     if not names or not all(isinstance(name, str) and name for name in names):
-        raise SettingError(f"data.folder={shown(folder)}: the folder of a prepared cache needed, or a list of them")
+        raise SettingError(f"data.folder={shown(folder)}: must be the folder of a prepared cache, or a list of them")
     return names

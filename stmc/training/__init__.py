@@ -1,6 +1,6 @@
-"""Training: what a network learns from (STMC, section 3.4 and Eq. 5), the loop, and files that survive a kill.
+"""Training: objectives (STMC, section 3.4 and Eq. 5), the loop, and checkpoints that survive a kill.
 
-The loop is imported when it is first used: it needs accelerate, which only those who train install.
+The loop is imported on first use, since it needs accelerate, an optional dependency.
 """
 
 from importlib import import_module

@@ -1,6 +1,6 @@
-"""Batches of motions and texts that belong together, for what learns to tell pairs from non-pairs.
+"""Batches of matching motions and texts, for contrastive objectives.
 
-Knows no data set and no network.
+This module knows no data set and no network.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from stmc.training.loss import Batch
 
 @dataclass(frozen=True, eq=False)
 class Pairs(Batch):
-    """A batch whose rows are compared with each other. `alike[i, j]` says that row i's text is true of row j's motion,
-    too; None where no two rows have anything in common."""
+    """A batch whose rows are contrasted with each other.
+
+    `alike[i, j]` is True if the text of row i also describes the motion of row j; None if no two rows match.
+    """
 
     alike: Bool[Tensor, "batch batch"] | None = None

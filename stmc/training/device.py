@@ -1,5 +1,7 @@
-"""Where training runs: the accelerator if there is one, or what was asked for; and that one run at a time writes to a
-folder. Knows no network."""
+"""Choose the device of training, and let one run at a time write to a folder.
+
+This module knows no network.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,10 @@ from stmc.io.files import locked
 
 
 def find_accelerator(device: str) -> Accelerator:
-    """`device` is cuda, cpu, or auto: cuda if there is one. Apple's accelerator is passed over: it has no
-    float64, in which distances are summed.
+    """Return an accelerator for a device: "cuda", "cpu", or "auto", which is CUDA if there is one.
 
-    Raises `ValueError` for another device, and for cuda where there is none.
+    Apple's GPU is not used: it lacks float64, in which distances are summed. Raises `ValueError` for another device,
+    and for CUDA if there is none.
     """
     choices = ("auto", "cpu", "cuda")
     if device not in choices:
@@ -28,8 +30,10 @@ def find_accelerator(device: str) -> Accelerator:
 
 @contextmanager
 def begin(run: str | Path, device: str) -> Iterator[Accelerator]:
-    """The accelerator (see `find_accelerator`), with the folder `run` locked by the main process. Raises
-    `FolderInUse`."""
+    """Lock the folder `run` in the main process and yield the accelerator (see `find_accelerator`).
+
+    Raises `FolderInUse` if another process holds the lock.
+    """
     accelerator = find_accelerator(device)
     with locked(Path(run).expanduser()) if accelerator.is_main_process else nullcontext():
         yield accelerator

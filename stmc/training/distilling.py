@@ -1,7 +1,8 @@
-"""Distillation: one pass of a network learns what two passes of its teacher, with a text and without, predict together
-(Meng et al. 2023, first stage); and a network that knows a text for every frame learns it of one that does not.
+"""Distillation of classifier-free guidance (Meng et al. 2023, first stage).
 
-Knows networks with a denoiser's signature; knows no data set and no schedule.
+One pass of a network learns the guided prediction of its teacher, which needs two passes, with a text and without. A
+network with a text for every frame can learn from a teacher with one text per row. This module knows networks with a
+denoiser's signature; it knows no data set and no schedule.
 """
 
 from __future__ import annotations
@@ -17,22 +18,26 @@ from stmc.diffusion import guide, tensors
 from stmc.training.loss import Batch
 
 NEIGHBOURS = 5
-"""Frames beyond either end of a segment that its teacher sees, too: there its prediction fades into the neighbour's."""
+"""Number of frames beyond either end of a segment that the teacher also sees, where predictions are cross-faded."""
 
 AT_ONCE = 4
-"""Calls that a batch's segments are spread over, so that short ones are not padded to the longest."""
+"""Number of teacher calls per batch; segments are sorted by length so that short ones need little padding."""
 
 
 @dataclass(frozen=True, eq=False)
 class GuidedTeacher:
-    """What `denoiser` predicts with classifier-free `guidance`, for `Denoising` to learn; no gradient reaches it.
+    """Guided predictions of a teacher, for `Denoising` to learn; no gradient reaches the teacher.
 
-    `texts` are the batches' sentences as the teacher reads them (by `Batch.sentence`; the first is the empty one),
-    normalised, each of so many `words`: another text encoder than the student's, perhaps. Rows without a text teach the
-    prediction without a text. The denoiser must be in evaluation mode.
+    Rows without a text teach the unconditional prediction. If rows have several texts, the teacher, which accepts one
+    text per row, sees each segment alone with `NEIGHBOURS` frames of its neighbours, and the predictions are
+    cross-faded, as STMC stitches its crops by default.
 
-    Where rows have several texts, the teacher, who knows one text a row, sees each segment alone, and `NEIGHBOURS`
-    frames of those beside it; the predictions are cross-faded, as STMC stitches its crops by default.
+    Args:
+        denoiser: Denoiser of the teacher, in evaluation mode.
+        guidance: Classifier-free guidance scale.
+        texts: Normalised embeddings of the data set's sentences, by `Batch.sentence`; the first sentence is empty. The
+            teacher may have another text encoder than the student.
+        words: Number of words of each sentence.
 
     Examples:
         >>> def sums(x, t, text, text_mask=None, mask=None):
@@ -54,8 +59,8 @@ class GuidedTeacher:
     def __call__(
         self, batch: Batch, noisy: Float[Tensor, "batch frames features"], t: Int[Tensor, " batch"]
     ) -> Float[Tensor, "batch frames features"]:
-        """The guided prediction for the batch's noisy motion; zeros in the padding, where there are several texts."""
-        assert batch.sentence is not None, "a teacher reads sentences, and the batch does not say which"
+        """Predict with guidance from the batch's noisy motion; padding is zero if rows have several texts."""
+        assert batch.sentence is not None, "the teacher needs `Batch.sentence`"
         if batch.segment is None:
             return self._guided(noisy, t, batch.sentence[:, 0], batch.mask)
         crops = _Crops.of(batch.segment, batch.mask)
@@ -63,7 +68,7 @@ class GuidedTeacher:
         total = torch.zeros_like(noisy)
         for some in crops.frames.argsort().tensor_split(AT_ONCE):
             if len(some):
-                row, frame, share, mask = crops.cut(some)
+                row, frame, share, mask = crops.take(some)
                 predicted = self._guided(noisy[row, frame], t[row[:, 0]], sentence[some], mask)
                 total.index_put_((row, frame), predicted * share[..., None], accumulate=True)
         return total
@@ -75,7 +80,7 @@ class GuidedTeacher:
         sentence: Int[Tensor, " batch"],
         mask: Bool[Tensor, "batch frames"] | None,
     ) -> Float[Tensor, "batch frames features"]:
-        """Of rows of one text each."""
+        """Predict with guidance for rows of one text each."""
         text = self._predicted(noisy, t, sentence, mask)
         if self.guidance == 1:
             return text
@@ -90,20 +95,22 @@ class GuidedTeacher:
 
 @dataclass(frozen=True, eq=False)
 class _Crops:
-    """The segments of a batch's rows, each with `NEIGHBOURS` frames more at either end where the row has them: the
-    `row` and the `word` of each, where in the row it begins, its `frames`, and whether the row goes on before and after
-    it."""
+    """Segments of a batch's rows, each extended by up to `NEIGHBOURS` frames of the row at either end.
+
+    For each crop: its `row` and `word`, its first frame `begin` in the row, its number of `frames`, and whether the row
+    continues before (`has_previous`) and after it (`has_next`).
+    """
 
     row: Int[Tensor, " crops"]
     word: Int[Tensor, " crops"]
     begin: Int[Tensor, " crops"]
     frames: Int[Tensor, " crops"]
-    comes: Bool[Tensor, " crops"]
-    goes: Bool[Tensor, " crops"]
+    has_previous: Bool[Tensor, " crops"]
+    has_next: Bool[Tensor, " crops"]
 
     @classmethod
     def of(cls, segment: Int[Tensor, "batch frames"], mask: Bool[Tensor, "batch frames"] | None) -> _Crops:
-        """Of rows whose segments are not interrupted."""
+        """Return the crops of rows whose segments are contiguous."""
         real = torch.ones_like(segment, dtype=torch.bool) if mask is None else mask
         length = real.sum(dim=1)
         numbers = torch.arange(int(segment.max()) + 1, device=segment.device)
@@ -113,7 +120,7 @@ class _Crops:
         start, end = (begin - NEIGHBOURS).clamp(min=0), torch.minimum(begin + own + NEIGHBOURS, length[row])
         return cls(row, word, start, end - start, begin > 0, begin + own < length[row])
 
-    def cut(
+    def take(
         self, some: Int[Tensor, " some"]
     ) -> tuple[
         Int[Tensor, "some frames"],
@@ -121,12 +128,14 @@ class _Crops:
         Float[Tensor, "some frames"],
         Bool[Tensor, "some frames"] | None,
     ]:
-        """Of some of the crops, padded to the longest: rows and frames of the batch; how much each counts, which at
-        every frame of a row sums to 1; and the mask."""
+        """Return rows, frames, weights and mask of some of the crops, padded to the longest of them.
+
+        The weights of all crops sum to 1 at every frame of a row. The mask is None if nothing is padded.
+        """
         frames, fade = self.frames[some, None], 2 * NEIGHBOURS + 1
         own = torch.arange(int(frames.max()), device=frames.device)[None]
-        come = torch.where(self.comes[some, None], (own + 1) / fade, 1.0)
-        go = torch.where(self.goes[some, None], (frames - own) / fade, 1.0)
+        come = torch.where(self.has_previous[some, None], (own + 1) / fade, 1.0)
+        go = torch.where(self.has_next[some, None], (frames - own) / fade, 1.0)
         share = torch.minimum(come, go).clamp(0, 1) * (own < frames)
         inside = self.begin[some, None] + torch.minimum(own, frames - 1)
         mask = None if (frames == frames.max()).all() else own < frames

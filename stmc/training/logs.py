@@ -1,4 +1,4 @@
-"""What a run writes down: tables that stay true after a resume, and TensorBoard."""
+"""Logs of a run: CSV tables that stay correct after a resume, and TensorBoard."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from stmc.settings.renamed import RENAMED_COLUMNS
 
 
 class Table:
-    """A CSV file with a row per logged step. Opened to go on after `step`, it forgets the rows of later steps.
+    """A CSV file with one row per logged step. Resuming after `step` drops the rows of later steps.
 
-    Raises `ValueError` where an existing file has other columns.
+    Raises `ValueError` if an existing file has other columns.
     """
 
     def __init__(self, path: Path, columns: tuple[str, ...], step: int) -> None:
@@ -35,12 +35,14 @@ class Table:
             reader = csv.DictReader(file)
             reader.fieldnames = [RENAMED_COLUMNS.get(name, name) for name in reader.fieldnames or ()]
             if tuple(reader.fieldnames) != self.columns:
-                raise ValueError(f"{self.path} has columns {reader.fieldnames}, this run writes {list(self.columns)}")
-            # A kill can leave half a row at the end.
+                raise ValueError(
+                    f"{self.path} has the columns {reader.fieldnames}, but this run writes {list(self.columns)}"
+                )
+            # A killed run can leave half a row at the end.
             return [row for row in reader if None not in row.values() and None not in row]
 
     def write(self, step: int, values: Mapping[str, float]) -> None:
-        """Appends one row; floats with nine digits, which float32 survives."""
+        """Append one row; nine significant digits represent float32 exactly."""
         with self.path.open("a", newline="", encoding="utf-8") as file:
             csv.DictWriter(file, self.columns).writerow(
                 {"step": step} | {name: format(value, ".9g") for name, value in values.items()}
@@ -48,19 +50,19 @@ class Table:
 
 
 class Board:
-    """TensorBoard scalars below one folder. Opened to go on after `step`, it hides what later steps wrote."""
+    """TensorBoard scalars in a folder. Resuming after `step` hides the values of later steps."""
 
     def __init__(self, folder: Path, step: int) -> None:
-        from torch.utils.tensorboard import SummaryWriter  # slow to import, and only a training run needs it
+        from torch.utils.tensorboard import SummaryWriter  # slow to import, and needed by training runs only
 
         self._writer = SummaryWriter(str(folder), purge_step=step + 1 if step else None)
 
     def write(self, group: str, step: int, values: Mapping[str, float]) -> None:
-        """One scalar for each value, as `group/name`."""
+        """Write one scalar for each value, named `group/name`."""
         for name, value in values.items():
             self._writer.add_scalar(f"{group}/{name}", value, step)
         self._writer.flush()
 
     def close(self) -> None:
-        """Writes what is left."""
+        """Write the remaining values and close the files."""
         self._writer.close()

@@ -1,7 +1,6 @@
-"""The training loop. Step k is a function of the weights and of (seed, k, process): a run that was killed goes on as if
-nothing had happened.
+"""The training loop. Step k is a function of the weights and of (seed, k, process), so killed runs resume exactly.
 
-Knows batches and objectives; knows no data set, no body and no configuration files.
+This module knows batches and objectives; it knows no data set, no body and no configuration files.
 """
 
 from __future__ import annotations
@@ -34,20 +33,22 @@ from stmc.training.speed import quick_attention, quicken_dropout
 logger = logging.getLogger(__name__)
 
 LARGEST_LR = 1.0
-"""A learning rate; with more, losses are infinite within a few steps."""
+"""Maximum learning rate; with larger ones, losses become infinite within a few steps."""
 
 _END = "lr_decay_steps"
-_SAID_EVERY = 30.0
-"""Seconds between two lines about the loss where there is no terminal for the bar."""
+_LOG_EVERY_SECONDS = 30.0
+"""Seconds between two log lines of the loss if there is no terminal for the progress bar."""
 
 Batches = Callable[[int, int], Sequence[Batch]]
-"""(step, process) → the pieces of that process's share of the step's batch."""
+"""(step, process) → the chunks of the process's share of the step's batch."""
 
 
 @dataclass(frozen=True)
 class Callback:
-    """Something to do every so many steps and after the last: `call(step, model)` gets the moving average, in
-    evaluation mode. Only the main process calls it."""
+    """A function `call(step, model)` to run every `every` steps and after the last one.
+
+    `model` is the moving average, in evaluation mode. Only the main process runs callbacks.
+    """
 
     every: int
     call: Callable[[int, nn.Module], object]
@@ -55,12 +56,28 @@ class Callback:
 
 @dataclass(frozen=True)
 class Settings:
-    """How to train. `lr` is the learning rate's peak: it rises over `warmup` steps, then falls along a cosine to
-    `final_lr_ratio` of it at `lr_decay_steps` (None: at `steps`), where it stays. `grad_clip` bounds the gradient's
-    norm (None: nothing does). `ema_decay` is the moving average's (0: it is the network itself). `*_every` count steps.
-    `optimizer`: "adamw", or "muon" for the matrices of the network's layers and AdamW for the rest.
+    """Settings of the training loop. Raises `ValueError` for values out of range.
 
-    A run can be made longer: with the `steps` it had as `lr_decay_steps` it goes on at its final learning rate.
+    A finished run can be extended: set `lr_decay_steps` to its former `steps`, and it continues at its final learning
+    rate.
+
+    Args:
+        steps: Total number of steps.
+        lr: Peak of the learning rate, which rises linearly over `warmup` steps and then falls along a cosine.
+        warmup: Number of steps until the peak.
+        final_lr_ratio: Final learning rate as a fraction of the peak.
+        lr_decay_steps: Step at which the final learning rate is reached; None: `steps`.
+        optimizer: "adamw", or "muon" for the matrices of the network's layers and AdamW for the rest.
+        weight_decay: Weight decay of the optimisers.
+        grad_clip: Maximum norm of the gradient; None: unbounded.
+        ema_decay: Decay of the moving average; 0: the average is the network itself.
+        precision: Precision of the forward pass, "bf16" or "fp32".
+        compile: Whether to compile the network.
+        seed: Seed of batches, noise and dropout.
+        log_every: Number of steps between rows of the log.
+        validate_every: Number of steps between validations, a multiple of `log_every`.
+        checkpoint_every: Number of steps between checkpoints, a multiple of `log_every`.
+        keep: Number of checkpoints to keep.
     """
 
     steps: int
@@ -98,11 +115,11 @@ class Settings:
 
     @property
     def decay_end(self) -> int:
-        """The step at which the learning rate has fallen."""
+        """The step at which the learning rate reaches its final value."""
         return self.steps if self.lr_decay_steps is None else self.lr_decay_steps
 
     def lr_at(self, step: int) -> float:
-        """The learning rate of the update that `step` (from 0) makes."""
+        """Return the learning rate of the update at `step`, counted from 0."""
         if step < self.warmup:
             return self.lr * (step + 1) / self.warmup
         progress = min(1.0, (step - self.warmup) / max(1, self.decay_end - self.warmup))
@@ -110,12 +127,22 @@ class Settings:
 
 
 class Trainer:
-    """Trains `network` in `folder` towards `objective`, from the newest checkpoint there if there is one.
+    """Trainer of a network, which resumes from the newest checkpoint in `folder` if there is one.
 
-    `validation` pieces are met with the same noise every time. `described` is plain data, everything but the `settings`
-    that the outcome depends on: a run that was begun with something else is refused with `SettingsChanged`, or with
-    `allow_changed_settings` goes on, and `changes` says what was changed when. Two processes must not be in one folder:
-    see `stmc.io.files.locked`.
+    A run that began with other settings raises `SettingsChanged`, or resumes with `allow_changed_settings`; `changes`
+    then lists what changed after which step. Two processes must not share a folder: see `stmc.io.files.locked`.
+
+    Args:
+        network: Network to train, in place.
+        objective: Objective to minimise.
+        batches: Function that returns the chunks of a step's batch.
+        folder: Folder for checkpoints and logs.
+        settings: Settings of the loop.
+        validation: Chunks of the validation data, which always get the same noise.
+        callbacks: Functions to run regularly.
+        accelerator: Accelerator; None: the default of Accelerate.
+        described: Plain data of everything else that the result depends on.
+        allow_changed_settings: Whether a run may resume with other settings.
     """
 
     def __init__(
@@ -144,21 +171,23 @@ class Trainer:
         moving = build_optimizers(network, settings.optimizer, settings.lr, settings.weight_decay)
         self._prepared, *self.optimizers = self.accelerator.prepare(network, *moving)
         own = {"training": asdict(settings) | {"lr_decay_steps": settings.decay_end}}
-        own["processes"] = self.accelerator.num_processes  # each draws batches of its own
+        own["processes"] = self.accelerator.num_processes  # each process draws its own batches
         self.described, self.allow_changed = deciding({**(described or {}), **own}), allow_changed_settings
         self.changes: list[str] = []
-        self._said = -math.inf  # when progress was last logged
+        self._last_logged = -math.inf  # time of the last log line
         self.checkpoints = Checkpoints(self.folder / "checkpoints", settings.keep)
-        self.step = self._begun()
+        self.step = self._restore()
 
     @property
     def network(self) -> nn.Module:
-        """The network itself, without what Accelerate wraps around it."""
+        """The network without the wrappers of Accelerate."""
         return self.accelerator.unwrap_model(self._prepared)
 
     def run(self) -> nn.Module:
-        """Trains up to `settings.steps`; returns the moving average. Raises `FloatingPointError` for a loss that is not
-        finite."""
+        """Train up to `settings.steps` and return the moving average.
+
+        Raises `FloatingPointError` if a loss is not finite.
+        """
         settings, main = self.settings, self.accelerator.is_main_process
         with ExitStack() as stack:
             if main:
@@ -171,12 +200,12 @@ class Trainer:
                     self._log(reduce(torch.add, window), len(window), time.perf_counter() - began)
                     window, began = [], time.perf_counter()
                 if main:
-                    self._now_and_then()
+                    self._run_periodic()
         self.accelerator.wait_for_everyone()
         return self.ema.model
 
     def _update(self) -> Tensor:
-        """One step of the optimiser. Returns the summed terms, their frames, and the gradient's norm."""
+        """Make one optimiser step; return the summed terms, the number of frames, and the norm of the gradient."""
         settings, process = self.settings, self.accelerator.process_index
         pieces = self.batches(self.step, process)
         seed = _seed(settings.seed, self.step, process)
@@ -195,8 +224,8 @@ class Trainer:
                     terms = self._terms(self._prepared, piece, generator)
                     self.accelerator.backward(self.objective.weigh(terms) / share)
                 totals.append(terms.detach())
-        most = math.inf if settings.grad_clip is None else settings.grad_clip
-        norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), most)
+        max_norm = math.inf if settings.grad_clip is None else settings.grad_clip
+        norm = self.accelerator.clip_grad_norm_(self._prepared.parameters(), max_norm)
         for optimizer in self.optimizers:
             optimizer.step()
             optimizer.zero_grad(set_to_none=True)
@@ -226,12 +255,12 @@ class Trainer:
         self.board.write("train", self.step, values)
         speed = f"{values['steps_per_second']:.2f} steps/s"
         self.progress.update(self.task, completed=self.step, loss=f"loss {values['loss']:.4f}", speed=speed)
-        if not self.progress.console.is_terminal and time.monotonic() - self._said >= _SAID_EVERY:
+        if not self.progress.console.is_terminal and time.monotonic() - self._last_logged >= _LOG_EVERY_SECONDS:
             logger.info("step %d of %d: loss %.4f, %s", self.step, self.settings.steps, values["loss"], speed)
-            self._said = time.monotonic()
+            self._last_logged = time.monotonic()
 
-    def _now_and_then(self) -> None:
-        """Validation, callbacks, and then the checkpoint: a run that was killed repeats what it does not vouch for."""
+    def _run_periodic(self) -> None:
+        """Run validation and callbacks if due, then save the checkpoint; a killed run repeats them after a resume."""
         settings, last = self.settings, self.step == self.settings.steps
         if self.validation and (last or self.step % settings.validate_every == 0):
             values = self.validate()
@@ -246,7 +275,7 @@ class Trainer:
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """Losses of the moving average on the validation pieces, with fixed steps and noise."""
+        """Return losses of the moving average on the validation data, with fixed steps and noise."""
         generator = torch.Generator(self.device).manual_seed(_seed(self.settings.seed, 0, 2**31))
         terms = [self._terms(self.ema.model, piece, generator) for piece in self.validation]
         return self._means(reduce(torch.add, terms), sum(piece.frames for piece in self.validation))
@@ -260,40 +289,43 @@ class Trainer:
             "changes": self.changes,
         }
 
-    def _begun(self) -> int:
-        """The step to go on after, with everything as it was then."""
+    def _restore(self) -> int:
+        """Restore the newest checkpoint and return its step, or 0."""
         step = self.checkpoints.restore(self._fill, self.device)
         logger.info(
-            "%s %s on %s: %d of %d steps are done",
-            "resuming" if step else "beginning", self.folder, self.device.type, step, self.settings.steps,
+            "%s %s on %s: %d of %d steps done",
+            "resuming" if step else "starting", self.folder, self.device.type, step, self.settings.steps,
         )  # fmt: skip
         return step
 
     def _fill(self, step: int, state: dict[str, Any]) -> None:
-        """Everything as it was after `step`; see `Checkpoints.restore`."""
+        """Restore the state after `step`; see `Checkpoints.restore`.
+
+        Raises `SettingsChanged` for other settings, and `CheckpointError` for another network.
+        """
         begun = with_new_paths(state["described"])
         changed = differences(begun, self.described)
         if changed and not self.allow_changed:
-            longer = f"; a longer run needs training.{_END}={begun[f'training.{_END}']}"
+            longer = f" (to extend the run, set training.{_END}={begun[f'training.{_END}']})"
             raise SettingsChanged(
-                f"{self.folder} was begun with other settings: {'; '.join(changed)}. Ask again with the old ones"
-                f"{longer if any(_END in change for change in changed) else ''}, choose another folder, or go on with "
-                "the new ones: allow_changed_settings=true"
+                f"{self.folder} began with other settings: {'; '.join(changed)}. Use the old settings"
+                f"{longer if any(_END in change for change in changed) else ''}, choose another folder, or resume with "
+                "the new settings: allow_changed_settings=true"
             )
         for part, module in (("model", self.network), ("ema", self.ema.model)):
             shapes = {name: value.shape for name, value in module.state_dict().items()}
             if shapes != {name: value.shape for name, value in state[part].items()}:
-                raise CheckpointError("it is of another network")
+                raise CheckpointError("it belongs to another network")
         self.network.load_state_dict(state["model"])
         self.ema.model.load_state_dict(state["ema"])
         was = state["optimizer"]
-        states = [was] if isinstance(was, dict) else was  # of one, before there could be two
-        if len(states) == len(self.optimizers):  # else it is another that goes on, from the weights alone
+        states = [was] if isinstance(was, dict) else was  # checkpoints from before Muon hold a single state
+        if len(states) == len(self.optimizers):  # otherwise a new kind of optimiser starts from the weights alone
             for optimizer, each in zip(self.optimizers, states, strict=True):
                 optimizer.load_state_dict(each)
         self.changes = [*state["changes"], *(f"after step {step}: {change}" for change in changed)]
         if changed:
-            logger.warning("%s goes on with other settings: %s", self.folder, "; ".join(changed))
+            logger.warning("%s resumes with other settings: %s", self.folder, "; ".join(changed))
 
     def _open_logs(self, stack: ExitStack) -> None:
         losses = self.objective.names
@@ -308,7 +340,7 @@ class Trainer:
         self.task = self.progress.add_task("training", total=self.settings.steps, loss="", speed="")
         self.progress.update(self.task, completed=self.step)
         if self.step > self.settings.steps:
-            logger.warning("the run has %d steps already; %d were asked for", self.step, self.settings.steps)
+            logger.warning("the run already has %d steps; settings ask for %d", self.step, self.settings.steps)
 
 
 def _seed(*parts: int) -> int:

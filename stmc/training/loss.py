@@ -1,7 +1,7 @@
-"""What a network learns from: the protocol of objectives, and the denoiser's (STMC, Eq. 5), to restore what noise has
-hidden, at a step drawn uniformly or, for denoisers that are to move where few clips say how, more often a noisy one.
+"""Training objectives: their protocol, and that of denoisers (STMC, Eq. 5).
 
-Knows schedules and any network with a denoiser's signature; knows no data set and no optimiser.
+Diffusion steps are drawn uniformly, or noisy steps more often, which helps contents with few clips. This module knows
+schedules and networks with a denoiser's signature; it knows no data set and no optimiser.
 """
 
 from __future__ import annotations
@@ -18,20 +18,25 @@ from stmc.denoisers.denoiser import Denoiser
 from stmc.diffusion.schedule import Prediction, Schedule
 
 AuxiliaryLoss = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor, "batch _ derived"]]
-"""Clean normalised features → more numbers that should be right too, each of a frame and the next."""
+"""Clean normalised features → derived features that are also trained, each of a frame and the next."""
 
 Teacher = Callable[["Batch", Float[Tensor, "batch frames features"], Int[Tensor, " batch"]], Tensor]
-"""A batch, its noisy motion and the steps → the prediction that is to be learned: see `GuidedTeacher`."""
+"""A batch, its noisy motion and the steps → the prediction to learn: see `GuidedTeacher`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Clean motion and its texts, both normalised. `mask` is True where a frame exists; None where nothing is padded.
+    """Clean motion and its texts, both normalised.
 
-    `frames`: how many frames exist, known without waiting for an accelerator. With `segment`, rows have several texts
-    of one word each, and it says of every frame which of the row's words it belongs to, in the padding any: for
-    denoisers with `per_frame_text`. `sentence`: which of a data set's sentences each text is, for a teacher that reads
-    them in its own way; 0 is none.
+    Args:
+        motion: Clean motion.
+        mask: True for frames that exist; None if nothing is padded.
+        text: Text embeddings.
+        text_mask: True for words that exist; None if nothing is padded.
+        frames: Number of existing frames, known without waiting for an accelerator.
+        segment: Index of the word that applies to each frame, for denoisers with `per_frame_text`, whose rows have
+            several texts of one word each; arbitrary in the padding.
+        sentence: Index of each text among the data set's sentences, for a teacher; 0 is the empty text.
     """
 
     motion: Float[Tensor, "batch frames features"]
@@ -45,46 +50,51 @@ class Batch:
     def denoised(
         self, denoiser: Denoiser, noisy: Float[Tensor, "batch frames features"], t: Int[Tensor, " batch"]
     ) -> Float[Tensor, "batch frames features"]:
-        """What the denoiser predicts for the batch's noisy motion, told all that the batch knows."""
-        told = () if self.segment is None else (self.segment,)
-        return denoiser(noisy, t, self.text, self.text_mask, self.mask, *told)
+        """Call the denoiser with the batch's noisy motion, at steps `t`, with its texts, masks and segments."""
+        segment = () if self.segment is None else (self.segment,)
+        return denoiser(noisy, t, self.text, self.text_mask, self.mask, *segment)
 
 
 @runtime_checkable
 class Objective(Protocol):
-    """What a network learns: numbers that should become small. A piece of a batch gives their sums over its frames."""
+    """Protocol of objectives: loss terms, summed over the frames of a batch."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the losses in the logs; the first is "loss"."""
+        """Names of the logged losses; the first is "loss"."""
         ...
 
     def __call__(self, network: nn.Module, piece: Batch, generator: torch.Generator) -> Float[Tensor, " terms"]:
-        """The terms of one piece, summed over frames; `generator` is on the piece's device."""
+        """Compute the terms of a batch, summed over frames; `generator` is on the batch's device."""
         ...
 
     def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
-        """The one number whose gradient is followed."""
+        """Combine the terms into the number to minimise."""
         ...
 
     def losses(self, means: Float[Tensor, " terms"]) -> dict[str, float]:
-        """What the logs say under `names`, from the terms' means over frames."""
+        """Return the logged losses by `names`, from the means of the terms over frames."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Denoising:
-    """Eq. 5: the mean squared error of the prediction, per feature.
+    """Mean squared error of the prediction, per feature (STMC, Eq. 5).
 
-    `fields` names columns of the features, and after them of what `auxiliary_loss` makes of these, for the logs and for
-    `weights`, which make fields count more or less than the 1 of the plain mean: in the gradient, not in the logs.
-    `timestep_alpha`: the share of the noise's steps that a draw lies at follows Beta(alpha, 1); 1 is uniform, as in the
-    papers, and of 2 half of the draws are from the noisiest 30 %, where it is decided which motion becomes of a noise.
-    `energy_floor`: rows count by 1 / (energy + floor), see `energy_weights`; so do they in the logs. Else a cartwheel,
-    of a hundred times an arm circle's energy, is learned a hundred times as eagerly. None: all alike, as in the papers.
-    `teacher`: whose prediction is to be learned instead of the one that is right; None: nobody's.
-    Raises `ValueError` for weights of unknown fields, numbers out of range, and where something is to be derived from
-    anything but x0.
+    Raises `ValueError` for weights of unknown fields, values out of range, and an auxiliary loss with a prediction
+    other than x0.
+
+    Args:
+        schedule: Noise schedule.
+        prediction: Quantity that the network predicts.
+        fields: Names of columns, for the logs and for `weights`; columns of `auxiliary_loss` follow the features.
+        weights: Weights of fields in the gradient, 1 by default; they do not affect the logs.
+        auxiliary_loss: Function that derives further features to train; None: none.
+        timestep_alpha: Relative steps follow Beta(alpha, 1). 1 is uniform, as in the papers; with 2, half of the draws
+            are from the noisiest 30 %, at which it is decided which motion emerges from the noise.
+        energy_floor: Weigh rows by 1 / (energy + floor), also in the logs, see `energy_weights`. Otherwise a cartwheel,
+            with a hundred times the energy of an arm circle, dominates the loss. None: equal weights, as in the papers.
+        teacher: Teacher whose prediction is the target; None: the true value is.
     """
 
     schedule: Schedule
@@ -100,19 +110,21 @@ class Denoising:
         if self.energy_floor is not None and self.energy_floor <= 0:
             raise ValueError(f"energy_floor {self.energy_floor} must be above 0, or None")
         if self.timestep_alpha <= 0:
-            raise ValueError(f"timestep_alpha {self.timestep_alpha} must be above 0: 1 is uniform, 2 noisier")
+            raise ValueError(
+                f"timestep_alpha {self.timestep_alpha} must be above 0; 1 is uniform, 2 favours noisy steps"
+            )
         if self.auxiliary_loss is not None and self.prediction != "x0":
-            raise ValueError(f"further features are derived from a prediction of x0, not of {self.prediction}")
+            raise ValueError(f"an auxiliary loss needs the prediction x0, not {self.prediction}")
         if unknown := set(self.weights) - set(self.fields):
             raise ValueError(f"weights of unknown fields {sorted(unknown)}; choose from {', '.join(self.fields)}")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The plain mean over all columns, then that of each field."""
+        """Names of the logged losses: the mean over all columns, then the mean of each field."""
         return ("loss", *(f"loss_{name}" for name in self.fields))
 
     def __call__(self, network: Denoiser, piece: Batch, generator: torch.Generator) -> Float[Tensor, " terms"]:
-        """Squared errors per column, at steps and with noise that `generator` draws."""
+        """Compute squared errors per column, with steps and noise drawn from `generator`."""
         t, noise = draw_noise(piece, self.schedule.steps, generator, self.timestep_alpha)
         weight = None if self.energy_floor is None else energy_weights(piece, self.energy_floor)
         return squared_errors(
@@ -120,14 +132,14 @@ class Denoising:
         )
 
     def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
-        """The weighted mean over columns."""
+        """Return the weighted mean over columns."""
         weight = torch.ones_like(terms)
         for name, of_field in self.weights.items():
             weight[self.fields[name]] = of_field
         return (terms * (weight / weight.mean())).mean()
 
     def losses(self, means: Float[Tensor, " terms"]) -> dict[str, float]:
-        """The plain means of all columns and of each field."""
+        """Return the unweighted means of all columns and of each field."""
         return {"loss": means.mean().item()} | {
             f"loss_{name}": means[columns].mean().item() for name, columns in self.fields.items()
         }
@@ -144,26 +156,36 @@ def squared_errors(
     weight: Float[Tensor, " batch"] | None = None,
     teacher: Teacher | None = None,
 ) -> Float[Tensor, " _"]:
-    """Squared error of the prediction from x_t, per feature, summed over real frames: Eq. 5 before its mean.
+    """Compute the squared error of the prediction from x_t, per feature, summed over real frames (STMC, Eq. 5).
 
-    `weight`: how much each row counts; None: as one. The errors of what `auxiliary_loss` makes of the features follow
-    those of the features; it needs a prediction of x0. With a `teacher` they are errors of its prediction.
+    Args:
+        denoiser: Network to evaluate.
+        schedule: Noise schedule.
+        batch: Clean motion and texts.
+        t: Diffusion step of each row.
+        noise: Noise of each row.
+        prediction: Quantity that the network predicts.
+        auxiliary_loss: Function that derives further features from x0, whose errors follow those of the features.
+        weight: Weight of each row; None: 1.
+        teacher: Teacher whose prediction is the target; None: the true value is.
     """
     noisy = schedule.q_sample(batch.motion, t, noise)
     target = teacher(batch, noisy, t) if teacher else schedule.from_x0(batch.motion, noisy, t, prediction)
     output = batch.denoised(denoiser, noisy, t)
-    sums = [_summed(output.float(), target, batch.mask, weight)]
+    sums = [_sum_errors(output.float(), target, batch.mask, weight)]
     if auxiliary_loss is not None:
         both = None if batch.mask is None else batch.mask[:, 1:] & batch.mask[:, :-1]
         with torch.autocast(output.device.type, enabled=False):
-            sums.append(_summed(auxiliary_loss(output.float()), auxiliary_loss(target), both, weight))
+            sums.append(_sum_errors(auxiliary_loss(output.float()), auxiliary_loss(target), both, weight))
     return torch.cat(sums)
 
 
 def energy_weights(batch: Batch, floor: float | int) -> Float[Tensor, " batch"]:
-    """How much each row counts where all motions are to be learned alike: 1 / (energy + `floor`), scaled so that a real
-    frame counts as one on average. The energy is the variance over real frames of the normalised features, the mean
-    over features; `floor`, in the same unit, bounds what stillness counts."""
+    """Return a weight per row, 1 / (energy + `floor`), scaled to a mean of one over real frames.
+
+    The energy is the variance of the normalised features over real frames, averaged over features. `floor`, in the
+    same unit, bounds the weight of motionless rows.
+    """
     motion, mask = batch.motion.float(), batch.mask
     real = torch.ones_like(motion[..., 0]) if mask is None else mask.float()
     frames = real.sum(dim=1)
@@ -173,7 +195,7 @@ def energy_weights(batch: Batch, floor: float | int) -> Float[Tensor, " batch"]:
     return weight * (frames.sum() / (weight * frames).sum())
 
 
-def _summed(output: Tensor, target: Tensor, mask: Tensor | None, weight: Tensor | None = None) -> Tensor:
+def _sum_errors(output: Tensor, target: Tensor, mask: Tensor | None, weight: Tensor | None = None) -> Tensor:
     errors = (output - target).square()
     if weight is not None:
         errors = errors * weight[:, None, None]
@@ -185,8 +207,14 @@ def _summed(output: Tensor, target: Tensor, mask: Tensor | None, weight: Tensor 
 def draw_noise(
     batch: Batch, steps: int, generator: torch.Generator, alpha: float | int = 1.0
 ) -> tuple[Int[Tensor, " batch"], Float[Tensor, "batch frames features"]]:
-    """A step of noising for each sample, whose share of `steps` follows Beta(`alpha`, 1), and standard normal noise;
-    `generator` is on the batch's device."""
+    """Draw a diffusion step and standard normal noise for each row.
+
+    Args:
+        batch: Batch to draw for.
+        steps: Number of diffusion steps; the drawn step divided by `steps` follows Beta(`alpha`, 1).
+        generator: Random generator on the batch's device.
+        alpha: Parameter of the distribution; 1 is uniform.
+    """
     motion = batch.motion
     if alpha == 1:
         t = torch.randint(steps, (len(motion),), generator=generator, device=motion.device)

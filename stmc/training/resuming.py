@@ -1,6 +1,6 @@
-"""Whether a run goes on as what it was begun as: the settings of the two are compared, one by one.
+"""Compare the settings of a resumed run with those that it began with.
 
-Knows settings as nested plain data; knows not what they mean.
+This module knows settings as nested plain data; it does not know their meaning.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Any
 from stmc.io.untrusted import cut
 
 MAY_CHANGE = (
-    *("run", "data.folder", "data.preparation", "text_cache"),  # places: what lies there has a fingerprint
-    *("device", "threads", "training.compile", "trusted"),  # the machine, and whose code may run there
+    *("run", "data.folder", "data.preparation", "text_cache"),  # paths; their contents have a fingerprint
+    *("device", "threads", "training.compile", "trusted"),  # the machine, and trusted code
     *("training.steps", "training.log_every", "training.validate_every", "training.checkpoint_every", "training.keep"),
     *(
         "draw",
@@ -20,21 +20,21 @@ MAY_CHANGE = (
         "noise_scale",
         "guidance",
         "allow_changed_settings",
-    ),  # what is done with the weights, not what they become
+    ),  # the use of the weights, not their training
 )
-"""The settings (and all below them) that a resumed run may have otherwise: they change no step's outcome.
+"""Settings, including nested ones, that may change in a resumed run: they affect no step's result.
 
-`training.steps` is among them, since what the steps depend on is where the learning rate's fall ends:
-`training.lr_decay_steps`.
+`training.steps` is among them, since steps depend on the end of the learning rate's decay, `training.lr_decay_steps`,
+instead.
 """
 
 
 class SettingsChanged(ValueError):
-    """A run cannot go on, since it was begun with other settings; the message names each with both values."""
+    """Error for resuming a run that began with other settings; the message names each with both values."""
 
 
 def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings that decide what a run becomes, each under its path: `data.sampling.rows`."""
+    """Return the settings that affect the result of a run by their paths, such as `data.sampling.rows`."""
     return {
         path: value
         for path, value in _flat(settings, "").items()
@@ -43,7 +43,7 @@ def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """`path: old → new` for each setting that differs."""
+    """List `path: old → new` for each setting that differs."""
     return [
         f"{path}: {cut(str(old.get(path, 'absent')))} → {cut(str(new.get(path, 'absent')))}"
         for path in dict.fromkeys((*old, *new))

@@ -1,7 +1,7 @@
-"""What TMR learns from (Petrovich et al. 2023, section 3): to rebuild motions, to place a motion and its text at one
-point, and to keep those of different meaning apart.
+"""The training objective of TMR (Petrovich et al. 2023, section 3).
 
-Knows pairs of motions and texts and TMR's networks; knows no data set, no optimiser and what no text says.
+TMR reconstructs motions, embeds a motion and its text at the same point, and separates pairs of different meaning. This
+module knows pairs of motions and texts and TMR's networks; it knows no data set, no optimiser and no text's meaning.
 """
 
 from __future__ import annotations
@@ -23,11 +23,15 @@ TERMS = ("reconstruction", "kl", "latent", "contrastive")
 
 @dataclass(frozen=True)
 class TmrObjective:
-    """The sum of four terms, each with its weight: the published ones by default.
+    """Weighted sum of the four terms of TMR, with the published weights by default.
 
-    Reconstruction of the motion from its own latent and from its text's; divergence of the two posteriors from each
-    other, both ways, and from the standard normal; distance of the two latents; and `info_nce`, with `temperature`.
-    Rebuilding is most of the work: with `rebuild_every` of 8, one row in 8 is rebuilt and counts for the first term.
+    Args:
+        reconstruction: Weight of the reconstruction of the motion from its own latent and from that of its text.
+        kl: Weight of the divergence of the two posteriors from each other, both ways, and from the standard normal.
+        latent: Weight of the distance of the two latents.
+        contrastive: Weight of `info_nce`.
+        temperature: Temperature of `info_nce`.
+        rebuild_every: Reconstruct only every n-th row; reconstruction is most of the work.
     """
 
     reconstruction: float | int = 1.0
@@ -43,11 +47,11 @@ class TmrObjective:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the logged losses: the weighted sum, then each term unweighted."""
+        """Names of the logged losses: the weighted sum, then each term unweighted."""
         return ("loss", *(f"loss_{name}" for name in TERMS))
 
     def __call__(self, network: Tmr, pairs: Pairs, generator: torch.Generator) -> Float[Tensor, " terms"]:
-        """Each term's mean, times the number of frames."""
+        """Compute the mean of each term, times the number of frames."""
         output = network(pairs.text, pairs.text_mask, pairs.motion, pairs.mask, generator, self.rebuild_every)
         rebuilt = [F.smooth_l1_loss(motion, pairs.motion[:: self.rebuild_every]) for motion in output.rebuilt]
         terms = [
@@ -59,17 +63,19 @@ class TmrObjective:
         return torch.stack(terms) * pairs.frames
 
     def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
-        """The number to minimise."""
+        """Return the weighted sum of the terms, the number to minimise."""
         return terms @ terms.new_tensor([getattr(self, name) for name in TERMS])
 
     def losses(self, means: Float[Tensor, " terms"]) -> Mapping[str, float]:
-        """What is logged, from the terms' means."""
+        """Return the logged losses, from the means of the terms."""
         return dict(zip(self.names, [float(self.weigh(means)), *means.tolist()], strict=True))
 
 
 def kl_terms(text: Posterior, motion: Posterior) -> Float[Tensor, " 4"]:
-    """Divergence of text from motion, motion from text, and of both from the standard normal; zeros where the encoders
-    are not variational."""
+    """Compute four divergences: text from motion, motion from text, and each from the standard normal.
+
+    Without variational encoders they are zero.
+    """
     if text.log_variance is None or motion.log_variance is None:
         return text.mean.new_zeros(4)
     normal = Posterior(torch.zeros_like(text.mean), torch.zeros_like(text.mean))
@@ -78,8 +84,10 @@ def kl_terms(text: Posterior, motion: Posterior) -> Float[Tensor, " 4"]:
 
 
 def divergence(posterior: Posterior, prior: Posterior) -> Float[Tensor, ""]:
-    """Kullback-Leibler divergence between normal distributions of independent numbers, in nats, averaged over numbers
-    and rows. Raises `ValueError` for a posterior without a variance."""
+    """Compute the Kullback-Leibler divergence of diagonal normal distributions, in nats, averaged over all dimensions.
+
+    Raises `ValueError` for a distribution without a variance.
+    """
     if posterior.log_variance is None or prior.log_variance is None:
         raise ValueError("divergence needs posteriors with variances")
     excess = posterior.log_variance - prior.log_variance
@@ -93,9 +101,17 @@ def info_nce(
     alike: Bool[Tensor, "batch batch"] | None = None,
     temperature: float | int = 0.1,
 ) -> Float[Tensor, ""]:
-    """InfoNCE over cosines (TMR, Eq. 2 and 3): the mean of the cross entropies of finding each text's motion and each
-    motion's text among the batch's. Pairs that are `alike` [text, motion] count as neither right nor wrong; a row's own
-    pair is always right."""
+    """Compute InfoNCE over cosines (TMR, Eq. 2 and 3).
+
+    The loss is the mean of two cross entropies: finding each text's motion and each motion's text within the batch.
+
+    Args:
+        texts: Latents of texts.
+        motions: Latents of their motions.
+        alike: Pairs [text, motion] that are left out as neither positive nor negative; a row's own pair is always
+            positive. None: no pairs.
+        temperature: Temperature of the softmax.
+    """
     cosines = F.normalize(texts, dim=-1) @ F.normalize(motions, dim=-1).T
     logits = cosines / temperature
     own = torch.arange(len(texts), device=texts.device)

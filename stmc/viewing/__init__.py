@@ -1,7 +1,7 @@
-"""Looking at motions and timelines: pages, film strips and figures, one colour per prompt in all of them.
+"""Views of motions and timelines: pages, films, film strips and figures, with one colour per prompt in all of them.
 
-Knows nothing of models and sampling. It stands a tier above `assign`, which tells whom each body part obeys. What draws
-is imported when it is first used: a command's help needs none of it.
+This package does not know models and sampling. It is a tier above `assign`, which assigns body parts to prompts.
+Drawing modules are imported on first use, so that the help of commands does not import them.
 """
 
 from importlib import import_module

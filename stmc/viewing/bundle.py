@@ -1,6 +1,6 @@
-"""Modules of JavaScript as one script within a page: browsers load no module from a file, nor into a notebook's frame.
+"""Bundle JavaScript modules into one inline script, since browsers load no modules from files or into notebook frames.
 
-Knows the imports and exports that our assets and three.js are written with, and no other.
+This module supports the forms of imports and exports in our assets and three.js, and no others.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ _PLACE = re.compile(r"/\* (\w+) \*/")
 
 
 def read_asset(path: str) -> str:
-    """The text of a file in the package's assets."""
+    """Read the text of a file in the package's assets."""
     return (files("stmc") / "assets" / path).read_text("utf-8")
 
 
 def as_json(data: Any) -> str:
-    """JSON that stands in a page's `<script type="application/json">`, whatever texts are in it."""
+    """Encode data as JSON that is safe inside `<script type="application/json">`."""
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", r"\u003c")
 
 
 def content_policy(script: str) -> str:
-    """The Content-Security-Policy of a page that runs this one inline script and loads nothing from anywhere."""
+    """Return the Content-Security-Policy of a page that runs only this inline script and loads nothing."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data: blob:; "
@@ -44,7 +44,7 @@ def content_policy(script: str) -> str:
 
 @cache
 def bundle_script(entry: str) -> str:
-    """A script that runs the module `entry` of the package's assets, with all the modules that it imports."""
+    """Bundle the module `entry` of the package's assets with all modules that it imports."""
     sources: dict[str, str] = {}
     _collect(entry, sources)
     script = "\n".join(['"use strict";', "const modules = {};", *sources.values()])
@@ -53,7 +53,7 @@ def bundle_script(entry: str) -> str:
 
 
 def _collect(path: str, sources: dict[str, str]) -> None:
-    """Add a module to `sources`, as a function that is called at once, behind those that it imports."""
+    """Add a module to `sources` after its imports, as an immediately invoked function."""
     if path in sources:
         return
     exported: list[str] = []
@@ -78,7 +78,7 @@ def _collect(path: str, sources: dict[str, str]) -> None:
 
 
 def _pairs(names: str, joint: str, swapped: bool = False) -> list[str]:
-    """The names of a list, those with an alias as "name: alias", or the alias first."""
+    """Return the names of a list; names with an alias become "name: alias", or the reverse if `swapped`."""
     pairs = []
     for name in filter(None, map(str.strip, names.split(","))):
         own, _, alias = (part.strip() for part in name.partition(" as "))
@@ -87,8 +87,14 @@ def _pairs(names: str, joint: str, swapped: bool = False) -> list[str]:
 
 
 def assemble(template: str, entry: str, styles: Sequence[str], texts: Mapping[str, str]) -> str:
-    """A self-contained page: a `template` of the assets with the bundle of a module, style sheets, and texts (HTML) in
-    place of each `/* name */` that it has."""
+    """Assemble a self-contained page.
+
+    Args:
+        template: HTML template of the assets, with placeholders `/* name */`.
+        entry: Module to bundle as the script.
+        styles: Style sheets of the assets.
+        texts: HTML of the other placeholders, by name.
+    """
     script, style = bundle_script(entry), "\n".join(map(read_asset, styles))
     known = {"script": script, "policy": content_policy(script), "style": style, **texts}
     return _PLACE.sub(lambda match: known[match[1]], read_asset(template))

@@ -1,4 +1,4 @@
-"""Which colour means which prompt, in every figure, picture and page, and how body parts wear them over time."""
+"""Colours of prompts in all figures, pictures and pages, and of body parts over time."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from stmc.timeline import Timeline
 from stmc.timeline.planning import assign
 
 NEUTRAL = "#b9bec7"
-"""Nobody's: gaps, and the middle of transitions."""
+"""Colour of gaps and of the middle of transitions."""
 
 _PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
-"""Okabe and Ito's colours (2008), told apart also by the colour-blind, in an order that keeps neighbours far apart."""
+"""Colours of Okabe and Ito (2008), safe for the colour-blind, ordered so that neighbours differ strongly."""
 
 Spans = tuple[tuple[int | None, int, int], ...]
 
 
 def palette(count: int) -> tuple[str, ...]:
-    """`count` colours as "#rrggbb", one per prompt in the timeline's order. After seven, darker and lighter shades."""
+    """Return `count` colours as "#rrggbb", one per prompt in order. After seven, they are darker or lighter shades."""
     shades = ((0.0, 0.0), (0.45, 0.0), (0.45, 1.0))
     return tuple(
         as_hex(mix(as_rgb(_PALETTE[index % len(_PALETTE)]), *shades[index // len(_PALETTE) % len(shades)]))
@@ -31,28 +31,40 @@ def palette(count: int) -> tuple[str, ...]:
 
 
 def as_rgb(colour: str) -> Float[np.ndarray, " 3"]:
-    """Red, green and blue from 0 to 1 of "#rrggbb"."""
+    """Convert "#rrggbb" to red, green and blue from 0 to 1."""
     return np.array([int(colour[at : at + 2], 16) for at in (1, 3, 5)]) / 255.0
 
 
 def as_hex(rgb: Float[np.ndarray, " 3"]) -> str:
-    """ "#rrggbb" of red, green and blue from 0 to 1."""
+    """Convert red, green and blue from 0 to 1 to "#rrggbb"."""
     return "#" + "".join(f"{round(255 * value):02x}" for value in np.clip(rgb, 0.0, 1.0))
 
 
 def mix(rgb: np.ndarray, share: float, other: np.ndarray | float) -> np.ndarray:
-    """`rgb` with a `share` (0 to 1) of another colour, or of a grey."""
+    """Mix `rgb` with a `share` (0 to 1) of another colour or grey.
+
+    Args:
+        rgb: Colour.
+        share: Share of the other colour.
+        other: Other colour, or the brightness of a grey.
+    """
     return (1.0 - share) * rgb + share * np.asarray(other)
 
 
 def ink(colour: str) -> str:
-    """The colour of text that is legible on `colour`: the one with the higher contrast (WCAG 2.2, 1.4.3)."""
+    """Return the text colour with the higher contrast on `colour` (WCAG 2.2, 1.4.3)."""
     luminance = as_rgb(colour) ** 2.2 @ np.array([0.2126, 0.7152, 0.0722])
     return "#ffffff" if luminance < 0.206 else "#1d2330"
 
 
 def owners(timeline: Timeline, fps: int | float, frames: int) -> dict[BodyPart, Spans]:
-    """`assign`'s owners cut to `frames`, or filled up with nobody's."""
+    """Return the prompts of body parts by `assign`, cut to `frames` or filled up with None.
+
+    Args:
+        timeline: Timeline of the prompts.
+        fps: Frames per second.
+        frames: Number of frames.
+    """
     owned: dict[BodyPart, Spans] = {}
     for part, spans in assign(timeline, fps).items():
         kept = [(owner, start, min(end, frames)) for owner, start, end in spans if start < frames]
@@ -62,12 +74,18 @@ def owners(timeline: Timeline, fps: int | float, frames: int) -> dict[BodyPart, 
 
 
 def transition_seconds(motion: Motion, overlap: int | float | None) -> int | float:
-    """Seconds of the transitions to show: `overlap`, or else those that the motion was sampled with."""
+    """Return the length in seconds of the transitions to show: `overlap`, or that of sampling if None."""
     return (motion.overlap or 0.0) if overlap is None else overlap
 
 
 def transitions(spans: Spans, fps: int | float, overlap: int | float) -> list[tuple[float, float]]:
-    """Where one owner hands over to the next: (start, end) in frames, `overlap` seconds long, within the spans."""
+    """Return the transitions between spans as (start, end) in frames.
+
+    Args:
+        spans: Spans of a body part.
+        fps: Frames per second.
+        overlap: Length of transitions in seconds, cut at the ends of the motion.
+    """
     if overlap <= 0:
         return []
     half = overlap * fps / 2
@@ -78,8 +96,16 @@ def transitions(spans: Spans, fps: int | float, overlap: int | float) -> list[tu
 def owned_seconds(
     timeline: Timeline, fps: int | float, frames: int, overlap: int | float
 ) -> dict[str, dict[str, list]]:
-    """For pages: the "owners" of each body part as [prompt's index or None, start, end], and the "transitions" between
-    them as [start, end], in seconds."""
+    """Return "owners" and "transitions" of each body part, in seconds, for pages.
+
+    Owners are [index of a prompt or None, start, end]; transitions are [start, end].
+
+    Args:
+        timeline: Timeline of the prompts.
+        fps: Frames per second.
+        frames: Number of frames.
+        overlap: Length of transitions in seconds.
+    """
     owned = owners(timeline, fps, frames)
     return {
         "owners": {part: [[who, start / fps, end / fps] for who, start, end in spans] for part, spans in owned.items()},
@@ -93,10 +119,15 @@ def owned_seconds(
 def part_colours(
     timeline: Timeline | None, fps: int | float, frames: int, overlap: int | float = 0.0
 ) -> Float[np.ndarray, "frames parts 3"]:
-    """The colour (0 to 1) of each of the five body parts, in `BodyPart`'s order, in each frame.
+    """Return the colour (0 to 1) of each of the five body parts, in the order of `BodyPart`, at each frame.
 
-    A part wears the colour of the prompt that owns it and fades through neutral for the `overlap` (seconds) around each
-    hand-over; a gap is neutral. Without a timeline everything wears the first colour.
+    A part has the colour of its prompt and fades through neutral in transitions; gaps are neutral.
+
+    Args:
+        timeline: Timeline of the prompts; None: the first colour everywhere.
+        fps: Frames per second.
+        frames: Number of frames.
+        overlap: Length of transitions in seconds.
     """
     if timeline is None:
         return np.broadcast_to(as_rgb(_PALETTE[0]), (frames, len(BodyPart), 3)).copy()

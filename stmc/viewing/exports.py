@@ -1,6 +1,6 @@
-"""Every file that a motion can become: the formats of `stmc.formats`, a page and films. One function writes them all.
+"""Export motions to all formats: those of `stmc.formats`, pages and films.
 
-Quick to import, unlike the modules that draw: they are imported when they are needed.
+This module is quick to import; it imports drawing modules on demand.
 """
 
 from __future__ import annotations

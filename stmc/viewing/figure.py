@@ -1,4 +1,4 @@
-"""The figure of matplotlib that all drawings are: a notebook shows it. Knows nothing of what is drawn."""
+"""The matplotlib figure of all drawings, which notebooks display."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import matplotlib.figure
 
 
 class Figure(matplotlib.figure.Figure):
-    """A figure that pyplot does not know, so that nothing keeps it; notebooks show it all the same."""
+    """A figure that is not registered with pyplot, so it can be freed; notebooks display it nevertheless."""
 
     def _repr_png_(self) -> bytes:
-        """The picture, for IPython, which knows no figures unless pyplot was imported."""
+        """Return the picture for IPython, which displays figures only if pyplot was imported."""
         picture = io.BytesIO()
         self.savefig(picture, format="png", dpi=96, bbox_inches="tight")
         return picture.getvalue()

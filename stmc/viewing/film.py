@@ -1,4 +1,4 @@
-"""A motion as a film, without a display: an animated picture, or a video where ffmpeg is at hand."""
+"""Render motions as films without a display: animated images, or videos with ffmpeg."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from stmc.viewing.exports import FILMS
 from stmc.viewing.strip import Stage
 
 _SIZE, _DPI = (4.8, 5.6), 100
-"""Inches, and pixels an inch: both sides are even, as videos must be."""
+"""Inches, and pixels per inch; both sides are even numbers of pixels, as videos require."""
 _LINE = 0.052
-"""The share of the height that a line of text takes."""
+"""Height of a line of text, as a fraction of the picture."""
 _BOUNDS = 24
-"""Frames by which the picture is measured."""
+"""Number of frames that determine the bounds of the picture."""
 
 
 def render_film(
@@ -36,11 +36,19 @@ def render_film(
     overlap: int | float | None = None,
     body: Body | None = None,
 ) -> None:
-    """Write the motion as a film that plays in a loop (`.webp`, `.gif`: small, anywhere) or once (`.mp4`), 480 by 560.
+    """Write a motion as a film of 480 by 560 pixels.
 
-    Figure, floor and colours are those of `film_strip`; below stand the texts that hold. `fps`: the film's frame rate,
-    by default the motion's own; some four pictures are drawn a second. `.mp4` needs `pip install 'stmc[film]'`. Another
-    suffix is a `ValueError`.
+    `.webp` and `.gif` files are small, play anywhere and loop; `.mp4` plays once and needs `pip install 'stmc[film]'`.
+    Figure, floor and colours are those of `film_strip`, with the current texts below. About four pictures are drawn per
+    second. Raises `ValueError` for another suffix.
+
+    Args:
+        motion: Motion to show.
+        path: File to write.
+        timeline: Timeline whose prompts give colours and texts; None: a single colour.
+        fps: Frame rate of the film; None: that of the motion.
+        overlap: Length of transitions in seconds; None: as sampled.
+        body: Body to draw; None: a mannequin.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -60,7 +68,7 @@ def render_film(
 def _pictures(stage: Stage, timeline: Timeline | None) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
     figure = Figure(figsize=_SIZE, dpi=_DPI)
     canvas = FigureCanvasAgg(figure)
-    lines = 0 if timeline is None else max(_most(timeline), 1)
+    lines = 0 if timeline is None else max(_max_simultaneous(timeline), 1)
     axes = figure.add_axes((0.0, lines * _LINE, 1.0, 0.95 - lines * _LINE))
     for frame in range(stage.motion.frames):
         axes.clear()
@@ -72,15 +80,15 @@ def _pictures(stage: Stage, timeline: Timeline | None) -> Iterator[UInt8[np.ndar
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _most(timeline: Timeline) -> int:
-    """How many prompts hold at once."""
+def _max_simultaneous(timeline: Timeline) -> int:
+    """Return the maximum number of simultaneous prompts."""
     return max(
         sum(other.start <= prompt.start < other.end for other in timeline.prompts) for prompt in timeline.prompts
     )
 
 
 def _texts(figure: Figure, timeline: Timeline | None, time: float) -> None:
-    """The prompts that hold, each on its colour."""
+    """Draw the current prompts, each on its colour."""
     if timeline is None:
         return
     pairs = zip(timeline.prompts, palette(len(timeline.prompts)), strict=True)
@@ -93,7 +101,7 @@ def _texts(figure: Figure, timeline: Timeline | None, time: float) -> None:
 
 
 def _animation(motion: Motion, pictures: Iterator[np.ndarray], path: Path) -> Callable[[Path], None]:
-    """Durations of whole milliseconds (of a `.gif`: hundredths of a second) that do not add up to another time."""
+    """Return a writer of animations; durations, in whole ms (`.gif`: 10 ms), add up to that of the motion."""
     unit = 10 if path.suffix.lower() == ".gif" else 1
     ends = np.round(np.arange(motion.frames + 1) * 1000 / motion.fps / unit).astype(int) * unit
 
@@ -107,7 +115,7 @@ def _animation(motion: Motion, pictures: Iterator[np.ndarray], path: Path) -> Ca
 
 def _video(motion: Motion, pictures: Iterator[np.ndarray]) -> Callable[[Path], None]:
     with named_extra():
-        import imageio_ffmpeg  # not above: videos alone need it
+        import imageio_ffmpeg  # not at the top: only videos need it
     size = tuple(round(side * _DPI) for side in _SIZE)
 
     def fill(temporary: Path) -> None:

@@ -1,4 +1,4 @@
-"""A plan as a figure: its crops, and at every moment how much each of them counts for a body part."""
+"""Figures of plans: crops, and the weight of each crop for a body part over time."""
 
 from __future__ import annotations
 
@@ -20,11 +20,16 @@ _ROW_INCHES, _PANEL_INCHES = 0.26, 0.62
 def plot_plan(
     plan: Plan, fps: int | float, parts: Sequence[BodyPart] | None = None, width: int | float = 10.0
 ) -> Figure:
-    """The plan's crops above, those without a text in grey, and below for each of `parts` (None: those that differ) the
-    weights of its tiles: above the line what is added, hatched below it what is subtracted.
+    """Plot the crops of a plan, and below them the weights of their tiles for body parts.
 
-    `fps` makes seconds of frames; `width` in inches. The figure is not known to pyplot: save it, or
-    show it in a notebook.
+    Crops without a text are grey. Positive weights are above the line, negative ones hatched below it. The figure is
+    not registered with pyplot: save it, or show it in a notebook.
+
+    Args:
+        plan: Plan to plot.
+        fps: Frames per second.
+        parts: Body parts to plot; None: one for each group with equal weights.
+        width: Width in inches.
 
     Examples:
         >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
@@ -49,7 +54,7 @@ def plot_plan(
 
 
 def _weights(plan: Plan, part: BodyPart) -> np.ndarray:
-    """[crops, frames]: how much each crop counts for a part; tiles of one crop and frame are added up."""
+    """Return the weight of each crop for a part, [crops, frames]; tiles of one crop and frame are summed."""
     weights = np.zeros((len(plan.crops), plan.frames))
     for tile in plan.tiles:
         if tile.part == part:
@@ -58,7 +63,7 @@ def _weights(plan: Plan, part: BodyPart) -> np.ndarray:
 
 
 def _alike(weights: dict[BodyPart, np.ndarray]) -> dict[BodyPart, str]:
-    """One part for each distinct picture, with the names of all that share it."""
+    """Group parts with equal weights; return one part of each group with the names of all."""
     groups: dict[bytes, list[BodyPart]] = {}
     for part, each in weights.items():
         groups.setdefault(each.tobytes(), []).append(part)

@@ -1,4 +1,4 @@
-"""A motion as a film strip: moments of it side by side, shaded and coloured by the prompts, and the path from above."""
+"""Film strips of motions: moments side by side in the colours of prompts, and the path from above."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from stmc.viewing.timeline_figure import FAINT, INK, draw_tracks
 
 _ELEVATION = math.radians(14.0)
 _ASIDE = math.radians(38.0)
-"""The camera stands this far to the side of where the body faces."""
+"""Angle of the camera to the side of the body's facing direction."""
 _SUN = np.array([0.35, -0.55, 1.0])
 _FLOOR, _LINE, _SHADOW = "#f4f5f7", "#dcdfe4", "#c9cdd4"
 _LEGS = PARTS.index("legs")
@@ -35,18 +35,26 @@ def film_strip(
     body: Body | None = None,
     title: str = "",
 ) -> Figure:
-    """`frames` moments of the motion from one direction, its path from above, and the timeline below.
+    """Draw moments of a motion side by side, its path from above, and the timeline below.
 
-    All pictures have one scale and one camera direction, and follow the pelvis over a floor of half-metre tiles, on
-    which an arrow shows where the pelvis faces. Colours are those of `part_colours`; transitions last
-    `overlap` seconds, if not told otherwise those that the motion was sampled with. The figure is not known to pyplot.
+    All pictures have the same scale and camera direction, and follow the pelvis over a floor of half-metre tiles, on
+    which an arrow shows the facing direction of the pelvis. Colours are those of `part_colours`. The figure is not
+    registered with pyplot. Raises `ValueError` for fewer than one moment.
+
+    Args:
+        motion: Motion to show.
+        timeline: Timeline to draw below; None: no timeline and a single colour.
+        frames: Number of moments.
+        overlap: Length of transitions in seconds; None: as sampled.
+        body: Body to draw; None: a mannequin.
+        title: Title of the figure; by default the name of the timeline.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
         >>> stmc.film_strip(motion, frames=2).savefig("walk.png")
     """
     if frames < 1:
-        raise ValueError(f"frames must be 1 or more, not {frames}")
+        raise ValueError(f"frames must be at least 1, not {frames}")
     shown = np.unique(np.linspace(0, motion.frames - 1, frames).round().astype(int))
     overlap = transition_seconds(motion, overlap)
     colours = part_colours(timeline, motion.fps, motion.frames, overlap)
@@ -70,21 +78,28 @@ def film_strip(
 
 @dataclass(frozen=True)
 class Stage:
-    """What one direction shows of a motion: a figure that stays in the middle, over a floor that goes by beneath."""
+    """A view of a motion from one direction: the body stays in the middle, and the floor moves below it."""
 
     motion: Motion
     skin: Skin
     colours: Float[np.ndarray, "frames parts 3"]
     camera: Float[np.ndarray, "3 3"]
-    """Rows: right, up and towards the eye, in the world. It sees the body's mean front from the side."""
+    """Rows: right, up and towards the eye, in world coordinates. It sees the body's mean front from the side."""
     frame: tuple[float, float, float]
-    """Metres: to both sides, down and up."""
+    """Extent in metres: to both sides, down and up."""
 
     @classmethod
     def of(
         cls, motion: Motion, body: Body | None, colours: Float[np.ndarray, "frames parts 3"], shown: np.ndarray
     ) -> Stage:
-        """As large as the frames `shown` need."""
+        """Fit the view to the frames `shown`.
+
+        Args:
+            motion: Motion to show.
+            body: Body to draw; None: a mannequin.
+            colours: Colours of body parts.
+            shown: Frames that must fit.
+        """
         x, y = motion.facing[:, :2].double().mean(dim=0).tolist()
         azimuth = math.atan2(y, x) - _ASIDE
         away = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
@@ -100,15 +115,15 @@ class Stage:
 
     @property
     def ground(self) -> Float[np.ndarray, "frames 3"]:
-        """The pelvis' path over the floor."""
+        """The path of the pelvis on the floor."""
         return self.motion.translation.double().cpu().numpy() * [1.0, 1.0, 0.0]
 
     def vertices(self, frame: int) -> Float[np.ndarray, "vertices 3"]:
-        """The body of one frame, in the world."""
+        """Return the vertices of the body at one frame, in world coordinates."""
         return self.skin.posed(self.motion.trimmed(frame, frame + 1))[0]
 
     def paint(self, axes: Axes, frame: int) -> None:
-        """One frame of the motion, and the whole path."""
+        """Draw one frame of the motion and the whole path."""
         wide, low, high = self.frame
         axes.set(xlim=(-wide, wide), ylim=(low, high), aspect="equal", xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
@@ -126,7 +141,7 @@ class Stage:
 
 
 def _floor(axes: Axes, centre: Float[np.ndarray, " 3"], camera: Float[np.ndarray, "3 3"], reach: float) -> Polygon:
-    """A round piece of floor with the world's half-metre tiles."""
+    """Draw a round floor with half-metre tiles fixed in the world."""
     turn = np.linspace(0, 2 * np.pi, 60)
     rim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1) * reach
     ground = axes.add_patch(Polygon((rim @ camera.T)[:, :2], facecolor=_FLOOR, linewidth=0, zorder=0))
@@ -146,14 +161,14 @@ def _floor(axes: Axes, centre: Float[np.ndarray, " 3"], camera: Float[np.ndarray
 def _path(
     axes: Axes, points: np.ndarray, colours: np.ndarray, width: int | float, share: float = 0.8
 ) -> LineCollection:
-    """A line over the floor, its colours thinned with the floor's (`share` of their own is left)."""
+    """Draw a line on the floor; its colours are mixed with that of the floor, keeping `share`."""
     segments = np.stack([points[:-1, :2], points[1:, :2]], axis=1)
     thinned = mix(as_rgb(_FLOOR), share, colours[:-1])
     return axes.add_collection(LineCollection(segments, colors=thinned, linewidths=width, zorder=2))
 
 
 def _arrow(axes: Axes, facing: Float[np.ndarray, " 3"], camera: Float[np.ndarray, "3 3"]) -> None:
-    """A flat arrow head on the floor in front of the pelvis."""
+    """Draw a flat arrow head on the floor in front of the pelvis."""
     aside = np.array([-facing[1], facing[0], 0.0])
     corners = np.stack([0.52 * facing, 0.36 * facing + 0.10 * aside, 0.40 * facing, 0.36 * facing - 0.10 * aside])
     axes.add_patch(Polygon((corners @ camera.T)[:, :2], facecolor=INK, linewidth=0, alpha=0.65, zorder=3))
@@ -162,7 +177,7 @@ def _arrow(axes: Axes, facing: Float[np.ndarray, " 3"], camera: Float[np.ndarray
 def _figure(
     axes: Axes, vertices: np.ndarray, skin: Skin, colours: np.ndarray, camera: Float[np.ndarray, "3 3"]
 ) -> PolyCollection:
-    """Paint the body's faces that look towards the eye, the nearest last; gives its shadow on the floor."""
+    """Draw the visible faces of the body, nearest last; return its shadow on the floor."""
     corners = vertices[skin.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -184,7 +199,7 @@ def _figure(
 
 
 def _smooth(normals: np.ndarray, skin: Skin) -> np.ndarray:
-    """Face normals averaged over the faces around each corner."""
+    """Average face normals over the faces around each corner."""
     around = np.zeros((len(skin.vertices), 3))
     np.add.at(around, skin.faces.reshape(-1), np.repeat(normals, 3, axis=0))
     smooth = around[skin.faces].sum(axis=1)
@@ -192,7 +207,7 @@ def _smooth(normals: np.ndarray, skin: Skin) -> np.ndarray:
 
 
 def _shade(normals: np.ndarray, camera: Float[np.ndarray, "3 3"]) -> np.ndarray:
-    """Brightness, 1 for the bare colour: a light over the camera's left shoulder, the sky, and a darker rim."""
+    """Return brightness, 1 for the plain colour: a light over the camera's left shoulder, sky, and a darker rim."""
     key = camera.T @ np.array([-0.5, 0.65, 0.75])
     diffuse = np.clip(normals @ (key / np.linalg.norm(key)), 0.0, 1.0)
     sky = 0.5 + 0.5 * normals[:, 2]
@@ -201,7 +216,7 @@ def _shade(normals: np.ndarray, camera: Float[np.ndarray, "3 3"]) -> np.ndarray:
 
 
 def _from_above(axes: Axes, motion: Motion, shown: np.ndarray, colours: np.ndarray) -> None:
-    """The pelvis' path with an arrow head where each picture was taken; x to the right, y up."""
+    """Draw the path of the pelvis with an arrow head at each moment; x to the right, y up."""
     path = motion.translation.double().cpu().numpy()[:, :2]
     facing = motion.facing.double().cpu().numpy()[:, :2]
     middle = (path.min(axis=0) + path.max(axis=0)) / 2

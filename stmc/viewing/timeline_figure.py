@@ -1,4 +1,4 @@
-"""A timeline as a figure: its tracks of prompts, and below them which prompt each body part obeys."""
+"""Figures of timelines: tracks of prompts, and below them the prompt of each body part."""
 
 from __future__ import annotations
 
@@ -15,18 +15,22 @@ from stmc.viewing.figure import Figure
 
 INK, FAINT = "#1d2330", "#8a919e"
 _TRACK, _PART = 1.0, 0.46
-"""Heights of a row of prompts and of a body part's row."""
+"""Heights of a row of prompts and of the row of a body part."""
 _ROW_INCHES = 0.42
 
 
 def plot_timeline(
     timeline: Timeline, fps: int | float = 20, overlap: int | float = 0.0, width: int | float = 10.0
 ) -> Figure:
-    """The timeline's tracks, prompts as bars that bear their texts, and below them the five body parts.
+    """Plot the tracks of a timeline as bars with their texts, and below them the five body parts.
 
-    `fps` decides where frames cut the spans (the bundled model has 20); `overlap` (seconds) is how long transitions
-    will be, which are hatched;
-    `width` in inches. The figure is not known to pyplot: save it, or show it in a notebook.
+    Transitions are hatched. The figure is not registered with pyplot: save it, or show it in a notebook.
+
+    Args:
+        timeline: Timeline to plot.
+        fps: Frames per second to which spans of body parts are rounded; the bundled model has 20.
+        overlap: Length of transitions in seconds.
+        width: Width in inches.
 
     Examples:
         >>> timeline = stmc.Timeline.parse("walk # 0 # 4 # legs\\nwave # 1 # 3 # right arm")
@@ -42,7 +46,14 @@ def plot_timeline(
 
 
 def draw_tracks(axes: Axes, timeline: Timeline, fps: int | float, overlap: int | float) -> None:
-    """Draw both kinds of rows into `axes`, seconds along x."""
+    """Draw tracks and body parts into `axes`, with seconds along x.
+
+    Args:
+        axes: Axes to draw on.
+        timeline: Timeline to draw.
+        fps: Frames per second.
+        overlap: Length of transitions in seconds.
+    """
     count, duration = len(timeline.tracks), timeline.duration
     parts_top = count * _TRACK + 0.35
     bottom = parts_top + len(BodyPart) * _PART
@@ -92,7 +103,7 @@ def _parts(axes: Axes, timeline: Timeline, fps: int | float, overlap: int | floa
 
 
 def _bar(axes: Axes, left: float, low: float, wide: float, tall: float, colour: str, inches: int | float) -> None:
-    """A rectangle with corners that stay round although seconds and rows have different scales."""
+    """Draw a bar with corners that stay round although seconds and rows have different scales."""
     corner = min(0.06 / inches, wide / 2)
     shape = f"round,pad=0,rounding_size={corner}"
     aspect = inches / _ROW_INCHES  # seconds per row's unit, so that corners are circles on paper

@@ -1,4 +1,4 @@
-"""A motion as one page to look at in a browser: the studio's stage, and the timeline below it, in step with it."""
+"""Pages that play a motion in a browser: the studio's stage with a synchronised timeline below."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from stmc.viewing.colours import (
 )
 
 _PAGE, _READ_WITHIN = "stmc-view-", 3600.0
-"""Of the pages that `view` opens: how their files' names begin, and the seconds within which browsers read them."""
+"""Prefix of the files that `view` opens, and seconds within which browsers read them."""
 
 
 def render_html(
@@ -44,18 +44,22 @@ def render_html(
     unknown: Sequence[Recognition] = (),
     constraints: Sequence[Constraint] = (),
 ) -> str:
-    """A self-contained HTML page (at most 2 MB for a minute at 20 frames a second) that loads nothing from anywhere and
-    opens from a file.
+    """Render a motion as a self-contained HTML page (at most 2 MB for a minute at 20 frames per second).
 
-    It plays the motion in a loop with every body part in the colour of the prompt it obeys (neutral in gaps and in the
-    middle of transitions, which last `overlap` seconds; None: as long as those that the motion was sampled with), on a
-    floor with the pelvis' path and the marks of `constraints`. With a `timeline` (by whose name the page is called
-    unless `title` says otherwise) it shows the texts that hold, and the tracks with a cursor that can be dragged.
-    "#t=2.5" behind the page's address opens it paused at 2.5 seconds. The camera follows the body; a button lets it
-    stand where it sees the whole motion.
+    The page loads nothing and opens from a file. It plays the motion in a loop, on a floor with the path of the pelvis.
+    Body parts have the colours of their prompts, and are neutral in gaps and in the middle of transitions. The page
+    shows the current texts, and the tracks with a cursor that can be dragged. "#t=2.5" at the end of the page's address
+    opens it paused at 2.5 seconds. The camera follows the body; a button fixes it so that it sees the whole motion.
 
-    The body is a mannequin with the motion's own bones, or the mesh of `body`. Prompts that are `unknown` to the model
-    (see `Model.doubtful`) bear a mark, with the nearest known ones as its tooltip.
+    Args:
+        motion: Motion to show.
+        timeline: Timeline of the motion; None: no texts, tracks and colours of prompts.
+        title: Title of the page; by default the name of the timeline.
+        overlap: Length of transitions in seconds; None: as sampled.
+        body: Body whose mesh is shown; None: a mannequin with the motion's own bones.
+        unknown: Prompts to mark as unknown to the model, with the nearest known ones as tooltips (see
+            `Model.doubtful`).
+        constraints: Constraints to draw.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -86,7 +90,16 @@ def view(
     height: int = 640,
     constraints: Sequence[Constraint] = (),
 ) -> None:
-    """Show the page of `render_html`: below the notebook's cell (`height` pixels tall), or in the web browser.
+    """Show the page of `render_html` in a notebook's output, or in the web browser.
+
+    Args:
+        motion: Motion to show.
+        timeline: Timeline of the motion, or None.
+        title: Title of the page; by default the name of the timeline.
+        overlap: Length of transitions in seconds; None: as sampled.
+        body: Body whose mesh is shown; None: a mannequin.
+        height: Height in a notebook, in pixels.
+        constraints: Constraints to draw.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -105,15 +118,15 @@ def view(
 
 
 def _remove_old_pages() -> None:
-    """Remove the pages of earlier calls, which browsers have read by now."""
+    """Remove the pages of earlier calls, which browsers have already read."""
     for path in Path(tempfile.gettempdir()).glob(f"{_PAGE}*.html"):
-        with suppress(OSError):  # another user's
+        with suppress(OSError):  # belongs to another user
             if path.lstat().st_mtime < time.time() - _READ_WITHIN:
                 path.unlink()
 
 
 def html_frame(content: str, height: int = 640) -> str:
-    """A page inside another: an HTML element that holds all of `content`."""
+    """Embed a whole page, `content`, in an HTML element."""
     style = f"width:100%;height:{height}px;border:1px solid #e6e8ec;border-radius:6px"
     return f'<div><iframe srcdoc="{html.escape(content)}" style="{style}"></iframe></div>'
 
@@ -127,7 +140,7 @@ def _in_notebook() -> bool:
 
 
 def _data(motion: Motion, timeline: Timeline | None, overlap: int | float, skin: Skin) -> dict[str, Any]:
-    """What the page's script has to know, but for the marks."""
+    """Return the data of the page's script, without marks."""
     figure = glb_of(skin, {"motion": Animation(motion)}, compact=True)
     if timeline is None:
         owned = {"owners": {part: [[0, 0.0, motion.duration]] for part in BodyPart}, "transitions": {}}
@@ -143,8 +156,7 @@ def _data(motion: Motion, timeline: Timeline | None, overlap: int | float, skin:
 
 
 def _mark(name: str, constraint: Constraint, motion: Motion) -> dict[str, Any]:
-    """A constraint as the stage draws it: its kind and whatever it has that JSON has, too; a hold where the motion
-    holds it."""
+    """Return the JSON fields of a constraint for the stage; a hold is placed where the motion holds it."""
     anchored = constraint.anchored_at(Pose.of(motion))
     values = {
         key: value for key, value in vars(anchored).items() if isinstance(value, int | float | str | tuple | None)
@@ -153,7 +165,7 @@ def _mark(name: str, constraint: Constraint, motion: Motion) -> dict[str, Any]:
 
 
 def _chips(timeline: Timeline | None) -> str:
-    """The texts that hold, each shown only while it does."""
+    """Return the texts, each shown only during its prompt."""
     if timeline is None:
         return ""
     return "".join(
@@ -169,10 +181,9 @@ def _tracks(
     advice: Mapping[str, str],
     marks: Sequence[Mapping[str, Any]],
 ) -> str:
-    """The rows below the scene: tracks of prompts, the five body parts, constraints, seconds. `advice`: for texts that
-    have some."""
+    """Return the rows below the stage: tracks of prompts, the five body parts, constraints and a ruler."""
     rows = [] if timeline is None else [*_prompts(timeline, motion, advice), *_parts(timeline, motion, overlap)]
-    rows += [_row(*_demand(mark, motion)) for mark in marks]
+    rows += [_row(*_constraint_row(mark, motion)) for mark in marks]
     return f'<section id="tracks" aria-label="Timeline">{"".join(rows)}{_ruler(motion.duration)}</section>'
 
 
@@ -180,10 +191,10 @@ def _prompts(timeline: Timeline, motion: Motion, advice: Mapping[str, str]) -> l
     colours = palette(len(timeline.prompts))
     bars: list[list[str]] = [[] for _ in timeline.tracks]
     for prompt, row, colour in zip(timeline.prompts, timeline.rows, colours, strict=True):
-        text, told = html.escape(prompt.text), html.escape(advice.get(prompt.text, prompt.text))
+        text, tooltip = html.escape(prompt.text), html.escape(advice.get(prompt.text, prompt.text))
         kind = "bar unknown" if prompt.text in advice else "bar"
         style = _place(prompt.start, prompt.end, motion.duration) + _paint(colour)
-        bars[row].append(f'<div class="{kind}" {_while(prompt)} title="{told}" style="{style}">{text}</div>')
+        bars[row].append(f'<div class="{kind}" {_while(prompt)} title="{tooltip}" style="{style}">{text}</div>')
     names = [f"track {row + 1}" if len(bars) > 1 else "prompts" for row in range(len(bars))]
     return [*(_row(name, "row", pieces) for name, pieces in zip(names, bars, strict=True)), '<div class="gap"></div>']
 
@@ -199,8 +210,8 @@ def _parts(timeline: Timeline, motion: Motion, overlap: int | float) -> Iterator
         yield _row(part, "row part", pieces)
 
 
-def _demand(mark: Mapping[str, Any], motion: Motion) -> tuple[str, str, list[str]]:
-    """Name, class and span of a constraint's row."""
+def _constraint_row(mark: Mapping[str, Any], motion: Motion) -> tuple[str, str, list[str]]:
+    """Return name, class and span of a constraint's row."""
     start = mark.get("at", mark.get("start", 0.0))
     end = mark.get("end", start if "at" in mark else None)
     end = motion.duration if end is None and mark["kind"] != "target" else end or start

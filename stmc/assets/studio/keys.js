@@ -16,7 +16,7 @@ export const HELP = [
     ["S", "split it at the cursor"],
     ["D", "duplicate it"],
     ["L", "lock it, unlock it"],
-    ["M", "make it anew, or the chosen interval"],
+    ["M", "regenerate it, or the chosen interval"],
     ["Delete", "delete it"],
   ]],
   ["Time", [

@@ -1,7 +1,7 @@
-"""Results of experiments: what was measured under which settings, and the tables and charts that are made of them.
+"""Results of experiments: records of measurements and settings, and their tables and charts.
 
-Knows names and numbers; knows no motion, no model and no metric's formula. `stmc.evaluation.results.charts` is not
-imported here: what only reads and writes records need not wait for what draws.
+This package knows names and numbers; it knows no motion, no model and no formula of a metric. It does not import
+`stmc.evaluation.results.charts`, so that reading and writing records does not import matplotlib.
 """
 
 from stmc.evaluation.results.intervals import Estimate, estimate

@@ -1,6 +1,6 @@
-"""What the figures of results are made of: panels, lines, legends, and how they are dressed.
+"""Elements of figures of results: panels, lines, legends and their style.
 
-Knows records and matplotlib's axes; knows no particular figure.
+This module knows records and matplotlib's axes; it knows no particular figure.
 """
 
 from __future__ import annotations
@@ -32,7 +32,16 @@ def lines(
     cost: Callable[[Setting, list[Result]], float | int],
     label: str,
 ) -> None:
-    """A line for each name, its points by their cost, with 95 % intervals; dressed and labelled."""
+    """Draw a line with 95 % intervals for each name, with style and labels.
+
+    Args:
+        axes: Axes to draw on.
+        measure: Metric on the y axis.
+        groups: Runs by setting; each setting is a point.
+        name: Function that names the line of a setting.
+        cost: Function that places a point on the x axis.
+        label: Label of the x axis.
+    """
     named: dict[str, list[Point]] = {}
     for setting, runs in groups.items():
         found = estimates(runs).get(measure.key)
@@ -51,7 +60,7 @@ def lines(
 
 
 def real_line(axes: Axes, measure: Measure, groups: Groups) -> None:
-    """Real motion's value, where it was measured, as a dashed line."""
+    """Draw the value of real motion, if measured, as a dashed line."""
     for setting, runs in groups.items():
         found = estimates(runs)
         if setting.method == REAL and measure.key in found:
@@ -59,7 +68,7 @@ def real_line(axes: Axes, measure: Measure, groups: Groups) -> None:
 
 
 def shown(groups: Groups, keys: Sequence[str] | None = None) -> tuple[Measure, ...]:
-    """The measures to draw: those that the records have, of `keys` if given. Raises `ResultError` for none."""
+    """Select the measures of the records, limited to `keys` if given. Raises `ResultError` if there are none."""
     columns = measures(name for runs in groups.values() for name in estimates(runs) if keys is None or name in keys)
     if not columns:
         wanted = "" if keys is None else f" of {', '.join(keys)}"
@@ -68,7 +77,7 @@ def shown(groups: Groups, keys: Sequence[str] | None = None) -> tuple[Measure, .
 
 
 def grid(count: int, wide: float, tall: float) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels, at most four in a row; `wide` and `tall` are one panel's inches."""
+    """Return a figure with `count` panels, at most four per row; `wide` and `tall` are inches of one panel."""
     columns = min(count, 4)
     rows = -(-count // columns)
     plot = Figure(figsize=(wide * columns, tall * rows), layout="constrained")
@@ -79,7 +88,7 @@ def grid(count: int, wide: float, tall: float) -> tuple[Figure, list[Axes]]:
 
 
 def dress(axes: Axes, along: str) -> None:
-    """Quiet: no frame, grey lines `along` "x", "y" or "both"."""
+    """Style axes plainly: without a frame, with grey grid lines `along` "x", "y" or "both"."""
     axes.grid(axis=along, color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -88,8 +97,10 @@ def dress(axes: Axes, along: str) -> None:
 
 
 def legend(plot: Figure, panels: Iterable[Axes]) -> None:
-    """One for all panels, each name once, where there is something to tell apart; no wider than the figure, which grows
-    by what the legend is high."""
+    """Draw one legend for all panels, with each name once, if there are at least two names.
+
+    The legend is no wider than the figure, whose height grows by that of the legend.
+    """
     named = {}
     for axes in panels:
         named |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
@@ -107,11 +118,11 @@ def legend(plot: Figure, panels: Iterable[Axes]) -> None:
 
 
 def who(setting: Setting) -> str:
-    """Denoiser and method."""
+    """Return the names of denoiser and method."""
     return ", ".join(filter(None, (setting.denoiser, method_row(setting.method).label)))
 
 
 def title(measure: Measure) -> str:
-    """Its heading, unit and better direction."""
+    """Return heading, unit and better direction of a measure."""
     unit = f", {measure.unit}" if measure.unit else ""
     return f"{measure.heading}{unit} {measure.arrow}"

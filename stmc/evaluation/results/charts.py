@@ -1,6 +1,7 @@
-"""Results as figures: bars with intervals, quality against steps and time, the sweep of overlaps.
+"""Figures of results: bars with intervals, quality against steps and time, and sweeps of a setting.
 
-Knows records and matplotlib's figures. No figure is known to pyplot: save it, or show it in a notebook.
+This module knows records and matplotlib's figures. Figures are not registered with pyplot: save them, or show them in
+a notebook.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from stmc.viewing.figure import Figure
 from stmc.viewing.timeline_figure import INK
 
 SECONDS = "seconds"
-"""The metric that says how long one motion took."""
+"""Key of the metric with the sampling time of one motion."""
 _SAMPLERS = {"ddpm": "DDPM", "ddim": "DDIM", "dpm_solver": "DPM-Solver++"}
 
 
 def bars(results: Sequence[Result]) -> Figure:
-    """A panel per metric, a group of bars per denoiser, a bar with its 95 % interval per method; the same colours in
-    all panels. The ground truth is a dashed line.
+    """Draw a panel per metric with a group of bars per denoiser and a bar with its 95 % interval per method.
 
-    Raises `ResultError` for no record of a known metric.
+    Colours are the same in all panels; the ground truth is a dashed line. Raises `ResultError` if no record has a known
+    metric.
     """
     groups = by_setting(results)
     made = {setting: runs for setting, runs in groups.items() if setting.method != REAL}
@@ -42,11 +43,10 @@ def bars(results: Sequence[Result]) -> Figure:
 
 
 def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("recall_3", "fid", "fid_plus")) -> Figure:
-    """Rows: the metrics `keys` (those that the records have); left against the steps, right against the seconds a
-    motion takes; a line per sampler, with 95 % intervals. Both axes of cost are logarithmic.
+    """Draw a row per metric of `keys` that the records have, with a line and 95 % intervals per sampler.
 
-    `results` are of one method of one denoiser. Raises `ResultError` where they differ in more than sampler, scale of
-    the noise, and steps.
+    The left panel shows the metric against steps, the right one against seconds per motion, on logarithmic axes. Raises
+    `ResultError` if `results` differ in more than sampler, noise scale and steps, such as in method or denoiser.
     """
     groups = {setting: runs for setting, runs in by_setting(results).items() if setting.sampling.steps is not None}
     refuse_other_differences(groups, ("sampler", "noise_scale", "steps"))
@@ -72,9 +72,16 @@ def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("reca
 
 
 def sweep(results: Sequence[Result], varied: str, keys: Sequence[str] | None = None) -> Figure:
-    """A panel per metric (of `keys`, if given) against a setting that is a number, such as the overlap; a line per
-    denoiser and method, with 95 % intervals; real motion is a dashed line. Raises `ResultError` for records without it,
-    or that differ in other settings."""
+    """Draw metrics against a numeric setting, such as the overlap, with a line and 95 % intervals per method.
+
+    There is a panel per metric and a line per denoiser and method; real motion is a dashed line. Raises `ResultError`
+    if no record has the setting, or if records differ in other settings.
+
+    Args:
+        results: Records to draw.
+        varied: Name of the setting on the x axis.
+        keys: Metrics to draw; None: all.
+    """
     real = {setting: runs for setting, runs in by_setting(results).items() if setting.method == REAL}
     groups = {setting: runs for setting, runs in by_setting(results).items() if setting.value(varied) is not None}
     if not groups:
@@ -90,7 +97,7 @@ def sweep(results: Sequence[Result], varied: str, keys: Sequence[str] | None = N
 
 
 def _bar_panel(axes: Axes, measure: Measure, groups: Groups, colours: dict[str, str]) -> None:
-    """Each denoiser's bars side by side; a setting more than one of a method stands beside it in the same colour."""
+    """Draw the bars of each denoiser side by side; further settings of a method share its colour."""
     position, ticks = 0.0, []
     denoisers = dict.fromkeys(setting.denoiser for setting in groups)
     for denoiser in denoisers:

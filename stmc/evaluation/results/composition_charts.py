@@ -1,7 +1,6 @@
-"""Figures of Barquero et al. 2024: the jerk around transitions, of any benchmark, what absolute steps trade, and what a
-frame attends to.
+"""Figures of Barquero et al. 2024: jerk around transitions, the trade-off of absolute steps, and attention of a frame.
 
-Knows records and matplotlib's figures, as `charts` does.
+This module knows records and matplotlib's figures, like `charts`.
 """
 
 from __future__ import annotations
@@ -23,15 +22,14 @@ from stmc.viewing.figure import Figure
 from stmc.viewing.timeline_figure import INK
 
 JERK = "jerk"
-"""The curve that is drawn."""
+"""Key of the curve to draw."""
 
 
 def jerk_curves(results: Sequence[Result]) -> Figure:
-    """The mean jerk in each frame around a transition (their Fig. 4): a panel per denoiser, a line with its 95 %
-    interval per method, in the same colours everywhere; real motion is dashed.
+    """Draw the mean jerk at each frame around a transition (FlowMDM, Fig. 4).
 
-    Raises `ResultError` where no record has the curve "jerk", where curves are of several lengths, and for two settings
-    that the legend could not tell apart.
+    There is a panel per denoiser and a line with its 95 % interval per method; real motion is dashed. Raises
+    `ResultError` if no record has the curve "jerk", if curves differ in length, or if two settings have the same name.
     """
     groups = by_setting(result for result in results if JERK in result.curves)
     if not groups:
@@ -61,18 +59,26 @@ def jerk_curves(results: Sequence[Result]) -> Figure:
 
 
 def trade_off(results: Sequence[Result]) -> Figure:
-    """What more steps with absolute positions do to subsequences and transitions (their Fig. 5): R-precision, FID of
-    transitions and area under the jerk against the share of these steps. Raises as `charts.sweep`."""
+    """Draw metrics against the share of steps with absolute positions (FlowMDM, Fig. 5).
+
+    The metrics are R-precision, FID of transitions and area under the jerk.
+
+    Raises the errors of `charts.sweep`.
+    """
     return sweep(results, "ape_steps", ("r_precision", "transition_fid", "area_under_jerk"))
 
 
 def attention_curves(scores: Float[np.ndarray, "steps frames"], frame: int) -> Figure:
-    """How much one frame attends to every other, a curve for each step of denoising, from blue (the noisiest) to red
-    (their Fig. 2): `scores` are that frame's, as `denoisers.recorded_attention` has them. Raises `ResultError` for no
-    step, and for a frame that is none."""
+    """Draw the attention of one frame to all frames, with a curve per denoising step (FlowMDM, Fig. 2).
+
+    Colours range from blue, the noisiest step, to red. `scores` are those of `frame`, as in
+    `denoisers.recorded_attention`. Raises `ResultError` for no steps, or a frame out of range.
+    """
     steps, frames = scores.shape
     if not steps or not 0 <= frame < frames:
-        raise ResultError(f"{steps} steps, and frame {frame} of {frames}")
+        raise ResultError(
+            f"cannot draw {steps} steps and frame {frame} of {frames}; need a step, and a frame below {frames}"
+        )
     plot, [axes] = grid(1, wide=5.6, tall=3.4)
     for step, row in enumerate(scores):
         colour = colormaps["coolwarm"](step / max(1, steps - 1))
@@ -86,8 +92,10 @@ def attention_curves(scores: Float[np.ndarray, "steps frames"], frame: int) -> F
 
 
 def _colours(groups: Groups) -> dict[str, str]:
-    """The colour of every method, the same for all denoisers. Raises `ResultError` where two settings of one denoiser
-    have one name."""
+    """Return a colour per method, for all denoisers.
+
+    Raises `ResultError` if two settings of a denoiser have the same name.
+    """
     made = sorted((setting for setting in groups if setting.method != REAL), key=place)
     labels = [(setting.denoiser, variant(setting)) for setting in made]
     if twice := [label for label in labels if labels.count(label) > 1]:
@@ -109,6 +117,6 @@ def _draw_curves(axes: Axes, groups: Groups, colours: Mapping[str, str]) -> None
 
 
 def _curve(runs: Sequence[Result]) -> tuple[np.ndarray, list[Estimate]]:
-    """Frames from the middle of the window, and the values there."""
+    """Return frames relative to the middle of the window, and the estimates there."""
     values = [estimate(column) for column in zip(*(run.curves[JERK] for run in runs), strict=True)]
     return np.arange(len(values)) - (len(values) - 1) / 2, values

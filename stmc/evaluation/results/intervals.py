@@ -1,5 +1,7 @@
-"""Means over seeds with their confidence intervals: by the chance of seeds alone, or of what was asked for, too. Knows
-numbers alone."""
+"""Means over seeds with confidence intervals, over seeds alone or over timelines and seeds.
+
+This module knows only numbers.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,11 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean of `count` values; the interval is `mean` ± `half`, None where one value alone says nothing of chance.
-    `bootstrapped`: of the chance of the timelines, too, else of the seeds' alone; without `half`, of too few timelines
-    to say anything of it."""
+    """Mean of `count` values with the interval `mean` ± `half`; `half` is None for a single value.
+
+    `bootstrapped` tells that the interval covers the chance of timelines as well as that of seeds; `half` is then None
+    if there are too few timelines.
+    """
 
     mean: float
     half: float | None
@@ -28,18 +32,18 @@ class Estimate:
 
     @property
     def of_too_few(self) -> bool:
-        """Whether so few timelines were asked for that neither an interval nor a rank means anything."""
+        """Whether there are too few timelines for an interval or a rank."""
         return self.bootstrapped and self.half is None
 
 
 def estimate(values: Sequence[float | int]) -> Estimate:
-    """The mean and its 95 % interval by Student's t distribution: t(0.975, n - 1) s / √n, s² with n - 1.
+    """Compute the mean and its 95 % interval by Student's t distribution: t(0.975, n - 1) s / √n, s² with n - 1.
 
     Raises `ValueError` for no values.
     """
     count = len(values)
     if not count:
-        raise ValueError("a mean of no values")
+        raise ValueError("the mean of no values is undefined")
     mean = math.fsum(values) / count
     if count == 1:
         return Estimate(mean, None, 1)
@@ -48,16 +52,19 @@ def estimate(values: Sequence[float | int]) -> Estimate:
 
 
 def bootstrap(values: Sequence[float | int], resampled: Sequence[Sequence[float | int]]) -> Estimate:
-    """The mean of each seed's value, and its 95 % interval when timelines and seeds are both drawn anew with
-    replacement: 1.96 standard deviations of the mean over drawn seeds of the value on drawn timelines.
+    """Compute the mean over seeds and its 95 % interval by a bootstrap over timelines and seeds.
 
-    `resampled` has each seed's values on the same draws of timelines, so that timelines and seeds are crossed, as they
-    are in a benchmark (Owen 2007, the pigeonhole bootstrap). Few seeds tell little of seeds: of n of them a bootstrap
-    sees (n - 1) / n of the variance. Without draws (of too few timelines) there is no interval. Raises `ResultError`
-    for draws of different numbers.
+    The interval is 1.96 standard deviations of the mean over resampled seeds of the value on resampled timelines. Seeds
+    and timelines are crossed (the pigeonhole bootstrap, Owen 2007). With n seeds, a bootstrap sees only (n - 1) / n of
+    their variance. Without resamples, which too few timelines lack, there is no interval. Raises `ResultError` if the
+    numbers of resamples differ.
+
+    Args:
+        values: Value of each seed.
+        resampled: Values of each seed on the same resamples of the timelines.
     """
     if len({len(row) for row in resampled}) != 1:
-        raise ResultError("records are resampled by different draws of the timelines: they do not compare")
+        raise ResultError("records cannot be compared: they have different resamples of the timelines")
     if not resampled[0]:
         return Estimate(math.fsum(values) / len(values), None, len(values), bootstrapped=True)
     table = np.asarray(resampled, dtype=np.float64)
@@ -68,13 +75,13 @@ def bootstrap(values: Sequence[float | int], resampled: Sequence[Sequence[float 
 
 
 def estimates(results: Iterable[Result]) -> dict[str, Estimate]:
-    """Each metric that all runs of a setting have, over these runs; by `bootstrap` where all have draws of it."""
+    """Estimate each metric that all runs of a setting have; by `bootstrap` if all runs have resamples of it."""
     runs = list(results)
     shared = [name for name in runs[0].metrics if all(name in run.metrics for run in runs)]
-    return {name: _estimated(name, runs) for name in shared}
+    return {name: _estimate_metric(name, runs) for name in shared}
 
 
-def _estimated(name: str, runs: Sequence[Result]) -> Estimate:
+def _estimate_metric(name: str, runs: Sequence[Result]) -> Estimate:
     values = [run.metrics[name] for run in runs]
     if all(name in run.resampled for run in runs):
         return bootstrap(values, [run.resampled[name] for run in runs])

@@ -16,8 +16,11 @@ _MEBIBYTE = 2**20
 
 
 def length_chart(rows: list[dict]) -> Figure:
-    """Time and memory of sampling against the length, a line per run; dashed, straight lines through the origin and the
-    longest, which on these logarithmic axes all have slope one."""
+    """Draw time and memory of sampling against the length of the timeline, with a line per run.
+
+    Dashed lines are proportional to the length and pass through the longest timeline; they have slope one on the
+    logarithmic axes.
+    """
     plot, panels = grid(2, wide=4.4, tall=3.2)
     timed = all("seconds" in row for row in rows)
     _draw(panels[0], rows, "seconds" if timed else "relative_time", 1)
@@ -29,7 +32,7 @@ def length_chart(rows: list[dict]) -> Figure:
 
 
 def _draw(axes: Axes, rows: list[dict], key: str, unit: int) -> None:
-    """One panel. What is not above 0 (memory that loading had needed already) is left out."""
+    """Draw one panel; values that are not above 0 (memory that loading already needed) are left out."""
     runs = list(dict.fromkeys((row["method"], row["model"]) for row in rows))
     for colour, run in zip(palette(len(runs)), runs, strict=True):
         own = [row for row in rows if (row["method"], row["model"]) == run and row[key] > 0]

@@ -1,4 +1,4 @@
-"""What methods and measures are called in tables and charts, in the paper's order, and which direction is better."""
+"""Names of methods and measures in tables and charts, in the paper's order, with their better directions."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ SETTINGS = {"method": "method", "denoiser": "denoiser"} | {
     name: " ".join(_ACRONYMS.get(word, word) for word in name.split("_")) + (f" ({each.unit})" if each.unit else "")
     for name, each in field_infos(Sampling).items()
 }
-"""What the settings are called, as within a sentence."""
+"""Names of the settings, as within a sentence."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A metric as it is shown: `key` in `Result.metrics`, its heading, the better direction, the decimals; `chance` is
-    the key of what it is by chance, where that is measured."""
+    """Presentation of a metric.
+
+    `key` is its key in `Result.metrics`; `chance` is the key of its chance level, or empty. `better` is "real" if
+    values near to that of real motion are better.
+    """
 
     key: str
     heading: str
@@ -35,11 +38,11 @@ class Measure:
 
     @property
     def arrow(self) -> str:
-        """Up where more is better, down where less is, to the right where real motion's value is."""
+        """An arrow up if higher is better, down if lower is, and to the right if near to real motion is."""
         return {"higher": "↑", "lower": "↓", "real": "→"}[self.better]
 
     def shown(self, value: float) -> str:
-        """A value with the decimals it is shown with."""
+        """Format a value with the decimals of the measure."""
         return f"{value:.{self.decimals}f}"
 
 
@@ -71,13 +74,13 @@ MEASURES = (
     Measure("peak_jerk", "PJ", "real", 4),
     Measure("area_under_jerk", "AUJ", "lower", 2),
 )
-"""What geometry alone can see; the columns of STMC's Table 1 and A.1 (section 4.2), FID of crops and FID+ of whole
-motions; then those of FlowMDM's Table 1 (section 4.1). "real": the nearer to real motion's, the better."""
+"""Measures by geometry alone; those of STMC's Tables 1 and A.1 (section 4.2), with FID of crops and FID+ of whole
+motions; then those of FlowMDM's Table 1 (section 4.1)."""
 
 
 @dataclass(frozen=True)
 class MethodRow:
-    """A row of Table 1: its label, and what it is given of a timeline ("Single" or "Multi" tracks, and crops each)."""
+    """Labels of a row of Table 1: its method, and the tracks ("Single" or "Multi") and crops that it uses."""
 
     label: str
     tracks: str = "–"
@@ -87,29 +90,28 @@ class MethodRow:
 ROWS: Mapping[str, MethodRow] = {REAL: MethodRow("Ground truth")} | {
     name: MethodRow(method.label, method.tracks, method.crops) for name, method in METHODS.items()
 }
-"""Real motion, and the methods in their order."""
+"""Real motion and the methods, in order."""
 
 
 def method_row(name: str) -> MethodRow:
-    """That of the method of that name; one that is not ours is called by its own name."""
+    """Return the row of a method by its name; an unknown method is labelled with its name."""
     return ROWS.get(name, MethodRow(name))
 
 
 def variant(setting: Setting) -> str:
-    """The method's label, with the share of the steps from which on it stitches."""
+    """Return the label of a setting's method, with the share of steps after which stitching starts."""
     label, start = method_row(setting.method).label, setting.sampling.stitch_from
     return f"{label}, from {start:.0%} on" if start else label
 
 
 def place(setting: Setting) -> tuple[int, float]:
-    """Where a row stands among others: in the order of `ROWS`, those that it does not have last; the later a method
-    stitches, the later."""
+    """Return the sort key of a row: the order of `ROWS`, unknown methods last; then the start of stitching."""
     known = list(ROWS)
     start = float(setting.sampling.stitch_from or 0)
     return known.index(setting.method) if setting.method in ROWS else len(known), start
 
 
 def measures(keys: Iterable[str]) -> tuple[Measure, ...]:
-    """The known measures among `keys`, in the order of the columns."""
+    """Return the known measures among `keys`, in the order of the columns."""
     found = set(keys)
     return tuple(measure for measure in MEASURES if measure.key in found)

@@ -1,6 +1,6 @@
-"""The rows that the papers print, to stand beside ours; and the field's table of single texts.
+"""Published rows of the papers, for comparison with ours, and the standard table for single texts.
 
-Knows the records under `assets/published_results`.
+This module knows the records under `assets/published_results`.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from stmc.evaluation.results.naming import REAL, measures, place, variant
 from stmc.evaluation.results.result_records import Result, ResultError, by_setting, read_results
 from stmc.evaluation.results.tables import Row, Table
 
-REMARK = "Published rows are the paper's, without its intervals."
+REMARK = "Published rows are taken from the paper, without its intervals."
 
 
 def published_results(name: str) -> list[Result]:
-    """The records of a published table, e.g. "stmc_table_1". Raises `ResultError` for a name that is none."""
+    """Read the records of a published table, such as "stmc_table_1". Raises `ResultError` for an unknown name."""
     folder = files("stmc") / "assets" / "published_results"
     names = sorted(file.name.removesuffix(".jsonl") for file in folder.iterdir() if file.name.endswith(".jsonl"))
     if name not in names:
@@ -29,7 +29,13 @@ def published_results(name: str) -> list[Result]:
 
 
 def with_published(results: Iterable[Result], table: Callable[[Iterable[Result]], Table], published: str) -> Table:
-    """`table` of the results, and below it that of a published table's records, each row with its source."""
+    """Build a table of own results, followed by that of published ones, with the source of each row.
+
+    Args:
+        results: Own records.
+        table: Function that builds a table of records.
+        published: Name of a published table, as in `published_results`.
+    """
     own, theirs = table(results), table(published_results(published))
     headings = max(own.headings, theirs.headings, key=len)
 
@@ -46,14 +52,16 @@ def with_published(results: Iterable[Result], table: Callable[[Iterable[Result]]
 
 
 def single_text_table(results: Iterable[Result]) -> Table:
-    """The `repetition_table` of the field's benchmark of single texts."""
+    """Build the `repetition_table` of the HumanML3D benchmark of single texts."""
     return repetition_table(results, "HumanML3D, single texts")
 
 
 def repetition_table(results: Iterable[Result], title: str) -> Table:
-    """Rows as the field's tables have them: real motion first, then each denoiser and method, with the share of steps
-    with absolute positions where there are such shares; means over repetitions ± 1.96 s / √n, with the s² that divides
-    by n, as by the published evaluations."""
+    """Build a table in the usual form: real motion first, then each denoiser and method.
+
+    Shares of steps with absolute positions have a column if there are any. Means over repetitions are ± 1.96 s / √n,
+    where s² divides by n, as in the published evaluations.
+    """
     groups = by_setting(results)
     blended = any(setting.sampling.ape_steps is not None for setting in groups)
     rows = []
@@ -64,7 +72,7 @@ def repetition_table(results: Iterable[Result], title: str) -> Table:
         order = (setting.method != REAL, place(setting), setting.denoiser, -1 if share is None else share)
         rows.append((order, Row(labels, _estimates(runs), competes=setting.method != REAL)))
     ordered = tuple(row for _, row in sorted(rows, key=lambda each: each[0]))
-    blocks = tuple(block for block in (_where(ordered, False), _where(ordered, True)) if block)
+    blocks = tuple(block for block in (_select(ordered, False), _select(ordered, True)) if block)
     repetitions = max((len(runs) for runs in groups.values()), default=0)
     caption = f"{title}: means over {repetitions} repetitions ± 95% confidence intervals (1.96 s / √n)."
     columns = measures(key for row in ordered for key in row.estimates)
@@ -73,9 +81,12 @@ def repetition_table(results: Iterable[Result], title: str) -> Table:
 
 
 def normal_estimate(values: list[float | int]) -> Estimate:
-    """The mean ± 1.96 standard deviations (over n) / √n; no interval for one value. Raises `ValueError` for none."""
+    """Compute the mean ± 1.96 s / √n, where s² divides by n, or no interval for one value.
+
+    Raises `ValueError` for no values.
+    """
     if not values:
-        raise ValueError("a mean of no values")
+        raise ValueError("the mean of no values is undefined")
     mean = math.fsum(values) / len(values)
     if len(values) == 1:
         return Estimate(mean, None, 1)
@@ -88,5 +99,5 @@ def _estimates(runs: list[Result]) -> dict[str, Estimate]:
     return {name: normal_estimate([run.metrics[name] for run in runs]) for name in shared}
 
 
-def _where(rows: tuple[Row, ...], competes: bool) -> tuple[Row, ...]:
+def _select(rows: tuple[Row, ...], competes: bool) -> tuple[Row, ...]:
     return tuple(row for row in rows if row.competes == competes)

@@ -1,4 +1,4 @@
-"""One record per run of an experiment, and the file of many: JSON, a record a line. Knows no table and no chart."""
+"""Records of runs, and files of records: JSON, one record per line. This module knows no table and no chart."""
 
 from __future__ import annotations
 
@@ -17,40 +17,44 @@ from stmc.settings.renamed import RENAMED_IN_RECORDS
 
 
 class ResultError(ValueError):
-    """A record that is invalid; the message names the file, the line and the key."""
+    """Error for an invalid record; the message names the file, the line and the key."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """All that was chosen for a run but the seed: runs that share it differ by chance alone."""
+    """All choices of a run except the seed; runs with the same setting differ only by chance."""
 
     method: str
     denoiser: str = ""
     sampling: Sampling = Sampling()
 
     def value(self, name: str) -> Any:
-        """Of the field, or of the setting of sampling, of that name."""
+        """Return the field, or the setting of sampling, with this name."""
         return getattr(self if name in ("method", "denoiser") else self.sampling, name)
 
     def without(self, names: Iterable[str]) -> Setting:
-        """The same with these left open."""
+        """Return a copy in which these are unset."""
         open_ = {name: None for name in names if name in field_infos(Sampling)}
         here = {name: "" for name in names if name not in open_}
         return replace(self, **here, sampling=replace(self.sampling, **open_))
 
 
 SETTINGS = ("method", "denoiser", *field_infos(Sampling))
-"""The names of all that was chosen."""
+"""Names of all choices."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What one seed of one setting measured. A setting of sampling that is None does not apply, as none does to real
-    motion; the sampler is a name.
+    """Measurements of one seed of one setting. Raises `ResultError` for a number that is not finite.
 
-    `method` is a name of `composing.METHODS` or any other; `metrics` has the keys of `naming.MEASURES` or others,
-    `curves` what was measured frame by frame, `resampled` what metrics are on draws of what was asked for: the same
-    draws for every seed. Raises `ResultError` for a number that is not finite.
+    Args:
+        method: Name in `composing.METHODS`, or any other.
+        seed: Seed of the run.
+        metrics: Values by the keys of `naming.MEASURES`, or others.
+        denoiser: Name of the denoiser.
+        sampling: Settings of sampling; None for those that do not apply, as all for real motion. The sampler is a name.
+        curves: Values per frame.
+        resampled: Values of metrics on resamples of the timelines, the same resamples for every seed.
     """
 
     method: str
@@ -74,7 +78,7 @@ class Result:
 
     @property
     def setting(self) -> Setting:
-        """Everything but the seed and what was measured."""
+        """All choices except the seed."""
         return Setting(self.method, self.denoiser, self.sampling)
 
 
@@ -88,9 +92,9 @@ def _check(name: str, value: Any, *kinds: type) -> None:
 
 
 def by_setting(results: Iterable[Result]) -> dict[Setting, list[Result]]:
-    """The runs of each setting, in the order of first appearance.
+    """Group runs by setting, in the order of first appearance.
 
-    Raises `ResultError` for a seed that a setting has twice: it would make the interval too narrow.
+    Raises `ResultError` for a duplicate seed of a setting, which would make the interval too narrow.
     """
     groups: dict[Setting, list[Result]] = {}
     for result in results:
@@ -102,22 +106,22 @@ def by_setting(results: Iterable[Result]) -> dict[Setting, list[Result]]:
 
 
 def refuse_other_differences(groups: Iterable[Setting], varied: Sequence[str]) -> None:
-    """Raises `ResultError` where settings differ in more than those that are `varied`."""
+    """Raise `ResultError` if settings differ in more than `varied`."""
     first, *others = (setting.without(varied) for setting in groups)
     for other in others:
         if first != other:
-            told = difference(first, other)
-            raise ResultError(f"records differ in more than {', '.join(varied)}: {told}; choose one")
+            message = difference(first, other)
+            raise ResultError(f"records differ in more than {', '.join(varied)}: {message}; choose one")
 
 
 def difference(first: Setting, second: Setting) -> str:
-    """In what two settings differ, and how."""
+    """Describe the differences of two settings."""
     pairs = ((name, first.value(name), second.value(name)) for name in SETTINGS)
     return ", ".join(f"{name} {one} and {other}" for name, one, other in pairs if one != other)
 
 
 def write_results(results: Sequence[Result], path: str | Path) -> None:
-    """Writes JSON, a record a line; the file appears whole or not at all."""
+    """Write records as JSON, one per line; the file is written atomically."""
     content = "".join(f"{json.dumps(_flat(result))}\n" for result in results)
     write_whole(Path(path), lambda temporary: temporary.write_text(content, encoding="utf-8"))
 
@@ -128,8 +132,10 @@ def _flat(result: Result) -> dict[str, Any]:
 
 
 def read_results(path: str | Path) -> list[Result]:
-    """The records of a file that `write_results` wrote, with today's names of the settings. Raises `ResultError` naming
-    the line and the key."""
+    """Read a file of `write_results`, with current names for renamed settings.
+
+    Raises `ResultError`, which names the line and the key, for an invalid record.
+    """
     results = []
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
@@ -151,14 +157,16 @@ def _of_line(line: str) -> Result:
     except (ValueError, RecursionError) as error:
         raise ResultError(f"not JSON ({error})") from None
     if not isinstance(data, dict):
-        raise ResultError(f'a record is an object, {{"method": "stmc", "seed": 0, "metrics": {{…}}}}, not {line[:60]}')
+        raise ResultError(
+            f'a record must be an object, {{"method": "stmc", "seed": 0, "metrics": {{…}}}}, not {line[:60]}'
+        )
     old = {RENAMED_IN_RECORDS[key]: data.pop(key) for key in RENAMED_IN_RECORDS if key in data}
     data = old | data
     known = (*SETTINGS, "seed", "metrics", *_ROWS)
     if unknown := [key for key in data if key not in known]:
         raise ResultError(f"unknown key {shown(unknown[0])}; choose from {', '.join(known)}")
     if missing := [key for key in ("method", "seed", "metrics") if key not in data]:
-        raise ResultError(f"no {', '.join(missing)}")
+        raise ResultError(f"missing {', '.join(missing)}")
     for name, kind in _KINDS.items():
         if name in data:
             _check(name, data[name], kind)

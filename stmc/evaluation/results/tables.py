@@ -1,6 +1,6 @@
-"""The paper's tables from records, as text and LaTeX: means ± 95 % intervals, each column's best marked.
+"""The papers' tables as text and LaTeX: means ± 95 % intervals, with the best value of each column marked.
 
-Knows rows and columns; how a mean and its interval are found is `intervals`' matter.
+This module knows rows and columns; `intervals` computes means and intervals.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SPECIAL = {
 
 @dataclass(frozen=True)
 class Row:
-    """Labels on the left, numbers on the right. Only rows that compete can be the best: real motion does not."""
+    """Labels and estimates of a row. Only rows that compete can be the best; real motion does not compete."""
 
     labels: tuple[str, ...]
     estimates: Mapping[str, Estimate]
@@ -41,7 +41,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Blocks of rows; the best mean of a column is marked in each block, all that look the same when rounded."""
+    """Blocks of rows; in each block, the best mean of a column is marked, with all that are equal when rounded."""
 
     caption: str
     headings: tuple[str, ...]
@@ -49,7 +49,7 @@ class Table:
     blocks: tuple[tuple[Row, ...], ...]
 
     def text(self) -> str:
-        """Aligned columns; the best have a *."""
+        """Format the table as aligned columns; a * marks the best values."""
         heads = [*self.headings, *(f"{self._heading(each)} {each.arrow} " for each in self.measures)]
         bodies = [[[*row.labels, *self._cells(block, row, _plain)] for row in block] for block in self.blocks]
         wide = [max(len(cells[column]) for cells in chain([heads], *bodies)) for column in range(len(heads))]
@@ -60,7 +60,7 @@ class Table:
         return "\n".join([*lines, rule]) + "\n"
 
     def latex(self) -> str:
-        """A `table` that needs the package booktabs; the best are bold."""
+        """Format the table as a LaTeX `table`, which needs booktabs; the best values are bold."""
         arrows = {"higher": r"$\uparrow$", "lower": r"$\downarrow$", "real": r"$\rightarrow$"}
         heads = [_escaped(name) for name in self.headings]
         heads += [f"{_escaped(self._heading(each))} {arrows[each.better]}" for each in self.measures]
@@ -76,10 +76,10 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def _heading(self, measure: Measure) -> str:
-        """With the unit, and with what would be there by chance, where the rows say it."""
+        """Return the heading of a measure, with its unit and its chance level if known."""
         levels = [row.estimates[measure.chance].mean for row in chain(*self.blocks) if measure.chance in row.estimates]
-        told = f"by chance {measure.shown(sum(levels) / len(levels))}" if levels else ""
-        behind = "; ".join(filter(None, (measure.unit, told)))
+        chance = f"by chance {measure.shown(sum(levels) / len(levels))}" if levels else ""
+        behind = "; ".join(filter(None, (measure.unit, chance)))
         return f"{measure.heading} ({behind})" if behind else measure.heading
 
     def _cells(self, block: Sequence[Row], row: Row, show) -> list[str]:
@@ -92,10 +92,10 @@ class Table:
 
 
 def comparison_table(results: Iterable[Result]) -> Table:
-    """Table 1: a block for the ground truth and one for each denoiser, its methods in the paper's order; a method that
-    stitches from several moments on has a row for each.
+    """Build Table 1 of STMC: a block for the ground truth and one per denoiser, with methods in the paper's order.
 
-    Raises `ResultError` where a denoiser has a method with several other settings: a comparison is of one each.
+    Different starts of stitching have a row each. Raises `ResultError` if a method of a denoiser has several settings
+    otherwise.
     """
     groups = by_setting(results)
     _refuse_ambiguous(groups)
@@ -112,10 +112,9 @@ def comparison_table(results: Iterable[Result]) -> Table:
 
 
 def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
-    """A row for each of the values that the settings `varied` take (names of `SETTINGS`), with everything else
-    the same; varied by the overlap it is Table A.1.
+    """Build a table with a row per value of the settings `varied` (names of `SETTINGS`); Table A.1 varies the overlap.
 
-    Raises `ResultError` for a name that is no setting's, for records that differ in others, and for none that has one.
+    Raises `ResultError` for an unknown setting, for records that differ in other settings, and if no record has one.
     """
     if unknown := [name for name in varied if name not in SETTINGS]:
         raise ResultError(f"unknown setting {unknown[0]!r}; choose from {', '.join(SETTINGS)}")
@@ -133,7 +132,7 @@ def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
 
 
 def _order(setting: Setting, varied: Sequence[str]) -> tuple:
-    """Numbers by value, names by the alphabet, what is not said first."""
+    """Return the sort key of a setting: unset values first, numbers by value, names alphabetically."""
     values = (setting.value(name) for name in varied)
     return tuple((value is not None, value or 0) if not isinstance(value, str) else (True, value) for value in values)
 
@@ -148,7 +147,7 @@ def _refuse_ambiguous(groups: Mapping[Setting, Sequence[Result]]) -> None:
         other = seen.setdefault((setting.denoiser, setting.method, setting.sampling.stitch_from), setting)
         if other != setting:
             name = f"{setting.method} of {setting.denoiser or 'no denoiser'}"
-            raise ResultError(f"{name} is there with {difference(other, setting)}; choose one")
+            raise ResultError(f"{name} has several settings, {difference(other, setting)}; choose one")
 
 
 def _table(
@@ -164,7 +163,7 @@ def _table(
 
 
 def _interval(made: Sequence[Mapping[str, Estimate]], columns: Sequence[Measure], one: bool) -> str:
-    """What ± is, in words, and of which columns it is something else."""
+    """Describe the intervals of a table, and the columns with other ones."""
     if any(found.of_too_few for row in made for found in row.values()):
         return ", of too few timelines for intervals or ranks"
     kinds = {each: {row[each.key].bootstrapped for row in made if each.key in row} for each in columns}
@@ -182,7 +181,7 @@ def _interval(made: Sequence[Mapping[str, Estimate]], columns: Sequence[Measure]
 
 def _is_best(block: Sequence[Row], row: Row, measure: Measure) -> bool:
     if measure.better == "real":
-        return False  # what is nearest is for the reader to see: real motion stands in the table
+        return False  # readers compare with real motion, which is in the table
     compared = [other.estimates[measure.key] for other in block if other.competes and measure.key in other.estimates]
     if any(each.of_too_few for each in compared):
         return False

@@ -1,7 +1,7 @@
-"""The perceptual study (STMC, sections 4.2 and 4.4): pages that show two methods' motions of one timeline side by side,
-and what the raters' answers say about the methods.
+"""Perceptual studies (STMC, sections 4.2 and 4.4): survey pages and the analysis of answers.
 
-Knows motions, timelines and answers; knows no model and no way to make motions.
+A page shows motions of one timeline by two methods side by side. This package knows motions, timelines and answers; it
+knows no model and cannot generate motions.
 """
 
 from stmc.evaluation.study.analysis import Analysis, Preference, Vote, analyse, wilson

@@ -1,6 +1,6 @@
-"""What raters prefer: who understood the task, the majority for each pair, shares of pairs with their intervals.
+"""Analysis of answers: attentive raters, the majority for each pair, and shares of pairs with intervals.
 
-Knows answers and the key; knows no motion (STMC, section 4.2, "Perceptual study", and figure 4).
+See STMC, section 4.2, "Perceptual study", and Fig. 4. This module knows answers and the key; it knows no motion.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _QUESTIONS = {Aspect.REALISM: "more realistic", Aspect.TIMELINE: "better at foll
 
 
 class Vote(StrEnum):
-    """A rater's or the majority's answer about a pair."""
+    """The answer of a rater, or of the majority, about a pair."""
 
     FIRST = "first"
     NEITHER = "no preference"
@@ -28,28 +28,28 @@ class Vote(StrEnum):
 
 @dataclass(frozen=True)
 class Preference:
-    """Every judged pair's votes in one aspect, by the pair's name."""
+    """Votes in one aspect, by the name of the pair."""
 
     votes: Mapping[str, Counter[Vote]]
 
     @property
     def outcomes(self) -> dict[str, Vote]:
-        """What most raters of each pair said; a tie for the most is no preference."""
+        """The majority's answer for each pair; a tie is no preference."""
         return {pair: _majority(votes) for pair, votes in self.votes.items()}
 
     def count(self, *outcomes: Vote) -> int:
-        """Of how many pairs the majority gave one of these answers."""
+        """Count the pairs for which the majority gave one of these answers."""
         return sum(outcome in outcomes for outcome in self.outcomes.values())
 
     @property
     def raters(self) -> float:
-        """How many raters judged a pair, on average."""
+        """The mean number of raters per pair."""
         return sum(votes.total() for votes in self.votes.values()) / max(len(self.votes), 1)
 
 
 @dataclass(frozen=True)
 class Discarded:
-    """Answers that do not count, and why."""
+    """Discarded answers with the reasons."""
 
     answers: Answers
     reasons: tuple[str, ...]
@@ -57,32 +57,32 @@ class Discarded:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What a study says of its two methods, and whom it did not listen to."""
+    """Result of a study: preferences between its two methods, and discarded answers."""
 
     methods: tuple[str, str]
     kept: tuple[Answers, ...]
     discarded: tuple[Discarded, ...]
     preferences: Mapping[Aspect, Preference]
     unjudged: tuple[str, ...]
-    """Pairs that no answers are left for."""
+    """Pairs without any counted answers."""
 
     def text(self) -> str:
-        """A report to read."""
+        """Return the report as text."""
         lines = [f"{self.methods[0]} against {self.methods[1]}"]
-        lines.append(f"{len(self.kept)} answer files count, {len(self.discarded)} are discarded")
+        lines.append(f"{len(self.kept)} answer files counted, {len(self.discarded)} discarded")
         lines += [f"  {each.answers.source}: {'; '.join(each.reasons)}" for each in self.discarded]
         if self.unjudged:
-            lines.append(f"{len(self.unjudged)} pairs are judged by nobody: {', '.join(self.unjudged)}")
+            lines.append(f"{len(self.unjudged)} pairs have no answers: {', '.join(self.unjudged)}")
         for aspect, preference in self.preferences.items():
             lines += ["", self._paragraph(aspect, preference)]
         lines += [
             "",
-            "Pairs by their majority (a tie is no preference), shares, and Wilson's 95 % intervals over pairs.",
+            "Number of pairs by majority (a tie is no preference), share, and Wilson's 95 % interval over pairs.",
         ]
         return "\n".join(lines) + "\n"
 
     def data(self) -> dict[str, Any]:
-        """The same for a JSON file, with every pair's votes."""
+        """Return the result as plain data for JSON, with the votes on every pair."""
         return {
             "methods": list(self.methods),
             "kept": [each.source for each in self.kept],
@@ -115,33 +115,36 @@ class Analysis:
 
 
 def analyse(key: Key, answers: Sequence[Answers]) -> Analysis:
-    """Discards raters that failed a honeypot, and takes the majority's answer about each pair.
+    """Discard raters that failed a honeypot, and take the majority's answer about each pair.
 
-    A honeypot is failed by any answer but the right one, in the one aspect that it tests; all files of that rater are
-    discarded, whatever survey they belong to. Warm-ups count for nothing. The paper leaves open what a tie is: here the
-    answer with the most votes of the three wins, and a tie for the most is "no preference". A rater who meets a pair in
-    two surveys has one vote on it, that of the file that comes first.
+    Any answer but the right one, in the aspect that a honeypot tests, fails it; all files of the rater are then
+    discarded, in all surveys. Warm-ups do not count. The paper does not define ties: here the answer with the most
+    votes of the three wins, and a tie for the most is "no preference". A rater who sees a pair in two surveys has one
+    vote, that of the first file.
     """
     failures = {each.rater: [] for each in answers}
     for each in answers:
         failures[each.rater] += [(each, reason) for reason in _failures(key, each)]
     kept = tuple(each for each in answers if not failures[each.rater])
     discarded = tuple(
-        Discarded(each, tuple(_said(each, source, reason) for source, reason in failures[each.rater]))
+        Discarded(each, tuple(_format_reason(each, source, reason) for source, reason in failures[each.rater]))
         for each in answers
         if failures[each.rater]
     )
-    asked = [entry.pair for entries in key.surveys.values() for entry in entries.values() if entry.kind == Kind.PAIR]
+    pairs = [entry.pair for entries in key.surveys.values() for entry in entries.values() if entry.kind == Kind.PAIR]
     preferences = {aspect: _preference(key, kept, aspect) for aspect in Aspect}
-    unjudged = [pair for pair in dict.fromkeys(asked) if pair not in preferences[Aspect.REALISM].votes]
+    unjudged = [pair for pair in dict.fromkeys(pairs) if pair not in preferences[Aspect.REALISM].votes]
     return Analysis(key.methods, kept, discarded, preferences, tuple(unjudged))
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share of `count` in `total` (1927): it stays within 0 and 1, also for few."""
+    """Return Wilson's 95 % interval (1927) of the share `count` / `total`, within 0 and 1 even for few.
+
+    Raises `ValueError` if `count` is not from 0 to `total`, or `total` is 0.
+    """
     if not 0 <= count <= total or not total:
         raise ValueError(f"{count} of {total} is not a share")
-    from scipy.stats import binomtest  # not above: it is slow to import
+    from scipy.stats import binomtest  # not at the top: it is slow to import
 
     interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
@@ -161,7 +164,7 @@ def _failures(key: Key, answers: Answers) -> list[str]:
     return reasons
 
 
-def _said(answers: Answers, source: Answers, reason: str) -> str:
+def _format_reason(answers: Answers, source: Answers, reason: str) -> str:
     return reason if source is answers else f"{reason} (the same rater in {source.source})"
 
 

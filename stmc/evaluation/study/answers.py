@@ -1,6 +1,6 @@
-"""Answer files as raters send them back: read with suspicion, checked against the key.
+"""Answer files from raters, which are untrusted and checked against the key.
 
-Knows the form of an answer; what the answers mean for the methods is `analysis`' matter.
+This module knows the format of answers; `analysis` interprets them.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from stmc.io.untrusted import UnreadableError, load_json, read_text, shown
 FORMAT = "stmc study answers 1"
 NO_PREFERENCE = "none"
 MOST_BYTES = 2**20
-"""Of an answer file; a page's has a few kilobytes."""
+"""Maximum size of an answer file; a page writes a few kilobytes."""
 _RATER = re.compile(r"[0-9a-f]{16}")
 _KEYS = ("format", "survey", "rater", "answers")
 
 
 class AnswersError(ValueError):
-    """An answer file that no page of the study wrote, or that was changed since; the message names file and key."""
+    """Error for a file that no page of the study wrote, or that was changed; the message names file and key."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,10 @@ class Answers:
 
 
 def read_answers(paths: Iterable[str | Path], key: Key) -> list[Answers]:
-    """The answers of these files, by name. Every file must answer every question of a survey of the key.
+    """Read answer files in the order of their names.
 
-    Raises `AnswersError` for anything else, and for two files of one rater and survey, naming both.
+    Raises `AnswersError` for a file that does not answer all questions of a survey of the key, and for two files of one
+    rater and survey, with both names.
     """
     found: dict[tuple[str, str], Answers] = {}
     for path in sorted(map(Path, paths)):

@@ -1,6 +1,6 @@
-"""A motion as the surveys' pages draw it: moved to where all begin, and perhaps with limbs that no body has.
+"""Motions as survey pages draw them: moved to a common start, and possibly with stretched limbs.
 
-Knows nothing of methods; two clips of a pair look alike but for how they move.
+This module does not know methods; two clips of a pair differ only in their movement.
 """
 
 from __future__ import annotations
@@ -19,22 +19,21 @@ from stmc.motion.geometry import rotation_z
 from stmc.motion.motion import Motion
 
 _GROWTH = {"shoulder": 1.6, "hip": 1.0}
-"""How much larger than it is the limb below a joint grows: 1.6 is up to 2.6 times as large."""
+"""Maximum relative growth of the limb below a joint; 1.6 stretches it up to 2.6 times."""
 _PERIOD = 2.0
-"""Seconds in which a stretched limb grows and shrinks."""
+"""Period in seconds of the growing and shrinking of a stretched limb."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A motion that begins at the origin and faces -y, and factors by which joints enlarge the limbs below them."""
+    """A motion that begins at the origin and faces -y, with scales of the limbs below joints."""
 
     motion: Motion
     scales: Mapping[str, Float[np.ndarray, " frames"]] | None = None
 
     @classmethod
     def of(cls, motion: Motion) -> Clip:
-        """The motion moved to the origin and turned so that it first faces -y: where a method let it begin is no hint
-        at the method."""
+        """Move a motion to the origin and turn it to face -y first, so that its start does not reveal the method."""
         rotations, translation, joints = (
             each.double().cpu() for each in (motion.rotations, motion.translation, motion.joints)
         )
@@ -45,23 +44,25 @@ class Clip:
 
     @property
     def duration(self) -> float:
-        """Seconds from the first frame to the last."""
+        """The time in seconds from the first frame to the last."""
         return (self.motion.frames - 1) / self.motion.fps
 
     @property
     def joints(self) -> Float[np.ndarray, "frames joints 3"]:
-        """Where the joints are drawn: metres, z up."""
+        """The positions at which joints are drawn, in metres, z up."""
         joints = self.motion.joints.double().cpu().numpy()
         return joints if self.scales is None else _enlarged(joints, self.scales)
 
     @property
     def animation(self) -> Animation:
-        """For the file of a figure."""
+        """The animation for the file of a figure."""
         return Animation(self.motion, self.scales)
 
     def stretched(self) -> Clip:
-        """The same with arms and legs that grow to twice their size and beyond, and shrink again, as no body can; the
-        lowest joint stays as high as it was."""
+        """Return the clip with arms and legs that grow to twice their size or more and shrink again.
+
+        The height of the lowest joint stays the same.
+        """
         time = np.arange(self.motion.frames) / self.motion.fps
         scales = {}
         for joint, growth in _GROWTH.items():
@@ -79,7 +80,7 @@ class Clip:
 def _enlarged(
     joints: Float[np.ndarray, "frames joints 3"], scales: Mapping[str, Float[np.ndarray, " frames"]]
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Joints with all that hangs on some of them moved away from these."""
+    """Scale the positions of all descendants of some joints relative to these."""
     result = joints.copy()
     for name, factors in scales.items():
         root = JOINTS.index(name)

@@ -1,6 +1,6 @@
-"""Two methods' motions of the same timelines, from two folders as `stmc sample` fills them.
+"""Motions of the same timelines by two methods, read from two folders of `stmc sample`.
 
-Knows the records that it leaves beside the motions; knows nothing of surveys.
+This module knows the records beside the motions; it does not know surveys.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 
 Content = tuple[tuple[str, float, float, tuple[str, ...]], ...]
-"""A timeline as the records have it: text, start, end and parts of each prompt."""
+"""A timeline in the form of records: text, start, end and parts of each prompt."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +31,10 @@ class Pair:
 
 
 def read_pairs(first: str | Path, second: str | Path, timelines: Sequence[Timeline]) -> list[Pair]:
-    """The motions of every timeline that both folders have, of several seeds the lowest, in the timelines' order.
+    """Read the motions of every timeline that both folders have, with the lowest seed, in the timelines' order.
 
-    A motion's timeline is told by the record beside it. Raises `StudyError` for a motion without one, for a timeline
-    that only one of the folders has, and where they have none of the timelines at all.
+    The record beside a motion tells its timeline. Raises `StudyError` for a motion without a record, for a timeline
+    that only one folder has, and if the folders have none of the timelines.
     """
     folders = [Path(first), Path(second)]
     found = [_motions(folder) for folder in folders]
@@ -67,13 +67,13 @@ def _motions(folder: Path) -> dict[Content, Path]:
 
 def _record(path: Path) -> tuple[int, Content]:
     if not path.is_file():
-        raise StudyError(f"{path} is missing: the sampling script writes one beside each motion, with its timeline")
+        raise StudyError(f"{path} is missing; `stmc sample` writes it beside each motion")
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
         content = tuple((str(text), float(a), float(b), tuple(sorted(parts))) for text, a, b, parts in data["prompts"])
         return int(data["seed"]), content
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise StudyError(f"{path} is not a record as the sampling script writes it ({error!r})") from None
+        raise StudyError(f"{path} is not a record of `stmc sample` ({error!r})") from None
 
 
 def _content(timeline: Timeline) -> Content:

@@ -1,6 +1,6 @@
-"""The answer key of a study: what each question asked in truth, and which method stood behind which opaque id.
+"""The answer key of a study: the kind of each question, and the method behind each opaque id.
 
-Raters never get it: it is a file of its own, for the analysis.
+The key is a separate file for the analysis; raters never see it.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ FORMAT = "stmc study key 1"
 
 
 class StudyError(ValueError):
-    """A study that cannot be made or read; the message names the file or the number and what would be right."""
+    """Error for a study that cannot be made or read; the message names the file or the number and a remedy."""
 
 
 class Aspect(StrEnum):
-    """What a rater is asked of each two motions: which is more realistic, which follows the timeline better."""
+    """The two questions about a pair: which motion is more realistic, and which follows the timeline better."""
 
     REALISM = "realism"
     TIMELINE = "timeline"
 
 
 class Kind(StrEnum):
-    """What a question is for. Of a warm-up nothing is counted; a honeypot has one right answer, in one aspect."""
+    """Purpose of a question. Warm-ups do not count; a honeypot has one right answer, in one aspect."""
 
     PAIR = "pair"
     WARM_UP = "warm-up"
@@ -38,17 +38,17 @@ class Kind(StrEnum):
 
     @property
     def tests(self) -> Aspect | None:
-        """The aspect in which a honeypot has a right answer; None for what is no honeypot."""
+        """The aspect in which a honeypot has a right answer; None for other kinds."""
         return {Kind.REALISM_HONEYPOT: Aspect.REALISM, Kind.TIMELINE_HONEYPOT: Aspect.TIMELINE}.get(self)
 
 
 RIGHT, WRONG = "right", "wrong"
-"""What stands for a method behind the two sides of a honeypot."""
+"""Names of the two sides of a honeypot, in place of methods."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One question: its kind, the name of its pair, and what each clip's id stands for: a method, or right or wrong."""
+    """One question: its kind, the name of its pair, and the method (or right or wrong) of each clip by its id."""
 
     kind: Kind
     pair: str
@@ -57,13 +57,13 @@ class Entry:
 
 @dataclass(frozen=True)
 class Key:
-    """The two methods' names, the first being the one under study, and every survey's questions by their ids."""
+    """Names of the two methods, the one under study first, and the questions of every survey by their ids."""
 
     methods: tuple[str, str]
     surveys: Mapping[str, Mapping[str, Entry]]
 
     def write(self, path: str | Path) -> None:
-        """As JSON; the file appears whole or not at all."""
+        """Write the key as JSON; the file is written atomically."""
         surveys = {
             survey: {
                 question: {"kind": entry.kind, "pair": entry.pair, "sides": dict(entry.sides)}
@@ -76,7 +76,7 @@ class Key:
 
     @classmethod
     def read(cls, path: str | Path) -> Key:
-        """What `write` wrote. Raises `StudyError` naming the file for anything else."""
+        """Read a file of `write`. Raises `StudyError`, which names the file, for any other content."""
         try:
             data = json.loads(Path(path).read_text(encoding="utf-8"))
             if data["format"] != FORMAT:
@@ -89,7 +89,7 @@ class Key:
         except StudyError:
             raise
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise StudyError(f"{path} is not an answer key as the study's script writes it ({error!r})") from None
+            raise StudyError(f"{path} is not an answer key of `stmc study` ({error!r})") from None
         return cls((first, second), surveys)
 
 

@@ -1,4 +1,4 @@
-"""A survey as one page that loads nothing from anywhere and holds no answer. Looks and script are in assets/study.*."""
+"""Survey pages, which are self-contained and hold no answers. Style and script are in assets/study.*."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from stmc.viewing.bundle import as_json, assemble
 from stmc.viewing.colours import as_rgb
 
 SIDES = {"left": "#6f95c4", "right": "#cf9a62", "": "#b0b6c0"}
-"""The colours of the person's left and right limbs, and of the rest; the page's legend has them, too."""
+"""Colours of the left and right limbs and of the rest of the body; the page's legend repeats them."""
 _SAME = 1e-3
-"""Metres by which a bone of one body may differ."""
+"""Maximum difference in metres between bones of the same body."""
 
 
 def survey_page(survey: Survey) -> str:
-    """A self-contained HTML page (some 1.5 MB, and 50 kB for each ten seconds of a motion): both motions in step, the
-    timeline with a bar that moves along it, two questions a pair, answers as a file to download.
+    """Build the HTML page of a survey, self-contained, of 1.5 MB plus 50 kB per ten seconds of motion.
 
-    It keeps the answers in the browser as they are given, so that a closed tab loses nothing.
+    For each pair, the page plays both motions in step above the timeline with a cursor, and asks two questions. The
+    rater downloads the answers as a file. The browser stores answers immediately, so a closed tab loses none.
     """
     clips = {name: clip for question in survey.questions for name, clip in question.sides}
     bodies = _bodies(clips)
     data = {
         "survey": survey.id,
         "figures": [base64.b64encode(_figure(skeleton, clips, names)).decode("ascii") for skeleton, names in bodies],
-        "questions": [_asked(question, [names for _, names in bodies]) for question in survey.questions],
+        "questions": [_question_data(question, [names for _, names in bodies]) for question in survey.questions],
     }
     return assemble("study.html", "study.js", ("stage.css", "study.css"), {"survey": as_json(data)})
 
 
-def _asked(question: Question, figures: Sequence[Collection[str]]) -> dict[str, Any]:
+def _question_data(question: Question, figures: Sequence[Collection[str]]) -> dict[str, Any]:
     timeline = question.timeline
     prompts = [
         {"text": prompt.text, "start": prompt.start, "end": prompt.end, "row": row}
@@ -53,7 +53,7 @@ def _asked(question: Question, figures: Sequence[Collection[str]]) -> dict[str, 
 
 
 def _bodies(clips: Mapping[str, Clip]) -> list[tuple[Skeleton, list[str]]]:
-    """The bodies of all clips, each once, with the names of those that it moves in: bones are equal to a millimetre."""
+    """Return the distinct bodies, with the names of their clips; bones of one body are equal to a millimetre."""
     bodies: list[tuple[Skeleton, list[str]]] = []
     for name, clip in clips.items():
         own = Skeleton.measured(clip.motion.rotations, clip.motion.joints)
@@ -67,13 +67,13 @@ def _bodies(clips: Mapping[str, Clip]) -> list[tuple[Skeleton, list[str]]]:
 
 
 def _figure(body: Skeleton, clips: Mapping[str, Clip], names: Sequence[str]) -> bytes:
-    """A mannequin with some clips as its animations; its left and right limbs differ in colour."""
+    """Return a mannequin as GLB with some clips as animations; left and right limbs differ in colour."""
     skin = build_mannequin(body)
     return glb_of(skin, {name: clips[name].animation for name in names}, tints=_tints(skin), compact=True)
 
 
 def _tints(skin: Skin) -> Float[np.ndarray, "vertices 3"]:
-    """Linear colours of the vertices by the side of the joint that carries them most."""
+    """Return linear colours of the vertices by the side of the joint with the largest weight."""
     sides = [name.partition("_")[0] if "_" in name else "" for name in JOINTS]
     colours = np.stack([as_rgb(SIDES[side]) ** 2.2 for side in sides])
     return colours[skin.weights.argmax(axis=1)]

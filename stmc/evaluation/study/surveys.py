@@ -1,6 +1,6 @@
-"""Which questions make a survey, in which order, and what stands on which side: all drawn from one seed.
+"""Surveys: the choice of questions, their order and their sides, all drawn from one seed.
 
-Knows pairs and the key; knows no page.
+This module knows pairs and the key; it knows no page.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from stmc.timeline import Timeline
 
 WARM_UPS = 3
 _APART = WARM_UPS + 2
-"""Questions of a survey whose pairs are not under study there: warm-ups and honeypots."""
+"""Number of warm-ups and honeypots of a survey, whose pairs it does not study."""
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A timeline and two clips, left and right, each with an id that says nothing."""
+    """A timeline and two clips, left and right, each with an opaque id."""
 
     id: str
     timeline: Timeline
@@ -31,24 +31,29 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What one page asks."""
+    """The questions of one page."""
 
     id: str
     questions: tuple[Question, ...]
 
 
 def design(pairs: Sequence[Pair], methods: tuple[str, str], seed: int = 0, size: int = 10) -> tuple[list[Survey], Key]:
-    """Surveys in which every pair stands at least once, and their key (STMC, section 4.2).
+    """Design surveys that cover every pair at least once, and their key (STMC, section 4.2).
 
-    A survey asks 15 questions where `size` is 10: three warm-ups, then in random order `size` pairs and two honeypots.
-    Warm-ups and honeypots are made of pairs that the survey does not ask about, so no timeline is shown twice. One
-    honeypot shows the first method's motion beside the second's with its limbs stretched; the other shows the first
-    method's motion beside its motion of another timeline, one with other words that lasts about as long. Where the
-    pairs do not fill the last survey, it asks again about pairs of the first.
+    A survey has three warm-ups, then `size` pairs and two honeypots in random order. Warm-ups and honeypots use other
+    pairs, so no timeline is shown twice. One honeypot shows the first method's motion beside the second's with
+    stretched limbs; the other shows the first method's motion beside its motion of another timeline, which has other
+    words and lasts about as long. If the pairs do not fill the last survey, it repeats pairs of the first one.
 
-    In each survey a method stands on the left for half of the pairs. All is drawn from `seed` and the names of methods
-    and pairs, whatever the order of `pairs`: a study is the same on every machine, and ids of one mean nothing in that
-    of other methods or seeds. Raises `StudyError` for too few pairs, equal methods or names.
+    In each survey, each method is on the left for half of the pairs. All choices depend on `seed` and the names of
+    methods and pairs, not on the order of `pairs`, so a study is the same on every machine. Ids are meaningless in
+    studies of other methods or seeds. Raises `StudyError` for too few pairs, and for equal names of methods or pairs.
+
+    Args:
+        pairs: Pairs of motions.
+        methods: Names of the two methods.
+        seed: Seed of the surveys.
+        size: Number of pairs of a survey.
     """
     _check(pairs, methods, size)
     named = sorted(pairs, key=lambda pair: pair.name)
@@ -64,13 +69,14 @@ def design(pairs: Sequence[Pair], methods: tuple[str, str], seed: int = 0, size:
 
 
 def stranger(timeline: Timeline, others: Sequence[Pair]) -> Pair:
-    """Of pairs with other texts, the one whose words and duration make for the clearest wrong answer: few of the
-    timeline's words, and about as long; of equally good ones, the first by name. Raises `StudyError` where all share a
-    text with it."""
+    """Choose the pair that makes the clearest wrong answer for a timeline: few common words and a similar duration.
+
+    Pairs that share a text are excluded; the name breaks ties. Raises `StudyError` if all pairs share a text.
+    """
     texts = {prompt.text for prompt in timeline.prompts}
     candidates = [pair for pair in others if texts.isdisjoint(prompt.text for prompt in pair.timeline.prompts)]
     if not candidates:
-        raise StudyError(f"no timeline without {', '.join(map(repr, sorted(texts)))} for a honeypot")
+        raise StudyError(f"a honeypot needs a timeline without {', '.join(map(repr, sorted(texts)))}")
 
     def likeness(pair: Pair) -> tuple[float, str]:
         own, other = _words(timeline), _words(pair.timeline)
@@ -126,13 +132,13 @@ def _check(pairs: Sequence[Pair], methods: tuple[str, str], size: int) -> None:
     if methods[0] == methods[1]:
         raise StudyError(f"both methods are called {methods[0]!r}; give them two names")
     if size < 1:
-        raise StudyError(f"a survey of {size} pairs; at least 1")
+        raise StudyError(f"size={size}: a survey needs at least 1 pair")
     if len({pair.name for pair in pairs}) < len(pairs):
-        raise StudyError("two pairs have one name")
+        raise StudyError("two pairs have the same name")
     if len(pairs) < size + _APART:
         raise StudyError(
-            f"{len(pairs)} timelines with motions; a survey of {size} pairs needs {size + _APART}: {WARM_UPS} for "
-            "warm-ups and 2 for honeypots. Sample more timelines, or ask about fewer pairs"
+            f"{len(pairs)} timelines have motions, but a survey of {size} pairs needs {size + _APART}, with {WARM_UPS} "
+            "for warm-ups and 2 for honeypots; sample more timelines, or reduce size"
         )
 
 

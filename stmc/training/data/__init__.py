@@ -1,1 +1,1 @@
-"""Batches that training draws from prepared data."""
+"""Batches for training, drawn from prepared data."""

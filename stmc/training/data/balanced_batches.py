@@ -1,6 +1,6 @@
-"""Batches in which rare contents come more often than their share of the data, and whose rows may be compositions.
+"""Batches that oversample rare contents, and whose rows may be compositions.
 
-Knows the clips of a split and which body parts they claim; knows no features and no network.
+This module knows the clips of a split and the body parts that they claim; it knows no features and no network.
 """
 
 from __future__ import annotations
@@ -17,69 +17,71 @@ from stmc.training.data.cropped_rows import CropRecipe, Sources
 from stmc.training.data.dataset import NULL, BatchPlan, Dataset
 
 WHOLE_RECEIVERS = 1 / 3
-"""Share of the compositions that show the receiver's whole crop, under its own text."""
+"""Fraction of compositions that show the receiver's whole crop, with its own text."""
 
 Receivers = Literal["walking", "any"]
-"""The bodies that compositions are put on: see `BalancedBatches.receivers`."""
+"""Choice of the receivers of compositions: see `BalancedBatches.receivers`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BalancedBatches(CropRecipe):
-    """Draw contents with replacement, evened out by `balance`, and put some rows on the bodies of others.
+    """Draw contents with replacement, balanced by `balance`, and compose some rows with the bodies of others.
 
-    A content's weight is its number of clips to the power of `balance`, times its `emphasis`. A crop loses at most
-    `trim` at either end. Crops without a text come from any clip of the split, by its length.
+    The weight of a content is its number of clips to the power of `balance`, times its `emphasis`. A crop loses at most
+    `trim` at either end. Crops without a text come from any clip of the split, in proportion to its length.
 
-    A composition shows one row's body parts (the donor) on the body of another row (the receiver), as a collage does:
-    networks that never saw an arm raised on walking legs lower it in a collage. A row that does not claim the legs is a
-    donor with `compose_prob`, one that does with `compose_legs_prob`. The receiver claims other parts, and lasts at
-    least as long. Two of three compositions last as long as the donor and have its text; the third is the receiver's
-    whole crop under the receiver's text, with the donor somewhere in it. Of those that show the actions of both texts a
-    share `joined_prob` has a sentence about both, such as "walk while drinking", if the dataset has one.
+    A composition combines body parts of one row (the donor) with the body of another row (the receiver), like a
+    collage. A network that has never seen an arm raised above walking legs would lower it in a collage. A row that does
+    not claim the legs is a donor with probability `compose_prob`, other rows with `compose_legs_prob`. The receiver
+    claims other parts and lasts at least as long. Two of three compositions last as long as the donor and have its
+    text; the third is the receiver's whole crop with the receiver's text, and the donor at a random offset. If a
+    composition shows the actions of both texts, it has with probability `joined_prob` a sentence about both, such as
+    "walk while drinking", provided that the dataset has one.
 
-    `pool` batches are drawn at once, sorted by length, and cut into pieces of about as many frames. A larger `pool` or
-    more `pieces` mean less padding; more `pieces` also mean more lengths, so more contents, in every batch.
+    `pool` batches are drawn at once, sorted by length, and split into chunks of about equally many frames. A larger
+    `pool` and more `pieces` mean less padding; more `pieces` also mean more different lengths, so more contents, in
+    every batch.
     """
 
-    balance: float | int = setting(0.4, "power of a content's number of clips: 1 as in the data, 0 all alike")
-    emphasis: Mapping = setting({}, "contents to draw so many times as often, such as {squat: 3}")
+    balance: float | int = setting(0.4, "exponent of a content's number of clips: 1 as in the data, 0 uniform")
+    emphasis: Mapping = setting({}, "factors on the probability of contents, such as {squat: 3}")
     compose_prob: float | int = setting(
-        0.0, "probability that a row without legs is put on another's body", at_least=0, at_most=1
+        0.0, "probability that a row without legs becomes a donor", at_least=0, at_most=1
     )
     compose_legs_prob: float | int = setting(
-        0.0, "probability that a row with legs is put under another's body", at_least=0, at_most=1
+        0.0, "probability that a row with legs becomes a donor", at_least=0, at_most=1
     )
     joined_prob: float | int = setting(
         0.0, "probability that a composition has a sentence about both actions", at_least=0, at_most=1
     )
     receivers: Receivers = setting(
         "walking",
-        "bodies of compositions: cyclic clips that claim the legs alone, or any clip of other parts",
+        "receivers of compositions: cyclic clips that claim only the legs, or any clip of other parts",
         choices=get_args(Receivers),
     )
-    pool: int = setting(16, "batches that are drawn at once and sorted by length", at_least=1)
-    pieces: int = setting(4, "pieces of a batch, each of similar lengths", at_least=1)
+    pool: int = setting(16, "number of batches that are drawn and sorted by length at once", at_least=1)
+    pieces: int = setting(4, "number of chunks of a batch, each of similar lengths", at_least=1)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.pieces > self.rows:
             raise SettingError(f"pieces={self.pieces}: must be at most rows ({self.rows})")
         if wrong := {name: times for name, times in self.emphasis.items() if times < 0}:
-            raise SettingError(f"emphasis={wrong}: a content is drawn at least 0 times as often")
+            raise SettingError(f"emphasis={wrong}: factors must be at least 0")
 
     def check_pairs(self) -> None:
-        """Raise `ValueError` as every recipe does, and for sentences about two contents."""
+        """Raise the errors of every recipe, and `ValueError` for sentences about two contents."""
         super().check_pairs()
         if self.joined_prob:
-            raise ValueError(f"pairs are of one content a text: joined_prob ({self.joined_prob}) must be 0")
+            raise ValueError(f"pairs need texts of one content each: joined_prob ({self.joined_prob}) must be 0")
 
     @property
     def pooling(self) -> tuple[int, int]:
-        """The batches that are drawn at once, and the pieces of each."""
+        """The number of batches that are drawn at once, and of chunks of each batch."""
         return self.pool, self.pieces
 
     def begin(self, clips: SplitClips, seed: int) -> Draw:
-        """Prepare to draw. Raises `ValueError` for an `emphasis` of contents that the data lack, or of none."""
+        """Prepare to draw. Raises `ValueError` if `emphasis` names unknown contents, or leaves none to draw."""
         probabilities = self._probabilities(clips)
 
         def draw(number: int, process: int, rng: np.random.Generator) -> BatchPlan:
@@ -89,18 +91,18 @@ class BalancedBatches(CropRecipe):
         return draw
 
     def _probabilities(self, clips: SplitClips) -> np.ndarray:
-        """The probability of each clip among those with texts."""
+        """Return the probability of each clip with texts."""
         table = clips.dataset.clips
         names, inverse, counts = np.unique(
             [table[index].content for index in clips.described], return_inverse=True, return_counts=True
         )
         known = {clip.content for clip in table}
         if unknown := set(self.emphasis) - known:
-            raise ValueError(f"emphasis of {sorted(unknown)}: the data have {', '.join(sorted(known))}")
+            raise ValueError(f"emphasis: unknown contents {sorted(unknown)}; choose from {', '.join(sorted(known))}")
         emphasis = np.array([self.emphasis.get(name, 1.0) for name in names.tolist()])
         weight = emphasis[inverse] * counts[inverse] ** (self.balance - 1.0)
         if not weight.any():
-            raise ValueError("emphasis: no content is left to be drawn")
+            raise ValueError("emphasis: no content is left to draw")
         return weight / weight.sum()
 
     def _sources(self, clips: SplitClips, clip: np.ndarray, textless: np.ndarray, rng: np.random.Generator) -> Sources:
@@ -112,7 +114,7 @@ class BalancedBatches(CropRecipe):
         return np.floor(u * (most + 1)).astype(int)
 
     def _compose(self, clips: SplitClips, plan: BatchPlan, rng: np.random.Generator) -> BatchPlan:
-        """Puts some rows as donors on the bodies of others."""
+        """Compose some rows, as donors, with the bodies of others."""
         drawn, sentence, cyclic = plan.body, plan.sentence, clips.cyclic[plan.body.clip]
         receiver, whole, offset = self._receivers(clips, plan, rng)
         alone = receiver == np.arange(len(receiver))
@@ -134,8 +136,7 @@ class BalancedBatches(CropRecipe):
     def _receivers(
         self, clips: SplitClips, plan: BatchPlan, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """For each row the row whose body it is put on (its own: none), whether all of that is shown, and its first
-        frame there."""
+        """Choose each row's receiver (itself: no composition), whether it is shown whole, and the donor's offset."""
         claims, legs, drawn = clips.dataset.claims[plan.body.clip], clips.dataset.legs, plan.body
         composed = np.where(claims[:, legs], self.compose_legs_prob, self.compose_prob)
         moved = (rng.random(len(claims)) < composed) & claims.any(axis=1)
@@ -153,7 +154,7 @@ class BalancedBatches(CropRecipe):
         return receiver, whole, offset
 
     def _join(self, dataset: Dataset, plan: BatchPlan, both: np.ndarray, rng: np.random.Generator) -> BatchPlan:
-        """Gives some of the rows `both`, which show a body's and a donor's content, a sentence about the two."""
+        """Give some of the rows `both`, which show two contents, a sentence about both."""
         sentence, other = plan.sentence.copy(), plan.other.copy()
         for row, (u, v) in zip(both.tolist(), rng.random((len(both), 2)).tolist(), strict=True):
             joined = dataset.joined_sentence(int(plan.body.clip[row]), int(plan.donor.clip[row]), v)

@@ -1,6 +1,6 @@
-"""Batches to train on, drawn by a recipe as a function of (seed, step, process).
+"""Training batches, drawn by a recipe as a function of (seed, step, process).
 
-Knows a dataset and what all recipes share; knows no recipe, no features and no network.
+This module knows datasets and the interface of recipes; it knows no recipe, no features and no network.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class SplitClips:
         self.chosen = np.array([clip.split == split for clip in dataset.clips])
         self.all, self.described = np.flatnonzero(self.chosen), np.flatnonzero(self.chosen & dataset.described)
         if not len(self.described):
-            raise ValueError(f"no clip of split {split!r} can be drawn; there are {len(dataset.clips)} clips in all")
+            raise ValueError(f"no clip of split {split!r} has a text; there are {len(dataset.clips)} clips in all")
         self.start = np.array([clip.start for clip in dataset.clips])
         self.length = np.array([clip.end - clip.start for clip in dataset.clips])
         self.cyclic = np.array([clip.cyclic for clip in dataset.clips])
@@ -39,57 +39,65 @@ class SplitClips:
 
     @property
     def salt(self) -> int:
-        """A number of the split's name: training and validation draw differently."""
+        """A number derived from the split's name, so that training and validation draw differently."""
         return sum(self.split.encode())
 
 
 Draw = Callable[[int, int, np.random.Generator], BatchPlan]
-"""`draw(number, process, rng)`: the plan of the rows of one pool of batches."""
+"""`draw(number, process, rng)` → the plan of one pool of batches."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe(ABC):
-    """How the rows of batches are drawn. A recipe has the settings that it uses and no others.
+    """Recipe for drawing the rows of batches, with its settings.
 
-    Raises `SettingError` for a value that does not fit.
+    Raises `SettingError` for an invalid value.
     """
 
-    rows: int = setting(64, "rows of a batch, on average", at_least=1)
-    longest: float | int = setting(10.0, "longest crop, and longest motion of the trained model", unit="s", above=0)
+    rows: int = setting(64, "average number of rows of a batch", at_least=1)
+    longest: float | int = setting(
+        10.0, "maximum length of crops, and of motions of the trained model", unit="s", above=0
+    )
     text_dropout: float | int = setting(0.1, "probability that a text is dropped", at_least=0, at_most=1)
 
     several_texts: ClassVar[bool] = False
-    """Whether a row may have more texts than one, so that a denoiser needs a text for every frame."""
+    """Whether a row may have several texts, so that the denoiser needs a text for every frame."""
 
     def __post_init__(self) -> None:
         check(self)
 
     @property
     def pooling(self) -> tuple[int, int]:
-        """The batches that are drawn at once, and the pieces of similar length that each batch has."""
+        """The number of batches that are drawn at once, and of chunks of similar lengths of each batch."""
         return 1, 1
 
     @abstractmethod
     def begin(self, clips: SplitClips, seed: int) -> Draw:
-        """Prepare to draw from `clips`. Raises `ValueError` for settings that do not fit these."""
+        """Prepare to draw from `clips`. Raises `ValueError` for settings that do not fit the clips."""
 
     def check_pairs(self) -> None:
-        """Raise `ValueError` if a row may lack a text or have several: such rows make no pairs of motion and text."""
+        """Raise `ValueError` if a row may have no text or several; such rows are no pairs of motion and text."""
         if self.several_texts:
-            raise ValueError(f"pairs are of one text each: {type(self).__name__} makes rows of several")
+            raise ValueError(f"pairs need one text per row: {type(self).__name__} makes rows of several texts")
         if self.text_dropout:
             raise ValueError(f"pairs need texts: text_dropout ({self.text_dropout}) must be 0")
 
 
 class ClipBatches:
-    """`batches(step, process)`: the pieces of one step's batch, the same whenever they are asked for.
+    """Function `batches(step, process)` that returns the chunks of one step's batch, always the same.
 
-    Raises `ValueError` if no clip of the split has a text, and if the recipe does not fit the dataset.
+    Raises `ValueError` if no clip of the split has a text, or if the recipe does not fit the dataset.
+
+    Args:
+        dataset: Dataset to draw from.
+        split: Split to draw from, such as "train".
+        recipe: Recipe of the rows.
+        seed: Seed of the batches.
     """
 
     def __init__(self, dataset: Dataset, split: str, recipe: Recipe, seed: int = 0) -> None:
         if recipe.several_texts and dataset.words.max() > 1:
-            raise ValueError(f"{type(recipe).__name__} needs a text encoder that makes one word of a text")
+            raise ValueError(f"{type(recipe).__name__} needs a text encoder that returns one word per text")
         self.dataset, self.recipe, self.seed = dataset, recipe, seed
         clips = SplitClips(dataset, split)
         self._salt, self._draw = clips.salt, recipe.begin(clips, seed)
@@ -99,7 +107,7 @@ class ClipBatches:
         return [self.dataset.batch(piece) for piece in self.plans(step, process)]
 
     def plans(self, step: int, process: int = 0) -> list[BatchPlan]:
-        """The plans of the pieces of a step's batch."""
+        """Return the plans of the chunks of a step's batch."""
         pool, pieces = self.recipe.pooling
         number, place = divmod(step, pool)
         if self._pool is None or self._pool[0] != (number, process):
@@ -117,10 +125,10 @@ class ClipBatches:
 
 
 def _cut_evenly(lengths: np.ndarray, pieces: int) -> list[tuple[int, int]]:
-    """Cuts sorted `lengths` into `pieces` ranges of about the same sum, none of them empty."""
+    """Split sorted `lengths` into `pieces` non-empty ranges of about equal sums."""
     total = np.cumsum(lengths)
     edges = np.searchsorted(total, total[-1] * np.arange(1, pieces) / pieces)
-    for index in range(len(edges)):  # at least one row each, and enough left for the pieces that follow
+    for index in range(len(edges)):  # at least one row each, and enough rows for the chunks that follow
         lowest = edges[index - 1] + 1 if index else 1
         edges[index] = min(max(edges[index], lowest), len(lengths) - (pieces - 1 - index))
     bounds = [0, *edges.tolist(), len(lengths)]

@@ -1,6 +1,6 @@
-"""Rows that are one crop of one clip each: the settings of crops, and how a crop is cut.
+"""Rows that are one crop of one clip each: their settings, and the cutting of crops.
 
-Knows the clips of a split; knows not how clips are chosen, and no features.
+This module knows the clips of a split; it knows neither the choice of clips nor features.
 """
 
 from __future__ import annotations
@@ -15,28 +15,27 @@ from stmc.training.data.batches import Recipe, SplitClips
 from stmc.training.data.dataset import NULL, BatchPlan, Crops
 
 Sources = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""The clips that rows are cut from, the first frame that each may show, and the number of frames."""
+"""Clips to cut rows from, with the first frame and the number of frames that each row may show."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CropRecipe(Recipe):
-    """The settings of recipes whose rows are crops of one clip each; seconds of the clips' own time.
+    """Settings of recipes whose rows are crops of one clip each; times are those of the clips.
 
-    A cyclic clip still shows its action in any crop of at least `shortest`; of every other clip at most `trim` is lost.
-    A clip that is `from_start` begins where it was recorded to begin and keeps its speed, and unless it is cyclic keeps
-    its end, too.
+    A cyclic clip shows its action in any crop of at least `shortest`; other clips lose at most `trim`. A clip with
+    `from_start` keeps its beginning and its speed, and also its end unless it is cyclic.
     """
 
-    shortest: float | int = setting(1.5, "shortest crop of a cyclic clip", unit="s", above=0)
-    trim: float | int = setting(0.12, "share of a clip that is cut off at most", at_least=0, below=0.5)
+    shortest: float | int = setting(1.5, "minimum length of crops of cyclic clips", unit="s", above=0)
+    trim: float | int = setting(0.12, "maximum fraction of a clip to cut off", at_least=0, below=0.5)
     uncond_crop_prob: float | int = setting(
-        0.12, "probability of a short crop without a text, as transitions are", at_least=0, at_most=1
+        0.12, "probability of a short crop without a text, like a transition", at_least=0, at_most=1
     )
-    crop_shortest: float | int = setting(0.5, "shortest crop without a text", unit="s", above=0)
-    crop_longest: float | int = setting(3.0, "longest crop without a text", unit="s", above=0)
+    crop_shortest: float | int = setting(0.5, "minimum length of crops without a text", unit="s", above=0)
+    crop_longest: float | int = setting(3.0, "maximum length of crops without a text", unit="s", above=0)
     from_start_prob: float | int = setting(
         0.0,
-        "probability that a crop of a cyclic clip begins where the clip does: of few recordings, cut anywhere, a "
+        "probability that a crop of a cyclic clip begins with the clip; given few recordings and arbitrary crops, a "
         "network learns the mean of all phases",
         at_least=0,
         at_most=1,
@@ -56,22 +55,24 @@ class CropRecipe(Recipe):
                 raise SettingError(f"{low}={getattr(self, low)}: must be at most {high} ({getattr(self, high)})")
 
     def check_pairs(self) -> None:
-        """Raise `ValueError` as every recipe does, and for crops without a text."""
+        """Raise the errors of every recipe, and `ValueError` for crops without a text."""
         super().check_pairs()
         if self.uncond_crop_prob:
             raise ValueError(f"pairs need texts: uncond_crop_prob ({self.uncond_crop_prob}) must be 0")
 
     @abstractmethod
     def _sources(self, clips: SplitClips, clip: np.ndarray, textless: np.ndarray, rng: np.random.Generator) -> Sources:
-        """The stretches that rows are cut from, for the clips that were drawn."""
+        """Return the ranges to cut rows from, for the drawn clips."""
 
     @abstractmethod
     def _lost(self, most: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """The frames lost at the beginning and at the end, (2, rows), `most` being `trim` of each clip in frames, for
-        `u` (2, rows) uniform in [0, 1)."""
+        """Return the frames lost at the beginning and the end, (2, rows).
+
+        `most` is `trim` of each clip in frames; `u`, (2, rows), is uniform in [0, 1).
+        """
 
     def draw_crops(self, clips: SplitClips, clip: np.ndarray, rng: np.random.Generator) -> BatchPlan:
-        """Cut one row out of each of these clips, or in its place a crop without a text."""
+        """Cut one row out of each clip, or a crop without a text instead."""
         count = len(clip)
         dropped = rng.random(count) < self.text_dropout
         sentence = clips.dataset.sentences_of(clip, rng.random(count))
@@ -92,16 +93,16 @@ class CropRecipe(Recipe):
         speed = np.where(clips.from_start[clip] & ~textless, 1.0, speed)
         longest = max(1, int(self.longest * fps))
         frames_cut = np.minimum(frames, np.floor(longest * speed).astype(int).clip(1))
-        room = np.where(free, length, frames) - frames_cut  # where a crop may begin
+        room = np.where(free, length, frames) - frames_cut  # range of offsets
         room = np.where(self._begins(clips, clip, rng) & ~textless, 0, room)
         offset = _between(np.zeros(len(clip)), room, rng.random(len(clip))) + np.where(free, 0, lost[0])
-        speed = np.minimum(speed, frames_cut)  # at least one frame is left
+        speed = np.minimum(speed, frames_cut)  # leaves at least one frame
         # Neither the last pose nor the velocity after it may lie beyond the crop; 10 / 1.25 is 8, also in floats.
         shown = np.floor(np.minimum(frames_cut / speed, (frames_cut - 1) / speed + 1) + 1e-9).astype(int)
         return Crops(clip, begin + offset, begin + length, shown, speed)
 
     def _begins(self, clips: SplitClips, clip: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Whether each crop begins where its clip does."""
+        """Return whether each crop begins with its clip."""
         begins = clips.from_start[clip]
         if self.from_start_prob:
             begins = begins | (clips.cyclic[clip] & (rng.random(len(clip)) < self.from_start_prob))
@@ -109,6 +110,6 @@ class CropRecipe(Recipe):
 
 
 def _between(low: np.ndarray, high: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Integers, uniform from `low` to `high`, both included, for `u` uniform in [0, 1)."""
+    """Map `u`, uniform in [0, 1), to uniform integers from `low` to `high`, both included."""
     low, high = np.floor(low).astype(int), np.floor(high).astype(int)
     return low + np.floor(u * (np.maximum(high, low) - low + 1)).astype(int)

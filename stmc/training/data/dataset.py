@@ -1,6 +1,6 @@
-"""A prepared cache and its texts, ready to train on, and what a batch of it is: which clips, trimmed how, with what.
+"""A prepared cache with its texts, normalised for training, and plans of its batches.
 
-Knows prepared caches and layouts; knows no particular data set, no body and no network.
+This module knows prepared caches and layouts; it knows no particular data set, no body and no network.
 """
 
 from __future__ import annotations
@@ -28,31 +28,38 @@ from stmc.training.data.joining import Arrangement
 from stmc.training.loss import Batch
 
 NULL = 0
-"""The empty text's place among the sentences: what the network gets for "no text"."""
+"""Index of the empty text among the sentences, which stands for "no text"."""
 
 SEAM = 6
-"""Frames over which a composition's donor comes and goes within a row."""
+"""Number of frames over which the donor of a composition fades in and out."""
 
 FLOOR = 1e-3
-"""What a feature of no field's own floor, or a number of a word, is divided by at least."""
+"""Minimum divisor of the values of words, and of features whose field has no floor."""
 
 
 MeansOver = Literal["clips", "entries"]
-"""What statistics are taken over: see `Dataset`."""
+"""Samples of the statistics: see `Dataset`."""
 
 
 class Dataset:
-    """A cache and its texts, normalised and ready to draw from, on one device.
+    """A cache with its texts, normalised, on one device.
 
-    `motion` are the statistics that come with the cache, or those over the training clips; `text` those over their
-    sentences' words, unless they are given; `skeleton` is the cache's, if it has its own. Features that vary by less
-    than their field's `floor` are divided by it: what hardly varies in most clips may in some. What is more than
-    `limit` standard deviations from the mean is put there. With `statistics_over` "entries" the statistics are over
-    each content's first clip and its first text, however many contents have the same one (as STMC's are, whose every
-    entry is a content), not over all clips and distinct texts. Contents with fewer than `min_clips` training clips
-    have no texts: one clip of several actions teaches no word. `joined` are sentences about two contents at once, by
-    the contents' names, for compositions (see `BalancedBatches`); a pair of which the cache lacks one is ignored.
-    Raises `ValueError` where the layout is not the cache's, nothing is left to train on, or nothing moves.
+    The statistics `motion` come from the cache, or from its training clips; `skeleton` is that of the cache, or None.
+    Raises `ValueError` if the layout does not fit the cache, nothing is left to train on, or nothing moves.
+
+    Args:
+        cache: Prepared data.
+        encoder: Text encoder.
+        layout: Layout of the features.
+        floor: Minimum divisors of features by field; features that hardly vary in most clips may vary in some.
+        min_clips: Contents with fewer training clips have no texts, since one clip of several actions teaches no word.
+        limit: Features are clamped to this many standard deviations from the mean.
+        text: Statistics of texts; None: those of the words of the training sentences.
+        statistics_over: "clips": statistics over all training clips and distinct texts. "entries": over the first clip
+            and the first text of each content, counting repeated texts, as in STMC, where every entry is a content.
+        device: Device of the data.
+        joined: Sentences about two contents at once by the contents' names, for compositions (see `BalancedBatches`);
+            pairs with an unknown content are ignored.
     """
 
     def __init__(
@@ -69,7 +76,7 @@ class Dataset:
         joined: Mapping[frozenset[str], Sequence[str]] = MappingProxyType({}),
     ) -> None:
         if cache.features.shape[1] != layout.width:
-            raise ValueError(f"the cache has {cache.features.shape[1]} features, the layout {layout.width}")
+            raise ValueError(f"the cache has {cache.features.shape[1]} features, but the layout has {layout.width}")
         self.fps, self.layout, self.clips, self.skeleton = cache.fps, layout, cache.clips, cache.skeleton
         self.min_clips = min_clips
         training = [clip for clip in cache.clips if clip.split == "train"]
@@ -90,13 +97,13 @@ class Dataset:
         frames = torch.cat([torch.arange(clip.start, clip.end) for clip in first or training])
         moving = cache.features[frames]
         if (moving.amax(dim=0) == moving.amin(dim=0)).all():
-            raise ValueError(f"every one of the {len(frames)} training frames is the same: there is nothing to learn")
+            raise ValueError(f"all {len(frames)} training frames are the same, so there is nothing to learn")
         floors = torch.tensor(layout.filled(floor or {}, FLOOR))
         self.motion, self._limit = (cache.statistics or Statistics.of(moving, floors)).to(device), limit
         described = {clip.content for clip, known in zip(cache.clips, self.described, strict=True) if known}
         joined = {pair: texts for pair, texts in joined.items() if pair <= described}
         self._embed(cache, encoder, text, first, joined, device)
-        # Summed velocities, to change the speed of a clip without losing distance; float64, since it sums hours.
+        # Cumulated velocities change the speed of a clip without losing distance; float64, since they sum hours.
         self.velocity = [c for name, s in layout.slices.items() if "velocit" in name for c in range(s.start, s.stop)]
         travelled = self.features[:, self.velocity].double().cumsum(dim=0)
         self._travelled = torch.cat([torch.zeros_like(travelled[:1]), travelled])
@@ -134,32 +141,32 @@ class Dataset:
 
     @property
     def features_width(self) -> int:
-        """Numbers per frame."""
+        """The number of features per frame."""
         return self.features.shape[1]
 
     @property
     def text_width(self) -> int:
-        """Numbers per word."""
+        """The width of the embedding of a word."""
         return self._text.shape[2]
 
     def sentence(self, clip: int, u: float) -> int:
-        """The place of the sentence of a clip that `u` in [0, 1) chooses, by the sentences' probabilities."""
+        """Choose a sentence of a clip by `u` in [0, 1) and the sentences' probabilities; return its index."""
         if not self.described[clip]:
             return NULL
         places, cumulated = self.choices[self.clips[clip].texts]
         return int(places[min(int(np.searchsorted(cumulated, u, side="right")), len(places) - 1)])
 
     def sentences_of(self, clips: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """The place of a sentence of each clip, chosen as `sentence` does."""
+        """Choose a sentence of each clip as `sentence` does; return their indices."""
         return np.array([self.sentence(*pair) for pair in zip(clips.tolist(), u.tolist(), strict=True)], dtype=int)
 
     def joined_sentence(self, clip: int, other: int, u: float) -> int | None:
-        """The place of the sentence about both clips' contents that `u` in [0, 1) chooses; None where there is none."""
+        """Choose a sentence about the contents of two clips by `u` in [0, 1); return its index, or None."""
         places = self._joined.get(frozenset((self.clips[clip].content, self.clips[other].content)), [])
         return places[int(u * len(places))] if places else None
 
     def batch(self, plan: BatchPlan) -> Batch:
-        """The motion and the texts of `plan`, padded to the longest of each."""
+        """Build the batch of `plan`, with motions and texts padded to the longest."""
         arrangement, words, device = plan.arrangement, self.words[plan.sentence], self.features.device
         frames = arrangement.lengths
         lengths = torch.from_numpy(frames).to(device)
@@ -178,14 +185,14 @@ class Dataset:
         return Batch(motion, mask, text, text_mask, int(frames.sum()), segment=segment, sentence=sentence)
 
     def _in_rows(self, of_crops: Shaped[Tensor, "crops 1 *width"], plan: BatchPlan) -> Shaped[Tensor, "rows _ *width"]:
-        """What each crop has one of, such as the one word of its text, row by row; zeros where a row has fewer."""
+        """Arrange one item per crop, such as the single word of its text, in rows, padded with zeros."""
         rows, device = plan.arrangement, of_crops.device
         row, place = (torch.from_numpy(each).to(device) for each in (plan.row, rows.place))
         in_rows = of_crops.new_zeros(len(rows.lengths), int(rows.place.max()) + 1, *of_crops.shape[2:])
         return in_rows.index_put((row, place), of_crops[:, 0])
 
     def poses(self, plan: BatchPlan, frame: np.ndarray) -> np.ndarray:
-        """Each crop's normalised features in its frame `frame`, (crops, features), rounded to one of the source's."""
+        """Return normalised features of each crop at its frame `frame`, (crops, features), without interpolation."""
         donor, own = plan.donor, frame - plan.offset
         inside = torch.from_numpy((own >= 0) & (own < donor.frames)).to(self.features.device)
         claimed = torch.from_numpy(self.claims[donor.clip]).to(self.features.device)
@@ -198,7 +205,7 @@ class Dataset:
         return self.features[torch.from_numpy(place).to(self.features.device)]
 
     def _composed(self, motion: Float[Tensor, "batch frames features"], plan: BatchPlan) -> Tensor:
-        """Each row with its donor, if it has one, in the columns of the parts that the donor claims."""
+        """Blend each row with its donor, if any, in the columns of the parts that the donor claims."""
         rows = np.flatnonzero(plan.donor.frames)
         if not len(rows):
             return motion
@@ -215,7 +222,7 @@ class Dataset:
         return motion.index_copy(0, chosen, self._rotating(blended))
 
     def _cut(self, crops: Crops) -> Float[Tensor, "batch frames features"]:
-        """Raw features; frames after a row's end repeat its last one."""
+        """Return raw features of crops; frames after the end of a crop repeat its last one."""
         device = self.features.device
         bounds = (crops.start, crops.end, crops.frames - 1)
         start, end, last = (torch.from_numpy(bound).to(device)[:, None] for bound in bounds)
@@ -231,12 +238,12 @@ class Dataset:
         return self._rotating(raw)
 
     def _rotating(self, raw: Float[Tensor, "*batch features"]) -> Tensor:
-        """`raw` after blending in place: with rotations again."""
+        """Restore valid rotations in blended features, in place."""
         raw[..., self.layout["rotations"]] = orthonormal_rows(raw[..., self.layout["rotations"]])
         return raw
 
     def _gone(self, start: Tensor, position: Tensor) -> Tensor:
-        """Summed velocity from the first frame of all to `position` (float, in frames) after `start`."""
+        """Return the cumulated velocity up to `position` (float, in frames) after `start`."""
         whole = start + position.long()
         after = (whole + 1).clamp(max=len(self._travelled) - 1)
         return torch.lerp(self._travelled[whole], self._travelled[after], (position - position.floor())[..., None])
@@ -244,8 +251,15 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Crops:
-    """Of clips: `frames` frames each from frame `start` of all features on, at `speed` source frames a frame, none at
-    or after `end` (where the clip ends)."""
+    """Crops of clips.
+
+    Args:
+        clip: Index of each clip.
+        start: First frame of each crop among all features.
+        end: End of each clip; crops contain no frame at or after it.
+        frames: Number of frames of each crop.
+        speed: Number of source frames per frame.
+    """
 
     clip: np.ndarray
     start: np.ndarray
@@ -257,17 +271,24 @@ class Crops:
         return Crops(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def followed_by(self, others: Crops) -> Crops:
-        """These and, behind them, the others."""
+        """Append other crops."""
         pairs = ((getattr(self, name), getattr(others, name)) for name in self.__dataclass_fields__)
         return Crops(*map(np.concatenate, pairs))
 
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """Crops to be: the `body` of each, and the place of its sentence; for a composition the `donor` whose claimed
-    parts it takes over from its frame `offset` on (else a crop of no frames), and the sentence of the `other` of the
-    two where the crop shows it, too (else the crop's own, as where that is about both): see `BalancedBatches`.
-    Crops stand in rows one after the other: see `Arrangement` for `row` and `fade`."""
+    """Plan of a batch, with one entry per crop.
+
+    Args:
+        body: Source crop of the body.
+        sentence: Index of the sentence among the dataset's sentences.
+        donor: Source crop of a composition, whose claimed parts replace those of the body; empty if there is none.
+        offset: Frame of the body at which the donor begins.
+        other: Sentence of the other clip of a composition if its action is visible, else `sentence`.
+        row: Row of each crop: see `Arrangement`.
+        fade: Number of frames shared with the previous crop of the row: see `Arrangement`.
+    """
 
     body: Crops
     sentence: np.ndarray
@@ -279,36 +300,35 @@ class BatchPlan:
 
     @classmethod
     def plain(cls, body: Crops, sentence: np.ndarray, row: np.ndarray) -> BatchPlan:
-        """Crops as they are: no compositions, no fades."""
+        """Plan crops without compositions and cross-fades."""
         none = np.zeros(len(sentence), dtype=int)
         return cls(body, sentence, replace(body, frames=none), none, sentence, row, none)
 
     def __getitem__(self, crops: np.ndarray) -> BatchPlan:
-        """Some of the crops; the rows keep their numbers."""
+        """Select some of the crops; the rows keep their numbers."""
         return BatchPlan(*(getattr(self, name)[crops] for name in self.__dataclass_fields__))
 
     @property
     def arrangement(self) -> Arrangement:
-        """Where the crops stand."""
+        """The positions of the crops in their rows."""
         return Arrangement(self.row, self.body.frames, self.fade)
 
     def rows(self, rows: np.ndarray) -> BatchPlan:
-        """Whole rows, in this order."""
+        """Select whole rows, in this order."""
         crops = np.concatenate([np.flatnonzero(self.row == row) for row in rows])
         chosen = self[crops]
         return replace(chosen, row=np.cumsum(np.diff(chosen.row, prepend=chosen.row[0]) != 0))
 
 
 def _first_of_entries(training: Sequence[Clip], over: MeansOver) -> list[Clip]:
-    """What statistics over entries are over: the first clip of each content; none where they are over all clips."""
+    """Return the first clip of each content for statistics over entries, or an empty list for those over clips."""
     if over not in get_args(MeansOver):
         raise ValueError(f"unknown statistics_over {over!r}; choose from {', '.join(get_args(MeansOver))}")
     return list({clip.content: clip for clip in reversed(training)}.values()) if over == "entries" else []
 
 
 def _shares(frame: np.ndarray, frames: np.ndarray, offset: np.ndarray, of_row: np.ndarray) -> np.ndarray:
-    """How much of the donor shows in its frame `frame`: all, but for ramps at its ends and nothing beyond them, where
-    these lie within the row."""
+    """Return the weight of the donor at its frame `frame`: 1, with ramps at ends within the row, and 0 beyond them."""
     come = np.where(offset == 0, SEAM + 1, 0)[:, None] + frame + 1
     go = np.where(offset + frames == of_row, SEAM + 1, 0)[:, None] + frames[:, None] - frame
     return (np.minimum(come, go) / (SEAM + 1)).clip(0, 1).astype(np.float32)

@@ -1,6 +1,6 @@
-"""Batches in epochs: every content once, in a new order each time, as PyTorch's `DataLoader` shuffles a data set.
+"""Batches in epochs: every content once per epoch, shuffled, like PyTorch's `DataLoader`.
 
-Knows clips, and that a content is one entry of a data set; knows no features and no network.
+This module knows clips, and that a content is one entry of a data set; it knows no features and no network.
 """
 
 from __future__ import annotations
@@ -17,11 +17,16 @@ from stmc.training.data.cropped_rows import CropRecipe, Sources
 
 
 class Epochs:
-    """`epochs(step, process)`: the clips, by their places in `clips`, of one step's batch of `rows`.
+    """Function `epochs(step, process)` that returns the indices in `clips` of one step's batch.
 
-    Each process goes through epochs of its own. The last batch of an epoch is as small as what is left, or with
-    `drop_last` is left out unless it is the only one; of a content with several clips one is drawn, each in proportion
-    to its annotations. Only the `chosen` clips are drawn.
+    Each process has its own epochs. If a content has several clips, one is drawn in proportion to its annotations.
+
+    Args:
+        clips: Clips of the dataset.
+        chosen: Indices of the clips that may be drawn.
+        rows: Number of rows of a batch.
+        seed: Seed of the order.
+        drop_last: Whether to leave out the smaller last batch of an epoch, unless it is the only one.
     """
 
     def __init__(
@@ -33,7 +38,7 @@ class Epochs:
         order = np.argsort(inverse, kind="stable")
         self._clips = chosen[order]
         weights = np.array([clips[index].annotations for index in self._clips])
-        self._last = np.cumsum(weights)  # the number of annotations up to and with each clip's, content by content
+        self._last = np.cumsum(weights)  # cumulated annotations of the clips, content by content
         self._annotations = np.bincount(inverse[order], weights).astype(int)
         self._first = np.cumsum(self._annotations) - self._annotations
         self.batches = max(1, len(contents) // rows) if drop_last else -(-len(contents) // rows)
@@ -47,7 +52,7 @@ class Epochs:
         return self._clips[np.searchsorted(self._last, annotation, side="right")]
 
     def _order(self, epoch: int, process: int) -> np.ndarray:
-        """Of the contents in one epoch; the last one that was asked for is kept."""
+        """Return the order of the contents in an epoch; the last result is cached."""
         if self._shuffled is None or self._shuffled[0] != (epoch, process):
             rng = np.random.default_rng([*self._seed, 0, process, epoch])
             self._shuffled = (epoch, process), rng.permutation(len(self._annotations))
@@ -56,11 +61,10 @@ class Epochs:
 
 @dataclass(frozen=True, kw_only=True)
 class EpochBatches(CropRecipe):
-    """Draw every content once an epoch, shuffled: for data sets whose every entry is a content of its own.
+    """Draw every content once per epoch, shuffled, for data sets in which every entry is its own content.
 
-    MDM-SMPL is trained so on HumanML3D (STMC, appendix D), and FlowMDM. A clip loses at most `trim` at both ends
-    together. A crop without a text comes from the whole recording of the clip that was drawn. Batches are not sorted by
-    length.
+    MDM-SMPL and FlowMDM are trained like this on HumanML3D (STMC, appendix D). A clip loses at most `trim` in total. A
+    crop without a text comes from the whole recording of the drawn clip. Batches are not sorted by length.
     """
 
     drop_last: bool = setting(False, "leave out the last batch of an epoch if it is smaller than the others")

@@ -1,6 +1,6 @@
-"""What a loss over features alone does not see: whether the feet stand still while the body moves on.
+"""An auxiliary loss on the velocities of the feet, which a loss on features alone does not constrain.
 
-Knows the 205 features of `SmplRepresentation` and the statistics of a dataset; knows no network.
+This module knows the 205 features of `SmplRepresentation` and the statistics of a dataset; it knows no network.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from stmc.training.data.dataset import Dataset
 
 
 class FootVelocity:
-    """Normalised features → how far the toes move to the next frame, in units of its deviation in the dataset.
+    """Function of normalised features: steps of the toes to the next frame, divided by their deviation in the dataset.
 
-    Raises `ValueError` for a dataset of other features than `SmplRepresentation`'s.
+    Raises `ValueError` for a dataset with features other than those of `SmplRepresentation`.
     """
 
     name = "foot_velocity"
@@ -25,8 +25,8 @@ class FootVelocity:
         self.representation, self.motion = SmplRepresentation(), dataset.motion
         if dataset.layout != self.representation.layout:
             raise ValueError(
-                f"foot steps are known of SmplRepresentation's {self.representation.width} features alone, not of "
-                f"{dataset.layout.width} in another layout: train without data.auxiliary_loss"
+                f"foot velocities need the {self.representation.width} features of SmplRepresentation, not "
+                f"{dataset.layout.width} in another layout; train without data.auxiliary_loss"
             )
         self.skeleton = dataset.skeleton or self.representation.skeleton
         training = [clip for clip in dataset.clips if clip.split == "train"]
@@ -34,7 +34,7 @@ class FootVelocity:
         self.deviation = steps.square().mean(dim=0).sqrt()
 
     def __call__(self, motion: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch _ 6"]:
-        """One frame fewer than `motion`; differentiable."""
+        """Return the scaled steps of one frame fewer than `motion`; differentiable."""
         return self._steps(self.motion.restore(motion)) / self.deviation
 
     def _steps(self, features: Tensor) -> Tensor:

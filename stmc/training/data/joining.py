@@ -1,6 +1,6 @@
-"""Crops one after the other in the rows of a batch: where each begins, and how one fades into the next.
+"""Packing of crops into the rows of a batch, with cross-fades between them.
 
-Knows how many frames crops have and how many they share; knows no data set and what no feature means.
+This module knows the lengths of crops and of cross-fades; it knows no data set and no meaning of features.
 """
 
 from __future__ import annotations
@@ -17,8 +17,13 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Arrangement:
-    """Which `row` each crop of so many `frames` stands in, ascending from 0 without a gap, and how many frames it
-    shares with the one before it in its row (`fade`; 0 of the first). A crop's two fades never overlap."""
+    """Positions of crops in rows. The two cross-fades of a crop never overlap.
+
+    Args:
+        row: Row of each crop, ascending from 0 without gaps.
+        frames: Number of frames of each crop.
+        fade: Number of frames that each crop shares with its predecessor in the row; 0 for the first.
+    """
 
     row: np.ndarray
     frames: np.ndarray
@@ -26,37 +31,39 @@ class Arrangement:
 
     @cached_property
     def begin(self) -> np.ndarray:
-        """Of each crop in its row."""
+        """The first frame of each crop in its row."""
         own = self.frames - self.fade
         ends = np.cumsum(own)
         return ends - own - (ends - own)[self.first][self.row] - self.fade
 
     @cached_property
     def first(self) -> np.ndarray:
-        """Each row's first crop."""
+        """The index of each row's first crop."""
         return np.flatnonzero(np.diff(self.row, prepend=-1))
 
     @cached_property
     def place(self) -> np.ndarray:
-        """Of each crop among those of its row."""
+        """The index of each crop within its row."""
         return np.arange(len(self.row)) - self.first[self.row]
 
     @cached_property
     def lengths(self) -> np.ndarray:
-        """Frames of each row."""
+        """The number of frames of each row."""
         last = np.append(self.first[1:], len(self.row)) - 1
         return (self.begin + self.frames)[last]
 
     def segments(self) -> np.ndarray:
-        """The place in its row of the crop that each frame of a row belongs to, (rows, frames): two that fade into each
-        other meet in the middle. Frames after a row's end belong to its last."""
+        """Return the index within its row of each frame's crop, (rows, frames).
+
+        The boundary is in the middle of a cross-fade. Frames after a row's end belong to its last crop.
+        """
         changes = np.zeros((len(self.lengths), int(self.lengths.max())), dtype=int)
         later = self.place > 0
         changes[self.row[later], (self.begin + self.fade // 2)[later]] = 1
         return changes.cumsum(axis=1)
 
     def shares(self) -> np.ndarray:
-        """How much each frame of a crop counts, (crops, frames): those of two crops that meet add up to 1."""
+        """Return the weight of each frame of a crop, (crops, frames); weights of overlapping crops sum to 1."""
         frame, fade = np.arange(int(self.frames.max())), self.fade[:, None]
         leave = np.append(np.where(self.place[1:] > 0, self.fade[1:], 0), 0)[:, None]
         come, go = (frame + 1) / (fade + 1), (self.frames[:, None] - frame) / (leave + 1)
@@ -65,7 +72,10 @@ class Arrangement:
     def joined(
         self, crops: Float[Tensor, "crops frames features"], blended: Callable[[Tensor], Tensor]
     ) -> Float[Tensor, "rows _ features"]:
-        """The rows, zeros after their ends. `blended` mends frames (any number, features) that are means of two."""
+        """Cross-fade crops into rows, with zeros after their ends.
+
+        `blended` corrects frames, (any number, features), that are means of two.
+        """
         if len(self.lengths) == len(self.row):
             return crops
         device, shares = crops.device, self.shares()

@@ -1,8 +1,8 @@
-"""Rows of several texts, packed from balanced crops, for denoisers that know a text for every frame.
+"""Rows of several texts, packed from balanced crops, for denoisers with a text for every frame.
 
-Knows a dataset and drawn crops; knows no features (see `joining` for how they become one motion) and no network.
-FlowMDM is trained on rows of BABEL (Barquero et al. 2024; see `recorded_rows`); here a row is a recording that passes
-from one clip to the next, or crops of any clips, put together where the poses fit.
+FlowMDM is trained on rows of BABEL (Barquero et al. 2024; see `recorded_rows`). Here a row is a recording that passes
+from one clip to the next, or a sequence of crops of any clips with matching poses. This module knows a dataset and
+drawn crops; it knows no features (`joining` cross-fades them) and no network.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from stmc.training.data.batches import Draw, SplitClips
 from stmc.training.data.dataset import NULL, BatchPlan, Crops, Dataset
 
 FADE = 0.5
-"""Seconds over which two crops of different recordings fade into one another."""
+"""Length in seconds of the cross-fade between crops of different recordings."""
 
 CANDIDATES = 32
-"""Crops of which the one comes next whose pose is nearest."""
+"""Number of random crops from which the one with the nearest pose comes next."""
 
 FARTHEST = 1.0
-"""Distance of two poses, in standard deviations (root mean square over features), that are too unlike to be faded."""
+"""Maximum distance of two cross-faded poses, in standard deviations (root mean square over features)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PackedRows(BalancedBatches):
-    """Draw balanced crops, and put them into rows of several texts, for denoisers that know a text for every frame.
+    """Draw balanced crops and pack them into rows of several texts, for denoisers with a text for every frame.
 
-    A row has as many texts as `texts_per_row` says, or ends where no crop fits: see `Sequences`. `rows` counts crops.
+    A row has `texts_per_row` texts, or fewer if no crop fits: see `Sequences`. `rows` counts crops.
     """
 
-    texts_per_row: Sequence = setting((1, 4), "least and most texts of a row, two whole numbers from 1 on")
+    texts_per_row: Sequence = setting((1, 4), "minimum and maximum number of texts of a row")
     several_texts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -45,12 +45,12 @@ class PackedRows(BalancedBatches):
         whole = len(numbers) == 2 and all(isinstance(number, int) for number in numbers)
         if not whole or not 1 <= numbers[0] <= numbers[1] or numbers[1] < 2:
             raise SettingError(
-                f"texts_per_row={numbers}: a least and a most number of texts needed, such as [1, 4]; "
-                "rows of one text each are BalancedBatches"
+                f"texts_per_row={numbers}: must be a minimum and a maximum number of texts, such as [1, 4]; "
+                "for rows of one text use BalancedBatches"
             )
 
     def begin(self, clips: SplitClips, seed: int) -> Draw:
-        """Prepare to draw, as `BalancedBatches`, and to pack."""
+        """Prepare to draw, as in `BalancedBatches`, and to pack."""
         (least, most), dataset = self.texts_per_row, clips.dataset
         longest = max(1, int(self.longest * dataset.fps))
         pack = Sequences(dataset, clips.chosen & dataset.described, least, most, longest)
@@ -59,11 +59,18 @@ class PackedRows(BalancedBatches):
 
 
 class Sequences:
-    """Puts drawn crops into rows of `least` to `most` texts each, as far as there are crops that fit.
+    """Packing of drawn crops into rows of several texts.
 
-    Where a clip passes into another of its recording (see `following`; `chosen` may be drawn), that one comes next, but
-    for what is beyond `longest` frames; else the one of `CANDIDATES` drawn crops of other contents that begins most
-    nearly in the pose in which the last one ends. Rows with texts and rows without do not mix.
+    If a clip passes into another one of its recording (see `following`), that one comes next, up to `longest` frames.
+    Otherwise the next crop is the one of `CANDIDATES` crops of other contents whose first pose is nearest to the last
+    pose. Crops with and without texts are not mixed.
+
+    Args:
+        dataset: Dataset of the crops.
+        chosen: Mask of the clips that may be drawn.
+        least: Minimum number of texts of a row, if enough crops fit.
+        most: Maximum number of texts of a row.
+        longest: Maximum number of frames of a crop.
     """
 
     def __init__(self, dataset: Dataset, chosen: np.ndarray, least: int, most: int, longest: int) -> None:
@@ -74,11 +81,11 @@ class Sequences:
         _, self._content = np.unique([clip.content for clip in dataset.clips], return_inverse=True)
 
     def __call__(self, plan: BatchPlan, rng: np.random.Generator) -> BatchPlan:
-        """`plan`, whose rows are one crop each, in rows of several; with the crops that recordings pass into."""
+        """Pack a plan with one crop per row into rows of several, and add the crops that recordings pass into."""
         drawn = len(plan.sentence)
         plan, after = self._passing(plan, rng)
         links = self._links(plan, after)
-        links.free[drawn:] = False  # these come after their own alone
+        links.free[drawn:] = False  # added crops follow only their predecessors
         rows = []
         for first in rng.permutation(drawn).tolist():
             if links.free[first]:
@@ -88,9 +95,9 @@ class Sequences:
         return replace(plan[crops], row=row, fade=fade)
 
     def _passing(self, plan: BatchPlan, rng: np.random.Generator) -> tuple[BatchPlan, np.ndarray]:
-        """The plan with the crops behind its own that these pass into, and of every crop the place of that one, or -1.
+        """Append the crops that recordings pass into; return the plan and each crop's successor, or -1.
 
-        A crop that passes into another lasts until that one begins, at the recording's own speed.
+        A crop with a successor lasts until the successor begins, at the recording's own speed.
         """
         asked, after = np.flatnonzero((plan.sentence != NULL) & (plan.donor.frames == 0)), np.full(len(plan.row), -1)
         for number in range(1, self.most):
@@ -118,8 +125,11 @@ class Sequences:
 
 @dataclass(frozen=True)
 class _Links:
-    """What may come after what, crop by crop: the crop that it passes into (-1: none), the poses in which it begins and
-    ends, its content (-1: it has no text), whether it is long enough to fade in and out, whether it is still free."""
+    """Possible successors of crops.
+
+    For each crop: the successor in its recording `after` (-1: none), its first and last poses, its `content` (-1: no
+    text), whether it is long enough to fade in and out (`fits`), and whether it is still `free`.
+    """
 
     after: np.ndarray
     starts: np.ndarray
@@ -129,7 +139,7 @@ class _Links:
     free: np.ndarray
 
     def row(self, first: int, texts: int, fade: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
-        """The crops of a row of at most so many texts, and over how many frames each fades in."""
+        """Return the crops of a row of at most `texts` texts, and the number of frames over which each fades in."""
         crops, fades = [first], [0]
         self.free[first] = False
         while len(crops) < texts:
@@ -154,8 +164,15 @@ class _Links:
 
 
 def following(clips: Sequence[Clip], chosen: np.ndarray, fps: float | int) -> np.ndarray:
-    """For every clip, which of the `chosen` ones its recording passes into, or -1: the one that begins nearest to its
-    end, within `TOUCHING` seconds."""
+    """Return for every clip the index of the clip that its recording passes into, or -1.
+
+    That is the clip that begins nearest to its end, within `TOUCHING` seconds.
+
+    Args:
+        clips: Clips of the dataset.
+        chosen: Mask of the clips that may follow.
+        fps: Frames per second.
+    """
     recordings: dict[str, list[int]] = {}
     for place in np.flatnonzero(chosen).tolist():
         if clips[place].recording:
@@ -172,7 +189,7 @@ def following(clips: Sequence[Clip], chosen: np.ndarray, fps: float | int) -> np
 
 
 def _with_more(plan: BatchPlan, places: np.ndarray, here: Crops, there: Crops, sentence: np.ndarray) -> BatchPlan:
-    """The plan with the crops `here` at these places, and those `there` behind it, which are no compositions."""
+    """Replace the crops at these places by `here` and append the crops `there`; none of them is a composition."""
     none = np.zeros(len(sentence), dtype=int)
     kept, body = np.setdiff1d(np.arange(len(plan.row)), places), plan.body
     order = np.argsort(np.concatenate([kept, places]))

@@ -1,6 +1,6 @@
-"""Batches for what tells pairs of motion and text from non-pairs: which texts are true of which motions of a batch.
+"""Batches for contrastive training, with the texts that are true of each motion.
 
-Knows plans of batches and the sentences of its clips; knows no network and no loss.
+This module knows plans of batches and the sentences of clips; it knows no network and no loss.
 """
 
 from __future__ import annotations
@@ -20,14 +20,18 @@ from stmc.training.data.dataset import BatchPlan
 
 
 class PairBatches:
-    """`batches(step, process)`: those of a `ClipBatches`, every row with a text, and what else each text is true of.
+    """Function `batches(step, process)` that returns chunks of `Pairs`.
 
-    A text is true of all clips that have it among their sentences; of a composition's motion, what is true of either
-    clip, and half of the compositions have the text of the `other` clip: both are to be heard. With an encoder of whole
-    `sentences`, texts that it finds `similar` by more than `threshold` are taken to be true of each other's motions,
-    too: the filter of TMR, for data where one clip's sentences are not another's.
+    A text is true of all clips that have it among their sentences. A text is true of a composition if it is true of
+    either clip; half of the compositions get the text of the `other` clip, so that both are learned.
 
-    Raises `ValueError` for a recipe that leaves rows without a text, or with several.
+    Raises `ValueError` for a recipe whose rows may have no text or several.
+
+    Args:
+        batches: Batches to convert.
+        sentences: Sentence encoder for the filter of TMR: texts more `similar` than `threshold` count as true of each
+            other's motions. It helps if clips do not share sentences. None: no filter.
+        threshold: Threshold of the filter.
     """
 
     def __init__(
@@ -37,7 +41,9 @@ class PairBatches:
         dataset = batches.dataset
         self.batches, self.threshold = batches, threshold
         keys = {key: column for column, key in enumerate(dataset.choices)}
-        self._true = np.zeros((len(dataset.sentences), len(keys) + 1), dtype=bool)  # the last column: of no sentence
+        self._true = np.zeros(
+            (len(dataset.sentences), len(keys) + 1), dtype=bool
+        )  # the last column is for clips without sentences
         for key, (places, _) in dataset.choices.items():
             self._true[places, keys[key]] = True
         self._key = np.array([keys.get(clip.texts, len(keys)) for clip in dataset.clips])
@@ -56,9 +62,9 @@ class PairBatches:
         return pieces
 
     def alike(self, plan: BatchPlan) -> Bool[Tensor, "batch batch"]:
-        """Which row's text is true of which row's motion: see `Pairs`."""
+        """Return which row's text is true of which row's motion: see `Pairs`."""
         composed = plan.donor.frames > 0
-        cut = composed & (plan.other == plan.sentence)  # what the body would show has been cut off
+        cut = composed & (plan.other == plan.sentence)  # the body's own action has been cut off
         alike = (self.true_of(plan.sentence, plan.body.clip) & torch.from_numpy(~cut)) | (
             self.true_of(plan.sentence, plan.donor.clip) & torch.from_numpy(composed)
         )
@@ -67,18 +73,17 @@ class PairBatches:
         return alike | similar(self._embedded[torch.from_numpy(plan.sentence)], self.threshold)
 
     def true_of(self, sentences: np.ndarray, clips: np.ndarray) -> Bool[Tensor, "texts motions"]:
-        """Which of the dataset's sentences, by their places, are among those of which of its clips."""
+        """Return whether each sentence belongs to each clip, both given by their indices in the dataset."""
         return torch.from_numpy(self._true[sentences][:, self._key[clips]])
 
     def drawn(self, split: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """All clips of a split that have texts, and the place of one sentence of each: whom to retrieve from whom."""
+        """Return all clips of a split that have texts, and the index of a random sentence of each, for retrieval."""
         dataset, rng = self.batches.dataset, np.random.default_rng(seed)
         clips = np.flatnonzero([clip.split == split for clip in dataset.clips] & dataset.described)
         return clips, np.array([dataset.sentence(clip, rng.random()) for clip in clips.tolist()], dtype=int)
 
 
 def similar(sentences: Float[Tensor, "batch width"], threshold: float | int = 0.8) -> Bool[Tensor, "batch batch"]:
-    """Which texts say almost the same, by the scores (cosine / 2 + 1/2) of their sentence embeddings: those above
-    `threshold` (TMR, section 3.3)."""
+    """Return which texts have similar embeddings, with (cosine / 2 + 1/2) above `threshold` (TMR, section 3.3)."""
     unit = F.normalize(sentences, dim=-1)
     return (unit @ unit.T) / 2 + 0.5 > threshold

@@ -1,7 +1,8 @@
-"""Clips for any duration: what is cyclic goes round again, what happens once is followed by rest, or by walking on.
+"""Extend clips: cyclic clips are repeated, other clips are followed by rest or by walking on.
 
-A network that never saw ten seconds of a run makes a walk of them. Knows prepared caches and layouts, and that features
-are seen from the body, so that frames of other places and headings can follow each other; knows no text and no network.
+A network that has never seen ten seconds of running turns them into a walk. This module knows prepared caches and
+layouts, and that features are relative to the body, so that frames of other positions and headings can follow each
+other; it knows no text and no network.
 """
 
 from __future__ import annotations
@@ -21,41 +22,46 @@ from stmc.motion.geometry import orthonormal_rows
 from stmc.motion.representation.layout import Layout
 
 FADE = 0.4
-"""Seconds over which one moment's course goes over into that of another one."""
+"""Length in seconds of cross-fades between two moments."""
 
 CYCLE = 0.6
-"""Seconds of the shortest cycle: two steps of a run."""
+"""Length in seconds of the shortest cycle: two steps of a run."""
 
 NEAR = 0.10
-"""Metres between the joints of two moments, on average, beyond which neither may go on as the other does."""
+"""Maximum mean distance in metres between the joints of two moments that are cross-faded."""
 
 SPEED = 0.15
-"""Metres that a difference of one metre per second of the root counts as."""
+"""Distance in metres that equals a difference of one metre per second in the velocity of the root."""
 
 REST = (0.5, 4.0)
-"""Seconds of what follows what happens once, between these."""
+"""Minimum and maximum length in seconds of the motion that follows a non-cyclic clip."""
 
 CANDIDATES = 60
-"""Clips of each content at most that are looked through for what may follow."""
+"""Maximum number of clips of each content among which to search for a successor."""
 
 TOGETHER = 64
-"""Clips for which what may follow is looked for at once."""
+"""Number of clips for which to search for successors at once."""
 
 Features = Float[Tensor, "_ features"]
 
 
 @dataclass(frozen=True)
 class Prolonging:
-    """How clips are prolonged. Cyclic ones to `seconds`; of the others there are two, as it is and followed by a clip
-    of one of the contents `followed_by`: whoever has turned walks on, whoever has bowed stands. Where no moment
-    resembles another one closely enough, a clip stays as it is."""
+    """Extension of clips. A clip without a sufficiently similar moment to continue from is unchanged.
+
+    Args:
+        seconds: Duration to which cyclic clips are extended.
+        followed_by: Contents that may follow a non-cyclic clip; the cache then has the clip alone and with its
+            successor, such as walking on after a turn, or standing after a bow.
+        seed: Seed of the durations of successors.
+    """
 
     seconds: float | int
     followed_by: tuple[str, ...] = ("stand", "sit", "walk", "run")
     seed: int = 0
 
     def __call__(self, cache: Cache, layout: Layout) -> Cache:
-        """`cache` with its clips prolonged. Raises `KeyError` for a layout without positions or root velocities."""
+        """Extend the clips of a cache. Raises `KeyError` for a layout without positions or root velocities."""
         joining = _Joining(cache.fps, layout)
         frames, rng = round(self.seconds * cache.fps), np.random.default_rng(self.seed)
         once = [
@@ -70,7 +76,7 @@ class Prolonging:
             followed = dict(zip(once, ended, strict=True))
 
         def rows() -> Iterator[tuple[Clip, Features]]:
-            for clip in track(cache.clips, "prolonging clips", transient=True):
+            for clip in track(cache.clips, "extending clips", transient=True):
                 features = _features(cache, clip)
                 yield clip, joining.looped(features, frames) if clip.cyclic else features
                 if (longer := followed.get(clip)) is not None:
@@ -80,7 +86,7 @@ class Prolonging:
         return replace(cache, clips=clips, features=features)
 
     def _next(self, cache: Cache) -> list[Clip]:
-        """The clips that may follow, evenly chosen where there are many."""
+        """Return the clips that may follow, evenly spaced if there are many."""
         chosen = []
         for content in self.followed_by:
             clips = [clip for clip in cache.clips if clip.content == content and clip.split == "train"]
@@ -93,16 +99,18 @@ def _features(cache: Cache, clip: Clip) -> Features:
 
 
 class _Joining:
-    """How alike moments are, and what leads from one to another, for features at `fps` frames a second."""
+    """Distances and cross-fades between moments, for features at `fps` frames per second."""
 
     def __init__(self, fps: float | int, layout: Layout) -> None:
         self.fps, self.layout = fps, layout
         self.fade = 2 * max(1, round(FADE * fps / 2))
 
     def looped(self, features: Features, frames: int) -> Features:
-        """As many frames, if `features` are fewer and have a cycle. Of the cycles about as close as the closest the
-        longest is taken, so that little repeats; it turns as the clip does on average: who walks straight goes on
-        straight."""
+        """Repeat a cycle of `features` up to `frames` frames; return shorter features unchanged if they have no cycle.
+
+        The cycle is the longest among those that close about as well as the best one, so that little is repeated. It
+        turns as the whole clip does on average, so a straight walk stays straight.
+        """
         windows = len(features) - self.fade + 1
         if len(features) >= frames or windows <= CYCLE * self.fps:
             return features
@@ -121,13 +129,12 @@ class _Joining:
         return longer[:frames]
 
     def distances(self, features: Features, others: Features) -> Float[Tensor, "windows others"]:
-        """Metres between the joints, on average, at the beginnings and ends of windows of a fade's length, and the
-        difference of the roots' velocities as metres."""
+        """Return distances in metres of windows of a fade's length, as the mean of their first and last frames."""
         apart, last = self.apart(features, others), self.fade - 1
         return (apart[: len(features) - last, : len(others) - last] + apart[last:, last:]) / 2
 
     def apart(self, features: Features, others: Features) -> Float[Tensor, "frames others"]:
-        """The same of single frames."""
+        """Return distances of frames: the mean over joints, plus the difference of root velocities, in metres."""
         positions, velocity = self.layout["positions"], self.layout["root_velocity"]
         joints = [rearrange(each[:, positions], "n (joint xyz) -> joint n xyz", xyz=3) for each in (features, others)]
         apart = SPEED * self.fps * torch.cdist(features[:, velocity], others[:, velocity])
@@ -136,7 +143,7 @@ class _Joining:
         return apart
 
     def joined(self, features: Features, others: Features) -> Features:
-        """One after the other, the end of the first faded into the beginning of the second."""
+        """Concatenate two motions with a cross-fade."""
         fade = self.fade
         share = torch.linspace(0, 1, fade + 2)[1:-1, None]
         between = torch.lerp(features[-fade:], others[:fade], share)
@@ -145,18 +152,20 @@ class _Joining:
 
 
 class _Following:
-    """Clips that go on, and which moment of them a motion can end in."""
+    """Possible successors, and the search for a moment at which to continue."""
 
     def __init__(self, joining: _Joining, clips: list[Features]) -> None:
         self.joining, self.features = joining, torch.cat(clips)
         self.left = torch.cat([torch.arange(len(clip), 0, -1) for clip in clips])
 
     def after(self, clips: list[Features], frames: list[int]) -> Iterator[Features | None]:
-        """Each clip, of a fade's length at least, and then so many frames of one that goes on; None where none has as
-        many that are near its end. Many are looked for at once: distances from one frame to tens of thousands wait for
-        memory, not for arithmetic."""
+        """Yield each clip with `frames` frames of a successor, or None if none is near enough and long enough.
+
+        Clips must have at least a fade's length. The search handles many clips at once, since distances from single
+        frames to tens of thousands are bound by memory.
+        """
         last = self.joining.fade - 1
-        for first in track(range(0, len(clips), TOGETHER), "looking for what may follow", transient=True):
+        for first in track(range(0, len(clips), TOGETHER), "searching for successors", transient=True):
             ends = clips[first : first + TOGETHER]
             begun = self.joining.apart(torch.stack([clip[-last - 1] for clip in ends]), self.features[:-last])
             ended = self.joining.apart(torch.stack([clip[-1] for clip in ends]), self.features[last:])

@@ -1,7 +1,7 @@
-"""Rows of several texts as they were recorded, for denoisers that know a text for every frame.
+"""Rows of several texts as recorded, for denoisers with a text for every frame.
 
-Knows clips, and that a content is one recorded row; knows no features and no network. FlowMDM is trained so on BABEL
-(Barquero et al. 2024, section 4.1).
+FlowMDM is trained like this on BABEL (Barquero et al. 2024, section 4.1). This module knows clips, and that a content
+is one recorded row; it knows no features and no network.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from stmc.training.data.epoch_batches import Epochs
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRows(Recipe):
-    """Draw every content once an epoch, shuffled, and show all its clips whole, in the order of the recording.
+    """Draw every content once per epoch, shuffled, with all its clips, whole and in recorded order.
 
-    Each clip has one of its texts, which is dropped by itself with probability `text_dropout`. Nothing is cut:
-    `longest` is the longest motion of the trained model alone.
+    Each clip has one of its texts, dropped independently with probability `text_dropout`. Clips are not cropped:
+    `longest` only limits the motions of the trained model.
     """
 
     drop_last: bool = setting(False, "leave out the last batch of an epoch if it is smaller than the others")
@@ -36,8 +36,14 @@ class RecordedRows(Recipe):
 
 
 def plan_recorded(dataset: Dataset, drawn: np.ndarray, dropout: float | int, rng: np.random.Generator) -> BatchPlan:
-    """Plan a row of each `drawn` clip's content: all its clips, each with one of its sentences or, with probability
-    `dropout`, none."""
+    """Plan a row of each drawn clip's content.
+
+    Args:
+        dataset: Dataset of the clips.
+        drawn: Indices of one clip of each content.
+        dropout: Probability that a clip has no sentence.
+        rng: Random generator.
+    """
     places: dict[str, list[int]] = {}
     for place in np.flatnonzero(dataset.described).tolist():
         places.setdefault(dataset.clips[place].content, []).append(place)

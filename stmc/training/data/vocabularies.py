@@ -1,4 +1,4 @@
-"""What a training on a data set will have heard: the vocabulary that travels with its model."""
+"""The vocabulary of a training data set, which is saved with the model."""
 
 from __future__ import annotations
 
@@ -11,9 +11,16 @@ from stmc.text.vocabulary import Content, Sentence, Vocabulary, build_vocabulary
 
 
 def vocabulary_of(cache: Cache, min_clips: int, encoder: TextEncoder) -> Vocabulary:
-    """The vocabulary of a training on the cache's training clips, in which contents of fewer than `min_clips` have no
-    texts (as in `Dataset`). A clip of no known body parts is a content without a name: of a data set of one-off
-    recordings, such as HumanML3D, sentences are known and no contents."""
+    """Build the vocabulary of a cache's training clips.
+
+    Clips without known body parts belong to an unnamed content: for data sets of individual recordings, such as
+    HumanML3D, the vocabulary contains sentences but no contents.
+
+    Args:
+        cache: Prepared data.
+        min_clips: Contents with fewer training clips have no texts, as in `Dataset`.
+        encoder: Sentence encoder of the vocabulary.
+    """
     training = [clip for clip in cache.clips if clip.split == "train"]
     counts: dict[str, int] = defaultdict(int)
     for clip in training:

@@ -1,8 +1,7 @@
-"""The studio: a page on the user's own machine where timelines are written, sampled, edited and taken away.
+"""The studio: a local page for writing, sampling, editing and exporting timelines.
 
-A server for that page alone: it checks timelines, samples them one after the other, keeps motions and documents, and
-hands out files. What is edited, and how, is the page's business (`assets/studio`); how timelines are sampled, the
-library's. Knows models, exports and views.
+The server checks timelines, samples them one after the other, stores motions and documents, and exports files. The page
+(`assets/studio`) implements editing, and the library sampling. This package knows models, exports and views.
 """
 
 from stmc.viewing.studio.jobs import Job, Jobs, Stage

@@ -1,4 +1,4 @@
-"""The studio's server, whose connections do not wait for ever for a request to begin or to go on."""
+"""The studio's HTTP server, with a time limit on the heads of requests."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEAD_SECONDS = 20.0
-"""Within which a request's head has to come, from the connection's beginning or the head's first byte on."""
+"""Maximum time for a request's head, counted from the start of the connection or the head's first byte."""
 
 
 class Impatient(H11Protocol):
-    """HTTP/1.1 as uvicorn speaks it, which closes a connection whose next request stays half said."""
+    """uvicorn's HTTP/1.1 protocol, which closes a connection whose next request stays incomplete."""
 
     deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:
-        """Begin to wait for the first request."""
+        """Start the timer for the first request."""
         super().connection_made(transport)
         self._await_head()
 
     def data_received(self, data: bytes) -> None:
-        """Go on waiting while the head is not whole; time that has passed counts."""
+        """Keep the timer running until the head is complete."""
         super().data_received(data)
         if self.conn.their_state is not h11.IDLE:
             self._stop_waiting()
@@ -32,7 +32,7 @@ class Impatient(H11Protocol):
             self._await_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no longer."""
+        """Stop the timer."""
         self._stop_waiting()
         super().connection_lost(exc)
 
@@ -51,5 +51,5 @@ class Impatient(H11Protocol):
 
 
 def server_of(app: ASGIApp) -> uvicorn.Server:
-    """A server that is still to be run, on sockets that listen already."""
+    """Return a server, to be run on sockets that already listen."""
     return uvicorn.Server(uvicorn.Config(app, http=Impatient, log_level="warning", timeout_graceful_shutdown=2))

@@ -1,6 +1,6 @@
-"""Timelines as the page has them, and what it shows of them before anything is sampled: who owns which body part when.
+"""JSON of timelines for the page, and their check before sampling, with the prompts of body parts over time.
 
-Knows timelines, plans and what a model recognises; knows no motions.
+This module knows timelines, plans and the recognition of prompts; it knows no motions.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from stmc.viewing.colours import owned_seconds
 from stmc.viewing.studio.refusals import Refused, take, take_texts
 
 MOST_SECONDS = 300
-"""Of a timeline in the studio: five minutes."""
+"""Maximum duration of a timeline in the studio: five minutes."""
 
 MOST_PROMPTS = 200
 
 MOST_LETTERS = 10_000
-"""The letters of the longest text, times the number of texts: as many are embedded before a check is answered."""
+"""Maximum of the longest text's length times the number of texts, which a check embeds before it answers."""
 
 MOST_FILE = 100_000
-"""Letters of a timelines' file."""
+"""Maximum number of characters of a file of timelines."""
 
 
 def timeline_of(data: Mapping[str, Any]) -> Timeline:
-    """The timeline of a page's JSON. Raises `Refused`, with the number of the prompt that is wrong, from 0."""
+    """Read the timeline of a page's JSON. Raises `Refused`, with the index of the invalid prompt."""
     name, listed = take(data, "name", str, ""), take(data, "prompts", list)
     if len(listed) > MOST_PROMPTS:
         raise Refused(422, f"{len(listed)} prompts: {MOST_PROMPTS} at most in the studio", prompt=None)
@@ -45,7 +45,7 @@ def timeline_of(data: Mapping[str, Any]) -> Timeline:
 
 
 def _check_letters(listed: list[Any]) -> None:
-    """Raise `Refused` for more text than is embedded while somebody waits: texts are padded to the longest one."""
+    """Raise `Refused` if texts, padded to the longest one, would take too long to embed."""
     texts = [entry.get("text") if isinstance(entry, dict) else None for entry in listed]
     lengths = [len(text) if isinstance(text, str) else 0 for text in texts]
     longest, different = max(lengths, default=0), len({text for text in texts if isinstance(text, str)})
@@ -72,7 +72,7 @@ def _timeline(name: str, prompts: tuple[Prompt, ...]) -> Timeline:
 
 
 def as_data(timeline: Timeline) -> dict[str, Any]:
-    """The JSON that `timeline_of` reads."""
+    """Return the JSON data that `timeline_of` reads."""
     prompts = [
         {"text": each.text, "start": each.start, "end": each.end, "parts": in_order(each.parts)}
         for each in timeline.prompts
@@ -81,21 +81,25 @@ def as_data(timeline: Timeline) -> dict[str, Any]:
 
 
 def in_order(parts: Collection[BodyPart]) -> list[BodyPart]:
-    """Body parts as a list that JSON takes."""
+    """Return body parts as an ordered list for JSON."""
     return [part for part in BodyPart if part in parts]
 
 
 def read_timelines(name: str, text: str) -> list[Timeline]:
-    """The timelines of a file that the page has read; its `name` says which format. Raises `TimelineError`, and
-    `Refused` for a longer file than is read while somebody waits."""
+    """Read the timelines of a file in the format of its `name`.
+
+    Raises `TimelineError` for invalid timelines, and `Refused` for a file that is too long.
+    """
     if len(text) > MOST_FILE:
         raise Refused(422, f"{len(text):,} letters: the studio reads files of {MOST_FILE:,} at most")
     return Timeline.parse_all(text, Path(name).suffix)
 
 
 def write_timeline(timeline: Timeline, kind: str) -> str:
-    """What a timeline's file holds, "json" or "txt". Raises `Refused` for another kind, `TimelineError` for what a text
-    cannot hold."""
+    """Write a timeline as the text of a file, "json" or "txt".
+
+    Raises `Refused` for another kind, and `TimelineError` for a timeline that "txt" cannot represent.
+    """
     forms = {"json": Timeline.to_json, "txt": Timeline.to_text}
     if kind not in forms:
         raise Refused(422, f"format={shown(kind)}: choose from {', '.join(forms)}")
@@ -103,10 +107,15 @@ def write_timeline(timeline: Timeline, kind: str) -> str:
 
 
 def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any]:
-    """What the page shows of a timeline before it is sampled. Raises `Refused` for what cannot be planned.
+    """Check a timeline before sampling. Raises `Refused` if it cannot be planned.
 
-    The prompts' body parts, which ones the model hardly knows or rarely shows, the rows they lie in, and for every body
-    part who owns it when, with the transitions between (seconds).
+    The result has the body parts, advice and row of each prompt, and for every body part its prompts and transitions
+    over time, in seconds.
+
+    Args:
+        timeline: Timeline to check.
+        model: Model to sample with.
+        suggest: Function that suggests body parts.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", TimelineWarning)

@@ -1,6 +1,6 @@
-"""Who may talk to the studio: its own page, in the browser of whoever started it, and nobody else.
+"""Access control: only the studio's own page in the user's browser may use the server.
 
-Other pages in the same browser, and names of other hosts that lead here, are refused before anything is read.
+Other pages in the same browser, and other host names for this server, are rejected before a body is read.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from stmc.viewing.studio.refusals import Refused
 from stmc.viewing.studio.sessions import Sessions
 
 MOST_BYTES = 2**20 + 2**16
-"""Of a request."""
+"""Maximum size of a request."""
 
 MOST_UPLOAD = 32 * 2**20
-"""Of a motion that is brought along."""
+"""Maximum size of an uploaded motion."""
 
 BODY_SECONDS = 30.0
-"""Within which each part of a request's body has to follow the one before."""
+"""Maximum time between two parts of a request's body."""
 
 API, SESSION, UPLOADS = "/api/", "/api/session", "/api/motions"
 
@@ -36,8 +36,10 @@ HEADERS = {
 
 
 class Guard:
-    """An ASGI application before another one: asks for our own host and origin, for the session's key in the header
-    `X-Stmc`, which no other page can know, and for requests of bounded size. The page itself holds no secret."""
+    """ASGI middleware that requires our host and origin, the session's key, and requests of bounded size.
+
+    The key is in the header `X-Stmc`, and no other page can know it. The page itself holds no secret.
+    """
 
     def __init__(self, app: ASGIApp, sessions: Sessions, port: int) -> None:
         self.app, self.sessions = app, sessions
@@ -54,7 +56,7 @@ class Guard:
             await self.app(scope, _bounded(receive, _most(scope)), _with_headers(scope, send))
 
     def _refusal(self, scope: Scope) -> Response | None:
-        """The answer where the request goes no further."""
+        """Return the answer to a rejected request, or None."""
         headers, path = Headers(scope=scope), scope["path"]
         if headers.get("host") not in self.hosts:
             return refused(403, "this is not an address of the studio")
@@ -70,13 +72,19 @@ class Guard:
 
 
 def refused(status: int, sentence: str, **others: object) -> Response:
-    """The one shape of every refusal. What comes after a request that was not read to its end is not read either."""
+    """Build an error response; a request that was not read to its end also closes the connection.
+
+    Args:
+        status: HTTP status.
+        sentence: Message to the user.
+        **others: Further fields of the JSON object.
+    """
     headers = {"Connection": "close"} if status in (408, 413) else None
     return JSONResponse({"error": sentence, **others}, status, headers)
 
 
 async def _deny(scope: Scope, receive: Receive, send: Send) -> None:
-    """Refuse a WebSocket: with a sentence where the server can send one."""
+    """Reject a WebSocket, with a message if the server can send one."""
     if "websocket.http.response" in scope.get("extensions", {}):
         await refused(403, "the studio has no WebSockets")(scope, receive, send)
     else:
@@ -84,13 +92,12 @@ async def _deny(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 def _most(scope: Scope) -> int:
-    """Bytes of a request to this path."""
+    """Return the maximum number of bytes of a request to this path."""
     return MOST_UPLOAD if scope["path"] == UPLOADS else MOST_BYTES
 
 
 def _bounded(receive: Receive, most: int) -> Receive:
-    """Stop reading where a body is longer than it said, or stays away. After a body one waits for the other's leave,
-    as long as that takes."""
+    """Limit the size of a body and the time between its parts; waiting for a disconnection has no limit."""
     total, complete = 0, False
 
     async def bounded() -> Message:
@@ -111,7 +118,7 @@ def _bounded(receive: Receive, most: int) -> Receive:
 
 
 def _with_headers(scope: Scope, send: Send) -> Send:
-    """What every answer says; nothing of the interface is kept by the browser, and files are asked for again."""
+    """Add headers to every response; browsers do not cache the API, and revalidate files."""
     kept = "no-store" if scope["path"].startswith(API) else "no-cache"
 
     async def sent(message: Message) -> None:

@@ -1,6 +1,6 @@
-"""What the studio samples: one job after the other, each heard by whoever listens, and any of them can be stopped.
+"""Sampling jobs of the studio: a queue whose jobs emit events and can be cancelled.
 
-Knows motions and how they are asked for; knows no requests and no pages.
+This module knows motions and generation requests; it knows no HTTP and no pages.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from stmc.viewing.studio.stores import Motions
 logger = logging.getLogger(__name__)
 
 MOST_WAITING = 32
-"""Jobs that wait; more are refused."""
+"""Maximum number of waiting jobs."""
 
 MOST_FINISHED = 200
-"""Jobs that can still be asked about."""
+"""Number of jobs to remember."""
 
 ENDS = ("done", "failed", "cancelled")
 
 Event = tuple[str, dict[str, Any]]
-"""What happened, and what there is to know of it."""
+"""Kind of an event, and its details."""
 
 
 class Cancelled(Exception):
-    """The job should end before its next step."""
+    """Signal to end a job before its next step."""
 
 
 class Stage(NamedTuple):
-    """One of the samplings of a job: its name, as the page is told it, and its steps of denoising."""
+    """A stage of a job: its name for the page, and its number of denoising steps."""
 
     name: str
     steps: int
@@ -50,7 +50,7 @@ class Stage(NamedTuple):
 PREVIEW = Stage("preview", 10)
 
 OWN = Sampling(sampler="ddim")
-"""The studio's own settings, where a request leaves them open."""
+"""Defaults of the studio for settings that a request leaves unset."""
 
 Sample = Callable[[GenerateRequest, Progress], Sequence[Motion]]
 """`Model.sample`, or a function like it."""
@@ -58,10 +58,10 @@ Sample = Callable[[GenerateRequest, Progress], Sequence[Motion]]
 
 @dataclass(eq=False)
 class Job:
-    """A request to be sampled, and all that has happened to it.
+    """A request to sample, with its events.
 
-    `stages`: one after the other, such as a preview and then the motion itself. `tab`: who asks; of one tab, only the
-    last job waits.
+    `stages` run one after the other, such as a preview and then the full motion. Only the last job of a `tab` of the
+    browser waits.
     """
 
     request: GenerateRequest
@@ -75,23 +75,23 @@ class Job:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more will happen."""
+        """Whether the job has ended."""
         return bool(self.events) and self.events[-1][0] in ENDS
 
     def tell(self, kind: str, **details: Any) -> None:
-        """Adds an event, from any thread; none after the end."""
+        """Emit an event, from any thread; events after the end are ignored."""
         with self._lock:
             if self.ended:
                 return
             if kind == "progress" and self.events and self.events[-1][0] == "progress":
-                self.events.pop()  # who comes late needs the last one alone
+                self.events.pop()  # late listeners need only the last one
             self.events.append((kind, details))
             for loop, queue in self._listeners:
                 if not loop.is_closed():
                     loop.call_soon_threadsafe(queue.put_nowait, (kind, details))
 
     async def heard(self) -> AsyncIterator[Event]:
-        """What has happened and what happens, up to the end."""
+        """Yield past and future events up to the end."""
         queue: asyncio.Queue[Event] = asyncio.Queue()
         listener = (asyncio.get_running_loop(), queue)
         with self._lock:
@@ -110,7 +110,7 @@ class Job:
 
 
 class Jobs:
-    """The queue, and the one thread that works it off. `sample` is a model's.
+    """The queue and the single thread that runs its jobs with `sample`, a method of a model.
 
     Examples:
         >>> jobs = stmc.viewing.studio.Jobs(stmc.load().sample, stmc.viewing.studio.Motions("motions"))
@@ -131,14 +131,20 @@ class Jobs:
         self._thread.start()
 
     def add(self, request: GenerateRequest, stages: tuple[Stage, ...] = (PREVIEW,), tab: str = "") -> Job:
-        """Queues a job; those of the same tab that still wait are cancelled. Raises `Refused` where too many wait."""
+        """Queue a job and cancel waiting jobs of the same tab. Raises `Refused` if too many jobs wait.
+
+        Args:
+            request: Request to sample.
+            stages: Stages of sampling.
+            tab: Identifier of the browser tab; empty: none.
+        """
         job = Job(request, stages, tab)
         with self._changed:
             for other in [each for each in self._waiting if tab and each.tab == tab]:
                 self._waiting.remove(other)
                 other.tell("cancelled")
             if len(self._waiting) >= MOST_WAITING:
-                raise Refused(429, f"{MOST_WAITING} jobs wait already")
+                raise Refused(429, f"{MOST_WAITING} jobs are already waiting")
             self._known[job.name] = job
             self._forget()
             self._waiting.append(job)
@@ -147,14 +153,14 @@ class Jobs:
         return job
 
     def get(self, name: str) -> Job:
-        """Raises `Refused` for a name that no job has."""
+        """Return the job with this name. Raises `Refused` if there is none."""
         with self._changed:
             if name not in self._known:
                 raise Refused(404, "there is no such job")
             return self._known[name]
 
     def cancel(self, name: str) -> None:
-        """Ends a job: at once if it waits, before its next step if it is sampled; one that has ended stays as it is."""
+        """Cancel a job, at once if it waits and before its next step if it runs; an ended job is unchanged."""
         job = self.get(name)
         with self._changed:
             job.cancelled = True
@@ -163,12 +169,12 @@ class Jobs:
                 job.tell("cancelled")
 
     def wait(self) -> None:
-        """Returns when nothing is left to do."""
+        """Wait until all jobs have ended."""
         with self._changed:
             self._changed.wait_for(lambda: not self._waiting and self._current is None)
 
     def close(self) -> None:
-        """Ends the thread; what waits, or is being sampled, is cancelled."""
+        """Cancel all jobs and end the thread."""
         with self._changed:
             self._closed = True
             for job in [*self._waiting, *([self._current] if self._current else [])]:
@@ -214,7 +220,7 @@ class Jobs:
 
 
 def _watched(told: Callable[[], None]) -> Callable[..., Iterator[Any]]:
-    """`progress` of `Model.generate`: tells before each step and after the last, in whichever phase of the sampling."""
+    """Return a `progress` of `Model.generate` that calls a function before each step and after the last."""
 
     def steps(items: Iterable[Any], total: int) -> Iterator[Any]:
         told()
@@ -226,7 +232,7 @@ def _watched(told: Callable[[], None]) -> Callable[..., Iterator[Any]]:
 
 
 def _guarded(job: Job, work: Callable[[Job], None]) -> None:
-    """Does a job, and tells how it ended; the queue goes on whatever happens."""
+    """Run a job and emit its end; the queue continues after any error."""
     try:
         work(job)
     except Cancelled:
@@ -238,7 +244,7 @@ def _guarded(job: Job, work: Callable[[Job], None]) -> None:
 
 
 def _explained(error: Exception, job: Job) -> str:
-    """The sentence for a job that failed; with constraints that lead out of all bounds it names their kinds."""
+    """Return the message of a failed job, which names the kinds of constraints that cannot be met."""
     refusal = refusal_of(error)
     if refusal is not None:
         return str(refusal)
@@ -246,4 +252,4 @@ def _explained(error: Exception, job: Job) -> str:
         kinds = sorted({each.name for each in job.request.constraints})
         return f"constraints ({', '.join(kinds)}) cannot be met here: {error}"
     logger.error("job %s", job.name, exc_info=error)
-    return "something went wrong; the terminal that runs the studio says what"
+    return "something went wrong; see the terminal that runs the studio"

@@ -1,4 +1,4 @@
-"""What the studio refuses, and reading what a page sends: JSON of known shape, within bounds."""
+"""Errors of the studio, and reading of requests: JSON of known shape, within bounds."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from stmc.settings.records import SettingError
 from stmc.timeline import TimelineError
 
 MOST_NUMBER = 2**53 - 1
-"""Beyond which JSON's numbers are not the same everywhere (RFC 7493)."""
+"""Largest portable integer of JSON (RFC 7493)."""
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 class Refused(ValueError):
-    """A request that cannot be met: an HTTP status, a sentence, and what else the page should know."""
+    """Error for a request that cannot be fulfilled: an HTTP status, a message, and further data for the page."""
 
     def __init__(self, status: int, message: str, **others: Any) -> None:
         super().__init__(message)
@@ -28,7 +28,7 @@ class Refused(ValueError):
 
 
 def refusal_of(error: Exception) -> Refused | None:
-    """What to answer for an error that somebody can do something about; None for a bug."""
+    """Convert an error that the user can fix into a `Refused`; return None for a bug."""
     if isinstance(error, Refused):
         return error
     if isinstance(error, (SettingError, TimelineError)):
@@ -37,7 +37,7 @@ def refusal_of(error: Exception) -> Refused | None:
         return Refused(503, "another program is writing in the studio's folder; try again")
     if isinstance(error, OSError):
         if error.errno in _FULL:
-            return Refused(507, "the disk is full: this was not kept; make room and try again")
+            return Refused(507, "the disk is full, so this was not saved; free some space and try again")
         return Refused(503, f"the studio's folder cannot be used: {cut(error.strerror or str(error), 100)}")
     if isinstance(error, MemoryError) or "can't allocate memory" in str(error):  # torch has no class for it
         return Refused(503, "there is not enough memory for this; make it shorter")
@@ -45,7 +45,7 @@ def refusal_of(error: Exception) -> Refused | None:
 
 
 def read_object(body: bytes) -> dict[str, Any]:
-    """The JSON object of a request's body. Raises `Refused`."""
+    """Read the JSON object of a request's body. Raises `Refused` for anything else."""
     try:
         data = load_json(body.decode("utf-8"))
     except UnicodeDecodeError:
@@ -59,8 +59,10 @@ def read_object(body: bytes) -> dict[str, Any]:
 
 
 def _check_portable(data: Any) -> None:
-    """Raise `Refused` for what `json` reads but cannot be written again or means something else elsewhere: NaN,
-    infinities, numbers beyond `MOST_NUMBER`, halves of surrogate pairs."""
+    """Raise `Refused` for values that are not portable JSON.
+
+    These are NaN, infinities, numbers beyond `MOST_NUMBER`, and halves of surrogate pairs.
+    """
     left = [data]
     while left:
         value = left.pop()
@@ -72,7 +74,7 @@ def _check_portable(data: Any) -> None:
             if not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
                 raise Refused(422, f"{shown(value)} has half of a surrogate pair, which is no text")
         elif isinstance(value, (int, float)) and not abs(value) <= MOST_NUMBER:
-            raise Refused(422, f"{_number(value)}: finite numbers up to 2**53 needed")
+            raise Refused(422, f"{_number(value)}: must be a finite number up to 2**53")
 
 
 def _number(value: float | int) -> str:
@@ -80,18 +82,27 @@ def _number(value: float | int) -> str:
 
 
 def take(data: Mapping[str, Any], name: str, kind: type | tuple[type, ...], default: Any = ...) -> Any:
-    """The value of a key, of the right kind. Raises `Refused` where it is another one, or missing without a default."""
+    """Return the value of a key.
+
+    Raises `Refused` if it has another type, or is missing without a default.
+
+    Args:
+        data: JSON object.
+        name: Key.
+        kind: Type or types of the value.
+        default: Value for a missing key.
+    """
     value = data.get(name, default)
     if value is ...:
         raise Refused(422, f"{name} is missing")
     if value is not default and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
         kinds = kind if isinstance(kind, tuple) else (kind,)
-        raise Refused(422, f"{name}={cut(json.dumps(value))}: {' or '.join(each.__name__ for each in kinds)} needed")
+        raise Refused(422, f"{name}={cut(json.dumps(value))}: {' or '.join(each.__name__ for each in kinds)} expected")
     return value
 
 
 def take_texts(data: Mapping[str, Any], name: str) -> list[str]:
-    """A list of texts; empty where the key is missing. Raises `Refused` for anything else."""
+    """Return a list of texts, empty if the key is missing. Raises `Refused` for anything else."""
     values = take(data, name, list, [])
     for value in values:
         if not isinstance(value, str):

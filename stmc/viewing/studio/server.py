@@ -1,6 +1,6 @@
-"""The studio's addresses: what the page asks for, and what it is answered.
+"""The studio's HTTP interface.
 
-Knows requests and answers; the work is done by what it is given: a model, a queue of jobs, stores.
+This module knows requests and responses; a model, a queue of jobs and stores do the work.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ from stmc.viewing.studio.stores import Documents, Motions, private_folder
 logger = logging.getLogger(__name__)
 
 OF_JOB = ("timeline", "seeds", "steps", "tab")
-"""Keys of a job's JSON that are no fields of the request, or bounded by themselves."""
+"""Keys of a job's JSON that are no fields of the request, or that are checked separately."""
 
 MOST_SEEDS = 8
-"""Samples of one job."""
+"""Maximum number of samples of a job."""
 
 MOST_CONDITIONS = 100
-"""Changes, and constraints, of one job."""
+"""Maximum number of changes, and of constraints, of a job."""
 
 FARTHEST = 10_000
 """The largest number in a constraint: metres, radians or seconds."""
@@ -75,11 +75,15 @@ Handler = Callable[[Request], Awaitable[Response]]
 
 
 def application(model: Model, folder: str | Path, sessions: Sessions, port: int, steps: int = 50) -> Starlette:
-    """The studio as an ASGI application, which answers whoever `sessions` has let in, at 127.0.0.1:`port`.
+    """Build the studio as an ASGI application.
 
-    `folder` keeps motions, documents and embedded texts, for one application at a time: hold
-    `stmc.io.files.locked(folder)` while it runs, as `stmc studio` does. A motion takes `steps` of denoising, its
-    preview fewer.
+    Args:
+        model: Model to sample with.
+        folder: Folder for motions, documents and embedded texts. It serves one application at a time: hold
+            `stmc.io.files.locked(folder)` while the application runs, as `stmc studio` does.
+        sessions: Sessions that may use the application.
+        port: Port of the application, at 127.0.0.1.
+        steps: Denoising steps of a motion; previews have fewer.
 
     Examples:
         >>> app = stmc.viewing.studio.application(stmc.load(), "studio", stmc.viewing.studio.Sessions(), port=8686)
@@ -96,7 +100,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         await run_in_threadpool(answers.motions.prune)
-        await run_in_threadpool(answers.suggest, ["walk"])  # reads the encoder's weights before somebody waits for them
+        await run_in_threadpool(answers.suggest, ["walk"])  # loads the encoder's weights before the first request
         yield
         await run_in_threadpool(answers.jobs.close)
 
@@ -126,30 +130,30 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
 
 
 def answered(handler: Handler) -> Handler:
-    """The handler, with what it refuses, and what it cannot do, as an answer in one shape: {"error": a sentence}."""
+    """Wrap a handler so that errors become responses {"error": message}."""
 
     async def answer(request: Request) -> Response:
         try:
             return await handler(request)
         except ClientDisconnect:
-            return refused(400, "the request ended before its end")
+            return refused(400, "the request is incomplete")
         except Exception as error:
             refusal = refusal_of(error)
             if refusal is None:
                 logger.exception("%s %s", request.method, request.url.path)
-                refusal = Refused(500, "something went wrong; the terminal that runs the studio says what")
+                refusal = Refused(500, "something went wrong; see the terminal that runs the studio")
             return refused(refusal.status, str(refusal), **refusal.others)
 
     return answer
 
 
 async def unrouted(request: Request, error: Exception) -> Response:
-    """The answer to an address, or a method of one, that the studio does not have."""
+    """Answer a request to an unknown address, or with an unknown method."""
     return refused(error.status_code if isinstance(error, HTTPException) else 500, "the studio has no such address")
 
 
 class Answers:
-    """What each address does."""
+    """Handlers of the addresses."""
 
     def __init__(self, model: Model, motions: Motions, documents: Documents, sessions: Sessions, steps: int) -> None:
         self.model, self.motions, self.documents, self.steps = model, motions, documents, steps
@@ -158,46 +162,46 @@ class Answers:
         self.suggest = suggester(sentence_encoder(model.text_encoder))
 
     async def page(self, request: Request) -> Response:
-        """The page itself."""
+        """Send the page."""
         return FileResponse(ASSETS / "studio" / "index.html", headers={"Cache-Control": "no-cache"})
 
     async def enter(self, request: Request) -> Response:
-        """A key for the token of an address that is opened for the first time."""
+        """Exchange the token of an address for a key."""
         key = self.sessions.admit(take(read_object(await request.body()), "token", str))
         if key is None:
             raise Refused(401, "this address was used before: start `stmc studio` again for another one")
         return JSONResponse({"key": key}, 201)
 
     async def describe(self, request: Request) -> Response:
-        """The model, and what the page may ask for."""
+        """Describe the model and the options of the page."""
         return JSONResponse(await run_in_threadpool(self._described))
 
     async def check(self, request: Request) -> Response:
-        """What is to be shown of a timeline."""
+        """Check a timeline."""
         timeline = timeline_of(take(read_object(await request.body()), "timeline", dict))
         return JSONResponse(await run_in_threadpool(checked, timeline, self.model, self.suggest))
 
     async def read(self, request: Request) -> Response:
-        """A file's timelines."""
+        """Read timelines from a file."""
         data = read_object(await request.body())
         found = await run_in_threadpool(read_timelines, take(data, "name", str), take(data, "text", str))
         return JSONResponse({"timelines": [as_data(timeline) for timeline in found]})
 
     async def write(self, request: Request) -> Response:
-        """A timeline's file."""
+        """Write a timeline to a file."""
         data = read_object(await request.body())
         timeline, kind = timeline_of(take(data, "timeline", dict)), take(data, "format", str)
         content = await run_in_threadpool(write_timeline, timeline, kind)
         return _attached(content.encode(), f"timeline.{kind}", "application/json" if kind == "json" else "text/plain")
 
     async def receive(self, request: Request) -> Response:
-        """Somebody's motion, of the kind that the file's name says; without a name an `.npz`."""
+        """Store an uploaded motion, in the format of the file's name, by default `.npz`."""
         kind = Path(unquote(request.headers.get("x-filename", "motion.npz"))).suffix.lower()
         name = await run_in_threadpool(self.motions.received, await request.body(), kind)
         return JSONResponse({"motion": self.motions.told(name)}, 201)
 
     async def export(self, request: Request) -> Response:
-        """A motion as a file."""
+        """Export a motion as a file."""
         name, kind, query = request.path_params["name"], request.path_params["kind"], request.query_params
         timeline, loop = query.get("timeline"), query.get("loop") == "1"
         shown, fps = None if timeline is None else timeline_of(read_object(timeline.encode())), _rate(query.get("fps"))
@@ -211,13 +215,13 @@ class Answers:
         return self.motions.exported(name, kind, timeline, fps, loop, demands)
 
     async def add_job(self, request: Request) -> Response:
-        """Queues what is asked for."""
+        """Queue a job."""
         data = read_object(await request.body())
         asked, stages = await run_in_threadpool(self._request, data), self._stages(data)
         return JSONResponse({"job": self.jobs.add(asked, stages, take(data, "tab", str, "")[:100]).name}, 201)
 
     async def hear_job(self, request: Request) -> Response:
-        """What happens to a job, as it happens (server-sent events)."""
+        """Stream the events of a job (server-sent events)."""
         job = self.jobs.get(request.path_params["name"])
 
         async def told() -> AsyncIterator[str]:
@@ -227,28 +231,28 @@ class Answers:
         return StreamingResponse(told(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
     async def cancel_job(self, request: Request) -> Response:
-        """Ends it, as soon as it can be ended."""
+        """Cancel a job."""
         self.jobs.cancel(request.path_params["name"])
         return JSONResponse({})
 
     async def list_documents(self, request: Request) -> Response:
-        """All that can be read."""
+        """List all readable documents."""
         return JSONResponse({"documents": await run_in_threadpool(self.documents.all)})
 
     async def read_document(self, request: Request) -> Response:
-        """One, with its version."""
+        """Send a document with its version."""
         name = request.path_params["name"]
         return JSONResponse({"id": name, **await run_in_threadpool(self.documents.get, name)})
 
     async def write_document(self, request: Request) -> Response:
-        """Keeps it, unless somebody else has changed it meanwhile."""
+        """Save a document, unless it was changed elsewhere."""
         data = read_object(await request.body())
         base, content = take(data, "base", int), take(data, "content", dict)
         version = await run_in_threadpool(self.documents.put, request.path_params["name"], base, content)
         return JSONResponse({"version": version})
 
     async def delete_document(self, request: Request) -> Response:
-        """Forgets it."""
+        """Delete a document."""
         await run_in_threadpool(self.documents.delete, request.path_params["name"])
         return JSONResponse({})
 
@@ -280,7 +284,7 @@ class Answers:
         }
 
     def _request(self, data: dict[str, Any]) -> GenerateRequest:
-        """The request of a page's JSON, which `GenerateRequest.read` reads but for the timeline, within bounds."""
+        """Read the generation request of a page's JSON, within bounds."""
         timeline, _ = with_suggestions(timeline_of(take(data, "timeline", dict)), self.suggest)
         seeds = _few(take(data, "seeds", list, [0]), "seeds", MOST_SEEDS)
         values = {name: _bounded(name, value) for name, value in data.items() if name not in OF_JOB}
@@ -302,7 +306,7 @@ class Answers:
 
 
 def bundled_timelines() -> list[Timeline]:
-    """The examples that come with the library, each by its file's name where it has none of its own."""
+    """Read the bundled examples; unnamed ones get the name of their file."""
     timelines = []
     for path in sorted((ASSETS / "timelines").glob("*.json")):
         for each in Timeline.read_all(path):
@@ -325,7 +329,7 @@ def _few(values: list[Any], name: str, most: int) -> list[Any]:
 
 
 def _bounded(name: str, value: Any) -> Any:
-    """The value. Raises `Refused` for more of a list, or a larger number, than a request of the studio may have."""
+    """Return the value. Raises `Refused` for a list that is too long, or a number that is too large."""
     if isinstance(value, list) and value:
         _few(value, name, MOST_CONDITIONS)
     left = [value]

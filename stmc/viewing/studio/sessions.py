@@ -1,6 +1,6 @@
-"""Who has been let in: addresses that work once, and the keys that pages hold from then on.
+"""Sessions: addresses that work once, and the keys that pages hold afterwards.
 
-A key goes with each request in a header of its own. It is no cookie: browsers send cookies to every port of a host.
+Each request carries the key in its own header, not in a cookie: browsers send cookies to every port of a host.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from threading import Lock
 
 
 class Sessions:
-    """Tokens that are exchanged once for a key. Both are forgotten when the server ends.
+    """Tokens that can be exchanged once for a key. Both are lost when the server ends.
 
     Examples:
         >>> sessions = stmc.viewing.studio.Sessions()
@@ -32,7 +32,7 @@ class Sessions:
         return token
 
     def admit(self, token: str) -> str | None:
-        """Exchange a token for a key; None for a token that was used before, or never made."""
+        """Exchange a token for a key; return None for a used or unknown token."""
         with self._lock:
             if _digest(token) not in self._tokens:
                 return None
@@ -42,10 +42,10 @@ class Sessions:
             return key
 
     def knows(self, key: str) -> bool:
-        """Whether a page holds this key."""
+        """Return whether a page holds this key."""
         return _digest(key) in self._keys
 
 
 def _digest(secret: str) -> bytes:
-    """Digests are compared, so that the time which that takes tells nothing of the secret."""
+    """Hash a secret, so that the time of a comparison reveals nothing about it."""
     return hashlib.sha256(secret.encode("utf-8", "replace")).digest()

@@ -1,6 +1,6 @@
-"""What the studio keeps in its folder: motions, and the page's documents. Both are whole or not there.
+"""Storage of the studio: motions and documents, written atomically.
 
-Knows files and versions; knows nothing of what a document says.
+This module knows files and versions; it does not know the contents of documents.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ from stmc.viewing.studio.refusals import Refused
 ID = re.compile(r"[A-Za-z0-9_-]{1,40}")
 
 MOST_MOTIONS, MOST_MOTION_BYTES = 400, 2**31
-"""Motions that are kept, and their bytes on the disk, beside those that documents name: the newest."""
+"""Maximum number and bytes of stored motions, the newest, not counting older ones that documents name."""
 
 PRUNE_AFTER = 40
-"""New motions after which old ones are looked for again."""
+"""Number of new motions after which old ones are removed."""
 
 MOST_FILM_FRAMES = 9000
-"""Frames of a film, which are drawn one by one: five minutes at 30 a second."""
+"""Maximum number of frames of a film: five minutes at 30 frames per second."""
 
 MOST_DOCUMENT = 2**20
-"""Bytes of a document."""
+"""Maximum size of a document in bytes."""
 
 MOST_DOCUMENTS = 1000
 
 REMEMBERED = 64
-"""Motions held in memory."""
+"""Maximum number of motions in memory."""
 
 PATIENCE = 10.0
-"""Seconds for which one process waits until another has written a document."""
+"""Maximum seconds to wait while another process writes a document."""
 
 
 def private_folder(folder: Path | str) -> Path:
-    """Make a folder that only its owner can look into; one that is there stays as it is."""
+    """Make a folder that only its owner can read; an existing folder is unchanged."""
     folder = Path(folder)
     if not folder.is_dir():
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -60,7 +60,7 @@ def private_folder(folder: Path | str) -> Path:
 
 
 def _own_folder(folder: Path | str) -> Path:
-    """The same, also where an earlier version made it for everybody; what killed processes left there goes."""
+    """Make or restrict a folder so that only its owner can read it, and remove leftovers of killed processes."""
     folder = private_folder(folder)
     folder.chmod(0o700)
     remove_leftovers(folder)
@@ -75,7 +75,7 @@ def _named(identity: str) -> str:
 
 @dataclass(eq=False)
 class Motions:
-    """Motions by their names, as `.npz` in a folder, so that they outlive the server.
+    """Motions by name, stored as `.npz` in a folder, so that they outlive the server.
 
     Examples:
         >>> motions = stmc.viewing.studio.Motions("motions")
@@ -86,7 +86,7 @@ class Motions:
 
     folder: Path | str
     named: Callable[[], str] = str
-    """A text with the names of all motions that have to stay, however old: the documents'."""
+    """Function that returns a text with the names of all motions to keep, however old: that of the documents."""
     _held: OrderedDict[str, Motion] = field(default_factory=OrderedDict, repr=False)
     _lock: Lock = field(default_factory=Lock, repr=False)
     _film: Lock = field(default_factory=Lock, repr=False)
@@ -97,7 +97,7 @@ class Motions:
         self.folder = _own_folder(self.folder)
 
     def add(self, motion: Motion) -> str:
-        """Keep a motion, and return its name; now and then the oldest go."""
+        """Store a motion and return its name; regularly remove old ones."""
         name = secrets.token_urlsafe(9)
         path = self.folder / f"{name}.npz"
         write(motion, path)
@@ -109,14 +109,14 @@ class Motions:
         return name
 
     def get(self, name: str) -> Motion:
-        """Raises `Refused` for a name that no motion has."""
+        """Return the motion with this name. Raises `Refused` if it is missing or damaged."""
         with self._lock:
             if name in self._held:
                 self._held.move_to_end(name)
                 return self._held[name]
         path = self.folder / f"{_named(name)}.npz"
         if not path.exists():
-            raise Refused(404, "that motion is no longer kept; make it anew")
+            raise Refused(404, "that motion is no longer stored; generate it again")
         try:
             motion = read(path)
         except ValueError as error:
@@ -126,15 +126,15 @@ class Motions:
         return motion
 
     def told(self, name: str) -> dict[str, Any]:
-        """What the page knows of a motion: its name, seconds, frames, and frames a second."""
+        """Describe a motion for the page: its name, seconds, frames, and frames per second."""
         motion = self.get(name)
         return {"id": name, "duration": motion.duration, "fps": motion.fps, "frames": motion.frames}
 
     def received(self, content: bytes, kind: str) -> str:
-        """Keeps the motion of somebody's file with the suffix `kind`. Raises `Refused` where it is none."""
+        """Store the motion of an uploaded file with the suffix `kind`. Raises `Refused` if the file is invalid."""
         readable = [each.suffix for each in READABLE]
         if kind not in readable:
-            raise Refused(422, f"a recorded motion is a {' or a '.join(readable)} file")
+            raise Refused(422, f"a recorded motion must be a {' or a '.join(readable)} file")
         with self._heavy, tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"motion{kind}"
             path.write_bytes(content)
@@ -154,11 +154,19 @@ class Motions:
         loop: bool,
         constraints: Sequence[Constraint] = (),
     ) -> bytes:
-        """A motion as a file of one of `EXPORTS`; a loop goes without the timeline and the constraints, whose times are
-        not the loop's.
+        """Export a motion as the bytes of a file.
 
-        Raises `Refused` for other formats, for one that needs what is not installed, and for what cannot be a loop, be
-        brought to that frame rate, or be written in that format."""
+        Raises `Refused` for unknown formats, for missing packages, and for motions that cannot be looped, resampled or
+        written.
+
+        Args:
+            name: Name of the motion.
+            kind: Name of a format in `EXPORTS`.
+            timeline: Timeline of the motion, or None; a loop has none, since it has other times.
+            fps: Frame rate; None: that of the motion.
+            loop: Whether to make the motion a loop.
+            constraints: Constraints to draw; a loop has none.
+        """
         names = [each.name for each in EXPORTS]
         if kind not in names:
             raise Refused(404, f"no .{kind}: choose from {', '.join(names)}")
@@ -176,20 +184,21 @@ class Motions:
             raise Refused(422, str(error)) from None
 
     def _film_of(self, motion: Motion, kind: str, timeline: Timeline | None) -> bytes:
-        """One film at a time: each takes a processor for minutes."""
+        """Render one film at a time, since each takes a processor for minutes."""
         if motion.frames > MOST_FILM_FRAMES:
             raise Refused(422, f"{motion.frames} frames: a film has {MOST_FILM_FRAMES} at most; lower the frame rate")
         if not self._film.acquire(blocking=False):
-            raise Refused(429, "another film is being drawn; wait for its end")
+            raise Refused(429, "another film is being rendered; wait until it is done")
         try:
             return _file_of(motion, kind, timeline)
         finally:
             self._film.release()
 
     def prune(self) -> None:
-        """Remove the oldest beyond `MOST_MOTIONS` or `MOST_MOTION_BYTES`, but for those that `named` names.
+        """Remove the oldest motions beyond `MOST_MOTIONS` or `MOST_MOTION_BYTES`, except those in `named`.
 
-        The folder belongs to one server at a time, so that nothing goes which another one shows."""
+        The folder belongs to one server at a time, so no other server shows a removed motion.
+        """
         files = [(path.stat(), path) for path in self.folder.glob("*.npz") if path.is_file()]
         old, total = [], 0
         for number, (status, path) in enumerate(sorted(files, key=lambda each: each[0].st_mtime, reverse=True)):
@@ -213,7 +222,7 @@ def _at_rate(motion: Motion, fps: float | int | None) -> Motion:
 
 
 def _check_bounds(motion: Motion) -> None:
-    """Raise `Refused` for a motion longer or farther away than the studio makes any."""
+    """Raise `Refused` for a motion that is too long or too far away for the studio."""
     if motion.duration > MOST_SECONDS:
         raise Refused(422, f"{motion.duration:g} s: {MOST_SECONDS} at most in the studio")
     try:
@@ -235,8 +244,9 @@ def _file_of(motion: Motion, kind: str, timeline: Timeline | None, constraints: 
 
 @dataclass(eq=False)
 class Documents:
-    """The page's documents, each with a version that counts its changes: whoever changes one says which version it
-    began with, so that of two tabs none overwrites the other unknowingly.
+    """Documents of the page, each with a version that counts its changes.
+
+    A change names the version that it is based on, so that no tab overwrites the changes of another unknowingly.
 
     Examples:
         >>> documents = stmc.viewing.studio.Documents("documents")
@@ -253,7 +263,7 @@ class Documents:
         self.folder = _own_folder(self.folder)
 
     def all(self) -> list[dict[str, Any]]:
-        """Name, version and time of each, the last changed first; what cannot be read is left out."""
+        """List name, version and time of readable documents, the last changed first."""
         found = []
         for path in self.folder.glob("*.json"):
             try:
@@ -265,7 +275,7 @@ class Documents:
         return sorted(found, key=lambda each: -each["changed"])
 
     def get(self, name: str) -> dict[str, Any]:
-        """Its version and content. Raises `Refused` where there is none, or it is damaged."""
+        """Return version and content of a document. Raises `Refused` if it is missing or damaged."""
         try:
             document = load_json(read_text(self._path(name), 2 * MOST_DOCUMENT))
         except FileNotFoundError:
@@ -274,12 +284,20 @@ class Documents:
             raise Refused(422, f"the document is damaged: {error}") from None
         shape = isinstance(document, dict) and document.keys() == {"version", "content"}
         if not shape or not isinstance(document["version"], int) or not isinstance(document["content"], dict):
-            raise Refused(422, "the document is damaged: version and content needed")
+            raise Refused(422, "the document is damaged: version or content is missing")
         return document
 
     def put(self, name: str, base: int, content: dict[str, Any]) -> int:
-        """Replaces the document that had the version `base` (0: none), and returns the new version. Raises `Refused`
-        (409), with the newer one, where it was changed meanwhile, and for one that is too large."""
+        """Save a document and return its new version.
+
+        Raises `Refused` with status 409 and the newer document if it was changed meanwhile, and for one that is too
+        large.
+
+        Args:
+            name: Name of the document.
+            base: Version that the change is based on; 0: none.
+            content: New content.
+        """
         text = json.dumps(content, ensure_ascii=False, allow_nan=False)
         if len(text.encode()) > MOST_DOCUMENT:
             raise Refused(413, f"the document is larger than {MOST_DOCUMENT / 2**20:g} MiB")
@@ -296,11 +314,11 @@ class Documents:
             return version
 
     def delete(self, name: str) -> None:
-        """A document that is not there is deleted already."""
+        """Delete a document, if it exists."""
         self._path(name).unlink(missing_ok=True)
 
     def texts(self) -> str:
-        """All that can be read, to look for names in."""
+        """Return the texts of all readable documents, to search for names."""
         found = []
         for path in self.folder.glob("*.json"):
             try:
