@@ -6,9 +6,11 @@ from helpers.motions import walk, walking
 from helpers.toy_data import LetterCounts
 
 from stmc.data.cache import Cache, Clip, assemble
+from stmc.motion.body import JOINTS
+from stmc.motion.geometry import rotation_z
 from stmc.motion.representation import HUMANML3D_LAYOUT, SmplRepresentation
 from stmc.training.data.dataset import Dataset
-from stmc.training.data.foot_velocity import FootVelocity
+from stmc.training.data.foot_velocity import FootVelocity, LimbVelocity
 
 
 def clip(name: str, split: str) -> Clip:
@@ -54,3 +56,31 @@ def test_a_gliding_body_is_seen_and_its_gradient_slows_it(dataset):
     velocity = dataset.layout["root_velocity"]
     ahead = dataset.features[0, velocity]
     assert (motion.grad[0, :-1, velocity] @ ahead > 0).all()
+
+
+def test_hands_that_move_are_seen_in_units_of_the_data_beside_the_feet(dataset):
+    steps = LimbVelocity(dataset)
+    training = [each for each in dataset.clips if each.split == "train"]
+    moved = torch.cat([steps(dataset.motion.normalise(dataset.features[None, c.start : c.end]))[0] for c in training])
+    torch.testing.assert_close(moved.square().mean(dim=0), torch.ones(12), atol=1e-3, rtol=0)
+    torch.testing.assert_close(
+        moved[:, :6],
+        torch.cat(
+            [
+                FootVelocity(dataset)(dataset.motion.normalise(dataset.features[None, c.start : c.end]))[0]
+                for c in training
+            ]
+        ),
+    )
+
+
+def test_wrists_move_as_those_of_the_decoded_motion_do_beside_the_pelvis():
+    representation = SmplRepresentation()
+    motion = walk(30)
+    features = representation.encode(motion)
+    steps = representation.wrist_velocities(features, representation.skeleton)
+    posed = representation.decode(features, 20.0, representation.skeleton)
+    for column, name in ((slice(0, 3), "left_wrist"), (slice(3, 6), "right_wrist")):
+        seen = posed.joints[:, JOINTS.index(name)] - posed.joints[:, 0]
+        seen = (rotation_z(-posed.heading) @ seen[..., None])[..., 0]
+        torch.testing.assert_close(steps[:, column], seen.diff(dim=0), atol=1e-4, rtol=0)

@@ -52,14 +52,14 @@ def flagged(vocabulary: Vocabulary, texts: list[str]) -> float:
 
 def test_the_bundled_model_knows_what_it_was_trained_with_and_nothing_else():
     model = stmc.load()
-    assert len(model.vocabulary.contents) == 74
+    assert len(model.vocabulary.contents) == 119
     assert all(
         each.known
         for each in model.recognise(
             ["walk slowly", "lift your left arm", "a woman jogs along", "bow", "sit down", "jump", "wave", "wave hello"]
         )
     )
-    asked = ["swim", "play the guitar", "climb a ladder", "ride a bicycle", "lie down", "gehe vorwärts", "asdf"]
+    asked = ["swim", "play the drums", "climb a ladder", "ride a bicycle", "lie down", "gehe vorwärts", "asdf"]
     assert [each.text for each in model.recognise(asked) if each.known] == []
 
 
@@ -78,8 +78,8 @@ def test_a_prompt_that_is_not_known_warns_with_the_nearest_that_are_and_is_made_
 
 def test_only_what_is_near_is_named(bundled_recognitions):
     tango, german, walk = bundled_recognitions
-    assert [sentence.text for sentence in tango.near] == ["salsa footwork"] and len(tango.nearest) == 3
-    assert tango.advice.endswith("the nearest it knows: 'salsa footwork'")
+    assert [sentence.text for sentence in tango.near] == ["salsa basic step"] and len(tango.nearest) == 3
+    assert tango.advice.endswith("the nearest it knows: 'salsa basic step'")
     assert not german.near and german.advice.endswith("it knows nothing near")
     assert walk.near == walk.nearest
 
@@ -155,7 +155,7 @@ def test_contents_without_names_are_known_by_their_sentences():
 
 def test_the_repr_fits_a_screen():
     lines = repr(stmc.load().vocabulary).splitlines()
-    assert len(lines) < 20 and max(map(len, lines)) <= 120 and "legs: " in repr(lines)
+    assert len(lines) < 30 and max(map(len, lines)) <= 120 and "legs: " in repr(lines)
 
 
 def test_a_file_gives_back_what_was_written(small, tmp_path):

@@ -31,6 +31,7 @@ NAMES = (
     "stmc.training.data.recorded_rows.RecordedRows",
     "stmc.training.data.prolonging.Prolonging",
     "stmc.training.data.foot_velocity.FootVelocity",
+    "stmc.training.data.foot_velocity.LimbVelocity",
     "stmc.data.cache.read_caches",
     f"{_SOURCES}.amass.annotated_amass.AnnotatedAmass",
     f"{_SOURCES}.babel.babel_rows.read_babel_labels",

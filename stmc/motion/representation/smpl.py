@@ -22,6 +22,10 @@ from stmc.motion.representation.layout import SMPL_LAYOUT, Layout
 
 _LEGS = [JOINTS.index(joint) for joint in BodyPart.LEGS.joints]
 _LEG_PARENTS = [-1, *(_LEGS.index(PARENTS[joint]) for joint in _LEGS[1:])]
+_ARMS = [JOINTS.index(name) for name in ("pelvis", "spine1", "spine2", "spine3")] + [
+    JOINTS.index(f"{side}_{name}") for name in ("collar", "shoulder", "elbow", "wrist") for side in ("left", "right")
+]
+_ARM_PARENTS = [-1, *(_ARMS.index(PARENTS[joint]) for joint in _ARMS[1:])]
 
 
 class SmplRepresentation(Representation):
@@ -139,6 +143,19 @@ class SmplRepresentation(Representation):
         steps = (turn @ feet[..., 1:, :, :, None])[..., 0] - feet[..., :-1, :, :]
         steps = torch.cat([steps[..., :2] + velocity, steps[..., 2:]], dim=-1)
         return rearrange(steps, "... feet width -> ... (feet width)")
+
+    def wrist_velocities(
+        self, features: Float[Tensor, "*batch frames features"], skeleton: Skeleton
+    ) -> Float[Tensor, "*batch _ 6"]:
+        """Compute the steps of the left and right wrists to the next frame, in metres, from rotations alone.
+
+        They are relative to the pelvis in the heading frame of each frame, one frame shorter than the features, and
+        differentiable.
+        """
+        rows = rearrange(features[..., self.layout["rotations"]], "... (joints width) -> ... joints width", width=6)
+        local = rows_to_matrix(rows[..., _ARMS[:-2], :])
+        wrists = forward_kinematics(local, skeleton.offsets.to(features)[_ARMS], _ARM_PARENTS)[..., -2:, :]
+        return rearrange(wrists.diff(dim=-3), "... wrists width -> ... (wrists width)")
 
 
 def _extrapolate(steps: Float[Tensor, " frames *width"]) -> Float[Tensor, " _ *width"]:

@@ -39,3 +39,30 @@ class FootVelocity:
 
     def _steps(self, features: Tensor) -> Tensor:
         return self.representation.foot_velocities(features, self.skeleton)
+
+
+class LimbVelocity:
+    """Map normalised features to the steps of toes and wrists to the next frame, in units of their RMS in the dataset.
+
+    Toes move in the world, as in `FootVelocity`; wrists relative to the pelvis. Positions alone hardly see hands that
+    clap or strum: without the wrists, a network predicts the mean of the rhythm.
+
+    Raises:
+        ValueError: For features other than those of `SmplRepresentation`.
+    """
+
+    name = "limb_velocity"
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.feet = FootVelocity(dataset)
+        training = [clip for clip in dataset.clips if clip.split == "train"]
+        steps = torch.cat([self._wrist_steps(dataset.features[clip.start : clip.end]) for clip in training])
+        self.deviation = steps.square().mean(dim=0).sqrt()
+
+    def __call__(self, motion: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch _ 12"]:
+        """Compute the steps, one frame fewer than `motion`; differentiable."""
+        wrists = self._wrist_steps(self.feet.motion.restore(motion)) / self.deviation
+        return torch.cat([self.feet(motion), wrists], dim=-1)
+
+    def _wrist_steps(self, features: Tensor) -> Tensor:
+        return self.feet.representation.wrist_velocities(features, self.feet.skeleton)
