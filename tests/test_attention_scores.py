@@ -111,14 +111,14 @@ def test_the_command_draws_what_the_middle_frame_attends_to_and_says_how_far_awa
     torch.testing.assert_close(torch.from_numpy(found["scores"]), expected, atol=1e-6, rtol=0)
     far = [sum(abs(other - 15) * float(row[other]) for other in range(30)) for row in expected]
     np.testing.assert_allclose(found["distance"], far, rtol=1e-5)
-    assert "What frame 15 attends to" in told and f"{far[0]:.1f}" in told and "6 of 6" in told
+    assert "Attention of frame 15" in told and f"{far[0]:.1f}" in told and "6 of 6" in told
     assert (tmp_path / "attention.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (["frame=20", "timeline='walk # 0 # 1'"], "frame=20: the timeline has 20, of which the last is 19"),
+        (["frame=20", "timeline='walk # 0 # 1'"], "frame=20: the last frame of the timeline is 19"),
         (["timeline='walk # 0 # 1 # legs\nwave # 0 # 1 # left arm'"], "timeline has 2 tracks"),
     ],
 )

@@ -174,9 +174,9 @@ def test_a_file_gives_back_what_was_written(tmp_path):
 CHANGES = {
     "not JSON": lambda table: "{",
     "duplicated": lambda table: '{"trials": {}, "trials": {}}',
-    "a calibration: an object": lambda table: [],
+    "a calibration: must be an object": lambda table: [],
     "weights=": lambda table: table | {"weights": "abc"},
-    "trials: an object": lambda table: table | {"trials": []},
+    "trials: must be an object": lambda table: table | {"trials": []},
     "threshold=": lambda table: table | {"threshold": 9},
     "threshold of 'wave'=": lambda table: table | {"thresholds": {"wave": "low"}},
     "geometry=": lambda table: changed(table, geometry=1.5),
@@ -185,7 +185,7 @@ CHANGES = {
     "steps=.*whole": lambda table: changed(table, steps=2.5),
     "seed=": lambda table: changed(table, seed=True),
     "guidance=": lambda table: changed(table, guidance="much"),
-    "'wave': an object": lambda table: changed(table, extra=1),
+    "'wave': must be an object": lambda table: changed(table, extra=1),
     "printable": lambda table: changed(table, action="wa\u0007ve"),
 }
 

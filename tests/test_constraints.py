@@ -238,7 +238,7 @@ def test_a_motion_under_constraints_does_not_depend_on_its_batch(model):
     [
         (lambda: Path([(0, 0)]), "at least two"),
         (lambda: Path([(0, 0), (1, math.nan)]), "finite"),
-        (lambda: Path([(0, 0), (1, 0)], times=[1, 1]), "rise"),
+        (lambda: Path([(0, 0), (1, 0)], times=[1, 1]), "increase"),
         (lambda: Target("left_wing", (0, 0, 0), 1), "left_wing"),
         (lambda: Target("left_hand", (0, 0), 1), "3 finite numbers"),
         (lambda: Hold("left_hand", 2, 1), "in order"),

@@ -458,7 +458,7 @@ def test_without_compositions_no_row_has_a_guest() -> None:
 def test_data_that_stand_still_are_refused(statistics):
     still = dataclasses.replace(cache(), statistics=statistics)
     still.features[:] = still.features[:1].clone()
-    with pytest.raises(ValueError, match="training frames is the same: there is nothing to learn"):
+    with pytest.raises(ValueError, match="training frames are the same, so there is nothing to learn"):
         Dataset(still, LetterCounts(), LAYOUT)
 
 

@@ -17,7 +17,7 @@ from helpers.scripts import ROOT
 from test_architecture import TIERS
 
 import stmc
-from stmc.cli.arguments import read
+from stmc.cli.arguments import parse_arguments
 from stmc.cli.dispatch import SHORT, find_command, module_summaries
 from stmc.composing import METHODS
 from stmc.composing.sampling import DEFAULT, Sampling
@@ -223,7 +223,7 @@ def understood(line: str) -> None:
     _, script, *arguments = shlex.split(line, comments=True)
     command = find_command(script)
     try:
-        asked = read(arguments, command.settings, command.parts, command.positional)
+        asked = parse_arguments(arguments, command.settings, command.parts, command.positional)
         if not asked.multirun:  # whose values Hydra tells apart, and whose launcher need not be installed
             command.compose_config(asked)
     except Exception as error:

@@ -46,7 +46,7 @@ def test_a_body_that_stands_takes_no_steps(dataset):
 def test_features_of_another_layout_are_an_error_and_not_steps_of_nonsense():
     clips, features = assemble([(clip(f"walk-{i}", "train"), torch.randn(20, 263)) for i in range(5)])
     cache = Cache(20, "humanml3d", features, clips, {"walk": (("walk", 1.0),)})
-    with pytest.raises(ValueError, match="SmplRepresentation's 205 features alone, not of 263"):
+    with pytest.raises(ValueError, match="the 205 features of SmplRepresentation, not 263"):
         FootVelocity(Dataset(cache, LetterCounts(), HUMANML3D_LAYOUT))
 
 

@@ -122,7 +122,7 @@ def test_a_model_is_asked_for_each_text_alone_and_in_other_words(texts, tmp_path
         assert 0 <= row["sided"] <= row["shown"] <= 1
     assert "of 4 texts" in capsys.readouterr().out
     (tmp_path / "words.json").write_text("{}")
-    with pytest.raises(SettingError, match=r"words\.json: no words for 'walk forwards'"):
+    with pytest.raises(SettingError, match=r"words\.json: has no sentence for 'walk forwards'"):
         run("actions", "actions", *settings, f"paraphrases={tmp_path / 'words.json'}")
     texts.write_text("swim # legs\n")
     with pytest.raises(SettingError, match="'swim' is none of MTT's 60 texts"):

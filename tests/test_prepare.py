@@ -99,9 +99,9 @@ def test_what_is_skipped_is_counted_on_the_screen_and_named_in_the_report(tmp_pa
     ("overrides", "message"),
     [
         (["data=humanml3d", "source={0}", "annotations={0}"], r"annotations=.*expected annotations\.json"),
-        (["data=humanml3d", "source={0}"], "annotations= is missing; .*--help lists"),
+        (["data=humanml3d", "source={0}"], "annotations= is missing .*--help lists"),
         (["data=humanml3d_processed", "source={0}"], "new_joint_vecs/, texts/, Mean.npy.* missing"),
-        (["data=humanml3d_processed", "source={0}", "body={0}"], "body= does not belong to it"),
+        (["data=humanml3d_processed", "source={0}", "body={0}"], "body= does not apply to this data set"),
         (["source={0}/nowhere"], "nowhere does not exist; it should be the dataset's .tar.xz"),
         ([], "source= is missing"),
     ],
@@ -137,7 +137,10 @@ def test_a_worker_that_is_killed_ends_in_a_sentence(tmp_path, monkeypatch, capsy
     source = humanml3d(tmp_path / "HumanML3D", clips=2)
     settings = (f"source={source}", f"folder={tmp_path / 'c'}", "workers=1")
     assert loaded("prepare").main(["data=humanml3d_processed", *settings]) == 2
-    assert capsys.readouterr().err == "a worker was killed, perhaps for lack of memory; run again with fewer workers=\n"
+    assert (
+        capsys.readouterr().err
+        == "a worker process was killed, perhaps for lack of memory; run again with fewer workers=\n"
+    )
 
 
 def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, in_this_process):

@@ -274,7 +274,7 @@ def test_weights_that_would_run_code_are_refused_and_do_not_run_it(tmp_path, wri
         (partial(checkpoints.mdm_smpl, diffusion__timesteps="ten"), "timesteps must be a positive integer"),
         (
             partial(checkpoints.mdm_smpl, diffusion__denoiser__num_heads="two"),
-            "denoiser.heads='two': a whole",
+            "denoiser.heads='two': must be a whole",
         ),
         (partial(checkpoints.mdm_smpl, diffusion__denoiser__dropout=[0]), r"denoiser.dropout=\[0\]: must be a number"),
         (partial(checkpoints.mdm_smpl, diffusion__prediction=[]), "prediction must be one of x, x0"),

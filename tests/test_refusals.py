@@ -14,7 +14,7 @@ from stmc.editing.constraints import constraint_of
 from stmc.settings.records import SettingError
 
 WRONG = {
-    "a path's end": ({"path": {"points": [[0, 0], [0, 1]], "end": 1e308}}, "path at 0.0..1e+308 s: seconds from 0 to"),
+    "a path's end": ({"path": {"points": [[0, 0], [0, 1]], "end": 1e308}}, "path at 0.0..1e+308 s: must be from 0 to"),
     "a point far away": (
         {"path": {"points": [[0, 0], [0, 1e20]], "end": 2}},
         "point=[0, 1e+20]: must be 2 finite numbers, at",

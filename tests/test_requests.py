@@ -106,7 +106,10 @@ WRONG = {
     "seed=-1": ({"seed": -1}, "seed=-1: must be at least 0"),
     "guidence=2": ({"guidence": 2}, "unknown setting 'guidence': did you mean guidance?"),
     'change=["1 # 2"]': ({"change": "1 # 2"}, "change: pass the motion to change as keep=motion"),
-    'change=["2 # 1"]': ({"change": "2 # 1"}, "change 2.0..1.0 s, border 0.5 s: from 0 to 14,400 s, the end behind"),
+    'change=["2 # 1"]': (
+        {"change": "2 # 1"},
+        "change 2.0..1.0 s, border 0.5 s: must be from 0 to 14,400 s, the end after",
+    ),
     "sampler=heun": ({"sampler": "heun"}, "sampler='heun': choose from ddpm"),
     "noise_scale=x": ({"noise_scale": "x"}, "noise_scale='x': must be one of std, variance or null"),
 }
@@ -184,7 +187,7 @@ def test_requests_are_split_and_joined_without_loss():
     both = GenerateRequest.read({"timelines": [TEXT, "run # 0 # 3"], "seeds": [5, 9], "keep": motions, "change": "0#1"})
     assert GenerateRequest.joined(both.split()) == both
     assert [each.keep for each in both.split()] == [(motions[0],), (motions[1],)]
-    with pytest.raises(SettingError, match="2 timelines: `split`"):
+    with pytest.raises(SettingError, match="2 timelines: call `split`"):
         both.decides()
 
 

@@ -80,7 +80,7 @@ def test_timelines_and_seeds_that_add_up_have_the_interval_of_both_variances():
     assert found.half == pytest.approx(1.959964 * math.sqrt(a.var() / 30 + b.var() / 3), rel=0.03)
     alone = bootstrap([a.mean()], [drawn.tolist()])
     assert alone.half == pytest.approx(1.959964 * a.std() / math.sqrt(30), rel=0.03)
-    with pytest.raises(ResultError, match="different draws"):
+    with pytest.raises(ResultError, match="different resamples"):
         bootstrap([1, 2], [[1.0, 2.0], [1.0]])
 
 
@@ -226,7 +226,7 @@ def test_records_of_earlier_versions_have_todays_settings(tmp_path):
     [
         ("{", "not JSON"),
         ("[]", "a record must be an object"),
-        ('{"method": "stmc", "seed": 0}', "no metrics"),
+        ('{"method": "stmc", "seed": 0}', "missing metrics"),
         (
             '{"method": "stmc", "seed": 0, "metrics": {}, "stepps": 3}',
             "unknown key 'stepps'; choose from method",

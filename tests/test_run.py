@@ -267,7 +267,7 @@ def test_a_config_that_is_none_is_named(run, text):
         ({"schedule": PARTS["schedule"] | {"steps": 0}}, "schedule cannot be built: steps=0 must be 1 to"),
         ({"schedule": PARTS["schedule"] | {"steps": 10**9}}, "schedule cannot be built: steps=1000000000 must be 1 to"),
         ({"schedule": {"_target_": "stmc.text.MiniLM"}}, "schedule: 'stmc.text.MiniLM' is not a class of stmc.diff"),
-        ({"schedule": {"_target_": "stmc.diffusion.Schedule", "alpha_bar": 3}}, "schedule.alpha_bar=3: .*needed"),
+        ({"schedule": {"_target_": "stmc.diffusion.Schedule", "alpha_bar": 3}}, "schedule.alpha_bar=3: must be"),
         ({"text_encoder": {"_target_": "stmc.text.TextEncoder"}}, "text_encoder cannot be built: Protocols cannot"),
         ({"text_encoder": {"_target_": "stmc.text.Cached", "encoder": PARTS["text_encoder"], "folder": "."}},
          "text_encoder.folder: a config must not name paths"),

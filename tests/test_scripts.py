@@ -222,14 +222,14 @@ def test_a_model_of_other_predictions_is_not_distilled(distilling, settings, mes
 def test_a_model_with_a_text_for_every_frame_is_not_distilled(trained, distilling):
     model = stmc.load(trained)
     model.denoiser.per_frame_text = True
-    with pytest.raises(ValueError, match="choose a denoiser of one text a row"):
+    with pytest.raises(ValueError, match="choose a denoiser of one text per motion"):
         loaded("train").find_teacher(configured("train", *distilling), model)
 
 
 def test_a_model_of_another_frame_rate_is_not_distilled(trained, distilling, monkeypatch):
     model = replace(stmc.load(trained), fps=30)
     monkeypatch.setattr(stmc, "load", lambda *_, **__: model)
-    with pytest.raises(ValueError, match="has 30 frames a second, the data 20"):
+    with pytest.raises(ValueError, match="has 30 frames per second, the data 20"):
         in_this_process("train", "train", *distilling)
 
 
@@ -247,7 +247,9 @@ def test_a_network_that_knows_a_text_for_every_frame_learns_of_one_that_does_not
 
 
 def test_distilling_needs_a_model_to_distil(work):
-    with pytest.raises(SettingError, match=r"distilled_guidance=2\.5 needs init_from=RUN or teacher=RUN"):
+    with pytest.raises(
+        SettingError, match=r"distilled_guidance=2\.5 needs a model to distil: init_from=RUN or teacher=RUN"
+    ):
         in_this_process("train", "train", *training(work), "+objective.distilled_guidance=2.5")
     with pytest.raises(SettingError, match=r"teacher=mdm_smpl_wide needs objective\.distilled_guidance"):
         in_this_process("train", "train", *training(work), "teacher=mdm_smpl_wide")

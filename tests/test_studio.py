@@ -263,7 +263,7 @@ def test_a_keyframe_at_a_second_that_its_motion_does_not_have_is_refused_in_a_se
     [walked] = made(sampled(client, steps="preview"))
     keyframe = {"motion": walked["motion"]["id"], "at": 1.0, "second": 2.0}
     answer = client.post("/api/jobs", json={"timeline": WALK, "constraints": [{"keyframe": keyframe}]})
-    assert answer.status_code == 422 and "no pose at 2 s: from 0 to below 2 needed" in answer.json()["error"]
+    assert answer.status_code == 422 and "no pose at 2 s: must be from 0 to below 2" in answer.json()["error"]
 
 
 def test_whatever_a_request_can_have_is_taken_from_the_page_and_decides_the_motion(client):
@@ -376,7 +376,7 @@ def test_of_one_tab_only_the_last_job_waits_and_too_many_are_refused(held):
     assert first.ended and not second.ended
     for _ in range(MOST_WAITING - 1):
         jobs.add(ask())
-    with pytest.raises(Refused, match="wait already"):
+    with pytest.raises(Refused, match="already waiting"):
         jobs.add(ask())
     jobs.add(ask(), tab="one")  # in the other's place
 

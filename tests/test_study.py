@@ -599,7 +599,7 @@ def test_the_scripts_leave_nothing_in_the_folder_that_they_are_called_in(asked, 
 
 def test_a_study_is_not_overwritten_and_an_analysis_needs_answers(tmp_path):
     (tmp_path / "key.json").write_text("{}")
-    with pytest.raises(StudyError, match="holds a study already, whose key its answers need"):
+    with pytest.raises(StudyError, match="already holds a study, and its answers need its key"):
         loaded("study").write_study(OmegaConf.create(), tmp_path)
     Key(METHODS, {}).write(tmp_path / "key.json")
     with pytest.raises(StudyError, match="has no answer files"):

@@ -157,7 +157,7 @@ def test_errors_of_derived_numbers_follow_where_both_frames_exist():
 
 
 def test_only_a_prediction_of_the_clean_motion_has_derived_numbers():
-    with pytest.raises(ValueError, match="x0, not of eps"):
+    with pytest.raises(ValueError, match="x0, not eps"):
         Denoising(Schedule.cosine(10), auxiliary_loss=lambda x: x[:, 1:], prediction="eps")
 
 
@@ -558,7 +558,7 @@ def test_a_table_forgets_later_rows_and_half_rows(tmp_path):
     assert [row["step"] for row in rows(path)] == ["10", "20"]
     resumed.write(30, {"loss": 0.5, "lr": 0.1})
     assert rows(path)[-1] == {"step": "30", "loss": "0.5", "lr": "0.1"}
-    with pytest.raises(ValueError, match="has columns"):
+    with pytest.raises(ValueError, match="has the columns"):
         Table(path, ("loss",), 0)
 
 

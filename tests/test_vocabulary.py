@@ -122,7 +122,7 @@ def test_sentences_are_kept_by_weight_until_they_tell_nothing_new(small, monkeyp
     assert len(build_vocabulary(other, Hashes()).known) == 4
     monkeypatch.setattr(building, "KEPT", 2)
     assert build_vocabulary(WEIGHTS, Hashes()).known == small.known[::2]  # one of each content
-    with pytest.raises(ValueError, match="no sentence"):
+    with pytest.raises(ValueError, match="at least one sentence"):
         build_vocabulary({Sentence(" ", WALK): 1.0}, Hashes())
 
 
