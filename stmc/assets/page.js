@@ -1,6 +1,7 @@
 // A motion on the stage, and its timeline below in step with it. "#t=2.5" in the address begins there, paused.
 
 import { partColour } from "./studio/colours.js";
+import { learn } from "./studio/constraints.js";
 import { find, roomStyle } from "./studio/dom.js";
 import { bytesOf, figureOf } from "./studio/figure.js";
 import { createPlayer } from "./studio/player.js";
@@ -19,6 +20,7 @@ async function start() {
   const player = createPlayer(() => duration);
   player.rest = REST;
 
+  learn(motion.kinds);
   stage.show([{ key: "motion", figure }], "motion");
   stage.colour((part, time) => partColour(owners[part], transitions[part], Math.min(time, duration - 1e-3), colours));
   stage.mark(marks, null);

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from stmc.editing.constraints import Constraint, Pose
+from stmc.editing.constraints import KINDS, Constraint, Pose
 from stmc.formats.glb import Animation, glb_of
 from stmc.motion.body import BodyPart
 from stmc.motion.body_model import Body
@@ -150,6 +150,7 @@ def _data(motion: Motion, timeline: Timeline | None, overlap: int | float, skin:
         "figure": base64.b64encode(figure).decode("ascii"),
         "duration": motion.duration,
         "heading": float(motion.heading[0]),
+        "kinds": [kind.describe() for kind in KINDS],
         "colours": palette(1 if timeline is None else len(timeline.prompts)),
         **owned,
     }
