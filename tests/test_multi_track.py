@@ -424,7 +424,7 @@ def test_the_script_compares_goes_on_and_refuses_what_does_not_compare(work, qui
     assert "means over 2 seeds" in (work / "out" / "comparison.txt").read_text()
     with pytest.raises(ValueError, match=r"method='walk': choose from one_text, single_track"):
         evaluated(work, output, "experiment.methods=[walk]")
-    with pytest.raises(ValueError, match="holds results with another benchmark"):
+    with pytest.raises(ValueError, match="holds results of another benchmark"):
         evaluated(work, output, "seeds=[0]", *few, "benchmark.first=1")
     about = json.loads((work / "out" / "about.json").read_text())
     assert about["versions"]["stmc"] == stmc.__version__
