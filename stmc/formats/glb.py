@@ -7,7 +7,6 @@ is turned. The writer is our own, since the available libraries do not write ski
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import IO, Any
@@ -17,6 +16,7 @@ import torch
 from jaxtyping import Float
 
 from stmc.formats.axes import Z_UP_TO_Y_UP, continued
+from stmc.formats.glb_container import pack_glb
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS, BodyPart
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import matrix_to_quaternion
@@ -92,10 +92,7 @@ def glb_of(
         "animations": [_animation(binary, name, item, compact) for name, item in animations.items()],
     }
     document |= {"accessors": binary.accessors, "bufferViews": binary.views, "buffers": [{"byteLength": binary.size}]}
-    text = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = [struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", binary.size, b"BIN\0"), *binary.chunks]
-    return b"".join([struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + binary.size), *chunks])
+    return pack_glb(document, b"".join(binary.chunks))
 
 
 class _Binary:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stmc.formats.glb_container import BIN, JSON, pack_glb
 from stmc.io.untrusted import UnreadableError, load_json, read_bytes, shown
 
 MOST_BYTES = 2**28
@@ -27,8 +28,6 @@ MOST_METRES = 1e6
 """The limit of every number of a transform."""
 
 COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
-
-_JSON, _BIN = 0x4E4F534A, 0x004E4942
 
 
 class CharacterError(ValueError):
@@ -47,6 +46,10 @@ class Gltf:
         """The nodes of the document."""
         return self.document["nodes"]
 
+    def to_glb(self) -> bytes:
+        """Return the bytes of a `.glb` file."""
+        return pack_glb(self.document, self.binary)
+
 
 def read_gltf(path: Path) -> Gltf:
     """The content of a `.glb`, `.vrm` or `.gltf` file. Raise `CharacterError` unless it is a whole glTF 2.0 file in
@@ -57,17 +60,6 @@ def read_gltf(path: Path) -> Gltf:
         raise CharacterError(str(error)) from None
     _check_document(gltf)
     return gltf
-
-
-def glb_bytes(gltf: Gltf) -> bytes:
-    """The content of a `.glb` file."""
-    text = json.dumps(gltf.document, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), _JSON) + text
-    if gltf.binary is not None:
-        binary = gltf.binary + b"\0" * (-len(gltf.binary) % 4)
-        chunks += struct.pack("<II", len(binary), _BIN) + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def _split(content: bytes) -> Gltf:
@@ -81,7 +73,7 @@ def _split(content: bytes) -> Gltf:
     if length != len(content):
         raise CharacterError(f"the file has {len(content)} bytes, but its header says {length}: it is cut or damaged")
     size, kind = struct.unpack_from("<II", content, 12)
-    if kind != _JSON or 20 + size > length:
+    if kind != JSON or 20 + size > length:
         raise CharacterError("its first chunk is not a whole JSON document: the file is damaged")
     document, place = _document(content[20 : 20 + size]), 20 + size
     if place == length:
@@ -89,7 +81,7 @@ def _split(content: bytes) -> Gltf:
     if place + 8 > length:
         raise CharacterError("the file ends within the header of its second chunk")
     size, kind = struct.unpack_from("<II", content, place)
-    if kind != _BIN or place + 8 + size != length:
+    if kind != BIN or place + 8 + size != length:
         raise CharacterError("its second chunk is not a whole binary one, or not the last: the file is damaged")
     return Gltf(document, content[place + 8 :])
 

@@ -18,7 +18,6 @@ from stmc.formats.axes import continued
 from stmc.formats.characters.gltf_file import (
     CharacterError,
     Gltf,
-    glb_bytes,
     index,
     numbers,
     objects,
@@ -105,7 +104,7 @@ class GltfRig:
         document["nodes"] = [
             _without_matrix(node) if number in nodes else node for number, node in enumerate(self.gltf.nodes)
         ]
-        return glb_bytes(with_animation(replace(self.gltf, document=document), *made))
+        return with_animation(replace(self.gltf, document=document), *made).to_glb()
 
     def _local(self, motion: RigMotion, standing: Standing) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """Quaternions x y z w of each driven node, and the pelvis' place, in their parents' frames."""

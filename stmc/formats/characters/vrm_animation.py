@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 
 from stmc.formats.axes import Z_UP_TO_Y_UP, continued
-from stmc.formats.characters.gltf_file import CharacterError, Gltf, glb_bytes, with_animation
+from stmc.formats.characters.gltf_file import CharacterError, Gltf, with_animation
 from stmc.formats.characters.gltf_rig import animation_of
 from stmc.formats.characters.joint_names import VRM_BONES
 from stmc.motion.geometry import matrix_to_quaternion
@@ -33,7 +33,7 @@ def vrma_bytes(motion: RigMotion) -> bytes:
     targets = [(0, "translation"), *((number, "rotation") for number in range(len(places)))]
     times = np.arange(len(pelvis)) / motion.fps
     made = animation_of(times, targets, [pelvis, *quaternions.swapaxes(0, 1)], motion.fps)
-    return glb_bytes(with_animation(Gltf(_document(bones, places, parents, rest), None), *made))
+    return with_animation(Gltf(_document(bones, places, parents, rest), None), *made).to_glb()
 
 
 def _document(
