@@ -127,9 +127,9 @@ class MotionFolder:
 
 
 def read_record(path: Path) -> dict:
-    """A record beside a motion; empty where there is none that can be read."""
+    """Read a record beside a motion, within bounds; empty if there is none that can be read."""
     try:
-        read = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+        record = load_json(read_text(path, MOST_BYTES))
+    except (OSError, UnreadableError):
         return {}
-    return read if isinstance(read, dict) else {}
+    return record if isinstance(record, dict) else {}
