@@ -177,8 +177,8 @@ def test_the_table_has_what_our_configurations_build_and_nothing_else():
     offered = {
         "stmc.training.Denoising",
         "stmc.training.data.prolonging.Prolonging",
-        "stmc.training.data.foot_velocity.FootVelocity",
-        "stmc.training.data.foot_velocity.LimbVelocity",
+        "stmc.training.data.limb_velocity.FootVelocity",
+        "stmc.training.data.limb_velocity.LimbVelocity",
     }
     assert set(NAMES) - offered == {name for name in used if not name.startswith(exported)} | {
         "stmc.training.TmrObjective"

@@ -10,7 +10,7 @@ from stmc.motion.body import JOINTS
 from stmc.motion.geometry import rotation_z
 from stmc.motion.representation import HUMANML3D_LAYOUT, SmplRepresentation
 from stmc.training.data.dataset import Dataset
-from stmc.training.data.foot_velocity import FootVelocity, LimbVelocity
+from stmc.training.data.limb_velocity import FootVelocity, LimbVelocity
 
 
 def clip(name: str, split: str) -> Clip:

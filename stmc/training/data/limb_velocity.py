@@ -1,4 +1,4 @@
-"""An auxiliary loss on the velocities of the feet, which a loss on features alone does not constrain.
+"""Auxiliary losses on the velocities of feet and hands, which a loss on features alone does not constrain.
 
 This module knows the 205 features of `SmplRepresentation` and the statistics of a dataset; it knows no network.
 """
@@ -45,7 +45,7 @@ class LimbVelocity:
     """Map normalised features to the steps of toes and wrists to the next frame, in units of their RMS in the dataset.
 
     Toes move in the world, as in `FootVelocity`; wrists relative to the pelvis. Positions alone hardly see hands that
-    clap or strum: without the wrists, a network predicts the mean of the rhythm.
+    clap: a network may then predict the mean of the rhythm.
 
     Raises:
         ValueError: For features other than those of `SmplRepresentation`.
