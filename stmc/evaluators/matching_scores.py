@@ -1,6 +1,7 @@
 """The evaluator of Guo et al. as one record: networks, statistics and word vectors.
 
-Handles raw features and tagged captions; independent of metrics (see `metrics.matching`) and files (see `published`).
+Handles raw features and tagged captions; independent of metrics (see `metrics.matching_metrics`) and of files (see
+`published`).
 """
 
 from __future__ import annotations

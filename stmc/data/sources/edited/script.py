@@ -26,8 +26,8 @@ from stmc.editing.reaching import Triple
 from stmc.motion.motion import Motion
 
 ONSET = 0.5
-"""Seconds of rest before a gesture. One value for all: where onsets differ, a network learns the mean of their phases,
-and hands that should clap stand still (measured: applause, guitar and violin 0 of 4 samples after 5,000 steps)."""
+"""Seconds of rest before a gesture. All gestures share one value: if onsets differ, a network tends to the mean of
+their phases, and hands that should clap stand still."""
 
 Spread = tuple[float | int, float | int]
 """Minimum and maximum of a uniform draw."""
