@@ -101,7 +101,7 @@ def test_the_mannequin_is_closed_faces_outwards_and_is_carried_by_its_joints():
     assert skin.weights.min() >= 0
     assert set(skin.parts) == set(range(5))
     for part in BodyPart:
-        corners = skin.only(part).vertices[skin.only(part).faces]
+        corners = skin.vertices[skin.faces[skin.parts == PARTS.index(part)]]
         assert np.einsum("fa,fa->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0
     assert len(skin.vertices) < 10_000
     left, right = (skin.vertices[:, 0] > 0.25), (skin.vertices[:, 0] < -0.25)
@@ -111,7 +111,7 @@ def test_the_mannequin_is_closed_faces_outwards_and_is_carried_by_its_joints():
 def test_every_joint_of_the_mannequin_is_inside_the_piece_that_bears_its_part_s_colour():
     skin = build_mannequin(Skeleton.default())
     for part in BodyPart:
-        vertices = skin.only(part).vertices
+        vertices = skin.vertices[np.unique(skin.faces[skin.parts == PARTS.index(part)])]
         for name in part.joints:
             joint = Skeleton.default().rest[JOINTS.index(name)].numpy()
             nearest = np.linalg.norm(vertices - joint, axis=1).min()

@@ -70,13 +70,6 @@ class Skin:
         blended = np.einsum("vj,fjab->fvab", self.weights, rotations)
         return np.einsum("fvab,vb->fva", blended, self.vertices) + np.einsum("vj,fja->fva", self.weights, offsets)
 
-    def only(self, part: BodyPart) -> Skin:
-        """Extract the piece of one body part, with its own vertices."""
-        faces = self.faces[self.parts == PARTS.index(part)]
-        used, renumbered = np.unique(faces, return_inverse=True)
-        parts = np.full(len(faces), PARTS.index(part))
-        return Skin(self.vertices[used], renumbered.reshape(-1, 3), self.weights[used], parts, self.skeleton)
-
 
 def _carriers(parents: Sequence[int]) -> list[int]:
     """Return, for each bone of a body, the index of the SMPL joint that carries it."""
