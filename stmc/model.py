@@ -32,7 +32,7 @@ from stmc.motion.representation import JointsFrom, Representation
 from stmc.settings.records import SettingError, record_of, with_signature_of
 from stmc.text import TextEncoder
 from stmc.text.vocabulary import Recogniser, Recognition, Vocabulary
-from stmc.timeline import RarelyShownWarning, Timeline, UnknownPromptWarning, advise
+from stmc.timeline import Timeline, advise_prompt
 from stmc.timeline.planning import Plan, plan
 
 Precision = Literal["fp32", "bf16"]
@@ -303,7 +303,7 @@ class Model:
         if not timelines:
             return []
         for prompt in self.doubtful(timelines):
-            advise(prompt.advice, RarelyShownWarning if prompt.known else UnknownPromptWarning)
+            advise_prompt(prompt.advice, prompt.known)
         if method.baseline:
             timelines = [method.baseline(timeline, self.fps, self.longest) for timeline in timelines]
         frames = [timeline.frames(self.fps) for timeline in timelines]

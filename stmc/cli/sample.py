@@ -39,7 +39,7 @@ from stmc.model import Precision
 from stmc.run import fingerprint
 from stmc.settings.records import SettingError, as_in, setting, shown
 from stmc.settings.shards import Incomplete, Shard, listed
-from stmc.timeline import PromptWarning, RarelyShownWarning, UnknownPromptWarning, advise
+from stmc.timeline import PromptWarning, advise_prompt
 from stmc.viewing.exports import EXPORTS
 
 EXAMPLE = "'walk # 0 # 4'"
@@ -117,7 +117,7 @@ def make(
     model.plans([job.timeline for job in wanted], sampling.overlap)  # what cannot be planned fails now
     doubtful = model.doubtful([job.timeline for job in wanted if job.name in missing])
     for prompt in doubtful:
-        advise(prompt.advice, RarelyShownWarning if prompt.known else UnknownPromptWarning)
+        advise_prompt(prompt.advice, prompt.known)
     warnings.simplefilter("ignore", PromptWarning)  # `sample` would tell again
     probe(folder.path)
     remove_leftovers(folder.path)

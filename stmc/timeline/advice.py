@@ -35,6 +35,11 @@ def advise(message: str, category: type[UserWarning] = TimelineWarning) -> None:
     warnings.warn(message, category, stacklevel=depth)
 
 
+def advise_prompt(message: str, known: bool) -> None:
+    """Warn of a prompt that a model may not show: an unknown one, or a `known` one whose action rarely works."""
+    advise(message, RarelyShownWarning if known else UnknownPromptWarning)
+
+
 def _inside(frame: FrameType) -> bool:
     package = frame.f_globals.get("__name__", "").partition(".")[0]  # also correct for methods that `dataclass` writes
     return package in _INSIDE or frame.f_code.co_filename.startswith("<@beartype")
