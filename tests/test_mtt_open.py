@@ -124,6 +124,10 @@ def test_a_model_is_asked_for_each_text_alone_and_in_other_words(texts, tmp_path
     (tmp_path / "words.json").write_text("{}")
     with pytest.raises(SettingError, match=r"words\.json: has no sentence for 'walk forwards'"):
         run("actions", "actions", *settings, f"paraphrases={tmp_path / 'words.json'}")
+    for content, message in (("[]", "must be an object of text: paraphrase"), ("{", "not JSON")):
+        (tmp_path / "words.json").write_text(content)
+        with pytest.raises(SettingError, match=message):
+            run("actions", "actions", *settings, f"paraphrases={tmp_path / 'words.json'}")
     texts.write_text("swim # legs\n")
     with pytest.raises(SettingError, match="'swim' is not one of MTT's 60 texts"):
         run("actions", "actions", *settings)

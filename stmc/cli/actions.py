@@ -38,6 +38,7 @@ from stmc.evaluation.metrics.retrieval import cosines, ranks
 from stmc.evaluators import Evaluator
 from stmc.io.extras import require
 from stmc.io.files import write_text, write_whole
+from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text, shown
 from stmc.model import Precision
 from stmc.motion.kinematics import foot_sliding, hand_step
 from stmc.motion.motion import Motion
@@ -314,10 +315,15 @@ def calibrate_warnings(config: DictConfig) -> None:
 
 
 def read_paraphrases(path: str | None, prompts: Sequence[AtomicPrompt]) -> dict[str, str]:
-    """Return the sentence to sample for each text. Raises `SettingError` if a text has none."""
+    """Return the sentence to sample for each text. Raises `SettingError` for an unreadable file or a missing text."""
     if path is None:
         return {prompt.text: prompt.text for prompt in prompts}
-    table = json.loads(Path(path).read_text(encoding="utf-8"))
+    try:
+        table = load_json(read_text(Path(path), MOST_BYTES))
+    except UnreadableError as error:
+        raise SettingError(f"paraphrases={path}: {error}") from None
+    if not isinstance(table, dict):
+        raise SettingError(f"paraphrases={path}: must be an object of text: paraphrase, not {shown(table)}")
     if missing := [prompt.text for prompt in prompts if not isinstance(table.get(prompt.text), str)]:
         raise SettingError(f"paraphrases={path}: has no sentence for {missing[0]!r}")
     return {prompt.text: table[prompt.text] for prompt in prompts}
