@@ -10,7 +10,6 @@ import json
 import logging
 import pickle
 import random
-import resource
 import sys
 import tempfile
 import time
@@ -27,6 +26,7 @@ from helpers import characters as made_characters
 from helpers import guo_files, toy_data
 from helpers.acclaim_files import Actor, moving
 from helpers.joblib_files import joblib_bytes
+from helpers.memory import peak
 from helpers.smpl_pickles import python_2_pickle
 from helpers.source_folders import humanml3d, published, recorded, smplh_arrays
 from helpers.tiny_model import tiny
@@ -272,11 +272,6 @@ def main(count: int, seed: int) -> int:
     print(f"{count} files, {len(tried)} readers, seed {seed}: {sum(failures.values())} failures")
     print(f"slowest {slowest[0]:.2f} s ({slowest[1]}); {memory}")
     return int(bool(failures) or peak() > MOST_KILOBYTES)
-
-
-def peak() -> int:
-    """KiB of memory that this process has had at most."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 if __name__ == "__main__":

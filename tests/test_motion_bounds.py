@@ -83,10 +83,10 @@ def test_a_small_npz_of_many_frames_takes_no_memory(tmp_path):
             np.save(file, np.array(200.0))
     assert (tmp_path / "a.npz").stat().st_size < 2**20
     code = (
-        "import resource, sys; from pathlib import Path; import stmc\n"
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from pathlib import Path; import stmc\nfrom helpers.memory import peak\n"
         "from stmc.data.sources.amass.amass_recordings import RecordingError, read_recording\n"
-        "stmc.Skeleton.default(); peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
-        "before = peak()\n"
+        "stmc.Skeleton.default(); before = peak()\n"
         "for read in (stmc.read, lambda path: read_recording(Path(path), stmc.Skeleton.default())):\n"
         "    try: read(sys.argv[1]); sys.exit('it was read')\n"
         "    except ValueError as error: assert 'frames are more than 432,000' in str(error), error\n"
