@@ -18,7 +18,7 @@ from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import names
 from stmc.settings.records import SettingError, defaults, field_infos
 from stmc.viewing.studio import Documents, Motions, Sessions
-from stmc.viewing.studio.refusals import Refused
+from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.server import Answers
 
 WALK = {"prompts": [{"text": "walk", "start": 0, "end": 2, "parts": ["legs"]}], "name": ""}
@@ -127,7 +127,7 @@ def test_what_does_not_fit_has_one_message_in_python_on_a_command_line_and_in_js
         settings = sample.main.check(configured("sample", f"++{given}"))
         sample.request_of(settings, [stmc.Timeline.parse(TEXT)], [settings.seed])
     told.append(str(error.value))
-    with pytest.raises((SettingError, Refused)) as error:
+    with pytest.raises((SettingError, RequestError)) as error:
         answers._request({"timeline": WALK, "seeds": [values.get("seed", 0)]} | without_seed(values))
     told.append(str(error.value))
     assert len(set(told)) == 1 and message in told[0], told
@@ -225,8 +225,8 @@ def test_a_body_of_the_studio_trusts_no_package_and_names_no_file(answers, tmp_p
     stmc.write(motion, tmp_path / "mine.npz")
     body = {"timeline": WALK, "seeds": [0]}
     for values in ({"trusted": ["os"]}, {"constraints": str(tmp_path)}, {"keep": str(tmp_path / "mine.npz")}):
-        with pytest.raises((SettingError, Refused)):
+        with pytest.raises((SettingError, RequestError)):
             answers._request(body | values)
     keyframe = {"keyframe": {"at": 1, "motion": str(Path(tmp_path / "mine.npz"))}}
-    with pytest.raises(Refused):
+    with pytest.raises(RequestError):
         answers._request(body | {"constraints": [keyframe]})

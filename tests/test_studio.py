@@ -17,10 +17,10 @@ from starlette.testclient import TestClient
 import stmc
 from stmc.motion.body import JOINTS
 from stmc.viewing.studio import Documents, Jobs, Motions, Sessions, application
-from stmc.viewing.studio.guard import MOST_BYTES
+from stmc.viewing.studio.auth import MOST_BYTES
 from stmc.viewing.studio.jobs import MOST_WAITING
-from stmc.viewing.studio.refusals import Refused
-from stmc.viewing.studio.stores import ID
+from stmc.viewing.studio.request_errors import RequestError
+from stmc.viewing.studio.storage import ID
 
 BOTH = {"prompts": [*WALK["prompts"], {"text": "wave with the right hand", "start": 0.5, "end": 1.5, "parts": []}]}
 
@@ -376,7 +376,7 @@ def test_of_one_tab_only_the_last_job_waits_and_too_many_are_refused(held):
     assert first.ended and not second.ended
     for _ in range(MOST_WAITING - 1):
         jobs.add(ask())
-    with pytest.raises(Refused, match="already waiting"):
+    with pytest.raises(RequestError, match="already waiting"):
         jobs.add(ask())
     jobs.add(ask(), tab="one")  # in the other's place
 
@@ -478,8 +478,8 @@ def test_a_file_that_is_no_motion_is_refused(client, content):
 
 
 def test_motions_outlive_the_server_and_old_ones_go_unless_a_document_names_them(tmp_path, monkeypatch):
-    monkeypatch.setattr("stmc.viewing.studio.stores.MOST_MOTIONS", 1)
-    monkeypatch.setattr("stmc.viewing.studio.stores.REMEMBERED", 1)
+    monkeypatch.setattr("stmc.viewing.studio.storage.MOST_MOTIONS", 1)
+    monkeypatch.setattr("stmc.viewing.studio.storage.REMEMBERED", 1)
     motion = tiny().generate("walk # 0 # 0.5", steps=1)[0]
     before = Motions(tmp_path)
     names = [before.add(motion) for _ in range(3)]
@@ -511,11 +511,11 @@ def test_of_many_that_write_at_once_each_version_is_somebodys_whole_document(tmp
         for _ in range(20):
             try:
                 now = documents.get("one")["version"]
-            except Refused:
+            except RequestError:
                 now = 0
             try:
                 won.append(documents.put("one", now, {"who": number, "text": str(number) * 1000}))
-            except Refused as refused:
+            except RequestError as refused:
                 assert refused.status == 409
 
     threads = [threading.Thread(target=write, args=(number,)) for number in range(6)]

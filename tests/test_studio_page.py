@@ -20,7 +20,7 @@ import stmc
 from stmc.editing.constraints import KINDS
 from stmc.viewing.studio import Documents, Sessions, application
 from stmc.viewing.studio.connections import server_of
-from stmc.viewing.studio.refusals import Refused
+from stmc.viewing.studio.request_errors import RequestError
 
 pytestmark = [
     pytest.mark.browser,
@@ -41,7 +41,7 @@ BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria
 @contextmanager
 def serving(folder: Path, port: int = 0) -> Iterator[int]:
     """The studio over a folder, at a port, until the end. It is nobody's first visit: there is a document."""
-    with suppress(Refused):
+    with suppress(RequestError):
         Documents(folder / "documents").put("old", 0, {"name": "Of before"})
     with loaded("studio").listen(port) as listening:
         port = listening.getsockname()[1]

@@ -24,7 +24,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import stmc
-from stmc.viewing.studio import Documents, Motions, Sessions, application, connections, guard
+from stmc.viewing.studio import Documents, Motions, Sessions, application, connections
 
 
 @pytest.fixture(scope="module")
@@ -54,15 +54,15 @@ def refused(answer, *statuses: int) -> str:
 PUTS = """
 import sys, time
 from pathlib import Path
-from stmc.viewing.studio.refusals import Refused
-from stmc.viewing.studio.stores import Documents
+from stmc.viewing.studio.request_errors import RequestError
+from stmc.viewing.studio.storage import Documents
 documents, me, gate = Documents(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
 while not gate.exists():
     time.sleep(0.001)
 for base in range(25):
     try:
         print(documents.put("one", base, {"who": me}))
-    except Refused as refused:
+    except RequestError as refused:
         assert refused.status == 409, refused
     while documents.get("one")["version"] <= base:
         time.sleep(0.001)
@@ -120,7 +120,7 @@ def test_what_the_disk_does_not_take_is_refused_in_a_sentence_and_is_taken_later
     body, address = {"base": 0, "content": {"name": "x"}}, f"/api/documents/disk{number}"
     with monkeypatch.context() as patch:
         for name in ("write_text", "write"):
-            patch.setattr(f"stmc.viewing.studio.stores.{name}", failing(OSError(number, os.strerror(number))))
+            patch.setattr(f"stmc.viewing.studio.storage.{name}", failing(OSError(number, os.strerror(number))))
         assert words in refused(client.put(address, json=body), status)
         assert words in refused(client.post("/api/motions", content=npz(motion)), status)
         job = client.post("/api/jobs", json={"timeline": WALK}).json()["job"]
@@ -175,8 +175,8 @@ def test_what_is_no_file_among_documents_and_motions_stops_nothing(model, tmp_pa
 
 
 def test_old_motions_go_while_the_studio_runs_and_those_of_documents_stay(tmp_path, motion, monkeypatch):
-    monkeypatch.setattr("stmc.viewing.studio.stores.MOST_MOTIONS", 3)
-    monkeypatch.setattr("stmc.viewing.studio.stores.PRUNE_AFTER", 5)
+    monkeypatch.setattr("stmc.viewing.studio.storage.MOST_MOTIONS", 3)
+    monkeypatch.setattr("stmc.viewing.studio.storage.PRUNE_AFTER", 5)
     named: list[str] = []
     motions = Motions(tmp_path, lambda: " ".join(named))
     named.append(motions.add(motion))
@@ -188,7 +188,7 @@ def test_old_motions_go_while_the_studio_runs_and_those_of_documents_stay(tmp_pa
 
 
 def test_motions_are_bounded_in_bytes_too(tmp_path, motion, monkeypatch):
-    monkeypatch.setattr("stmc.viewing.studio.stores.MOST_MOTION_BYTES", 1)
+    monkeypatch.setattr("stmc.viewing.studio.storage.MOST_MOTION_BYTES", 1)
     motions = Motions(tmp_path)
     motions.add(motion)
     motions.prune()
@@ -306,7 +306,7 @@ def test_a_film_is_bounded_and_drawn_alone(client, motion, monkeypatch):
     may.set()
     first.join()
     assert answers[0].content == b"film"
-    monkeypatch.setattr("stmc.viewing.studio.stores.MOST_FILM_FRAMES", 5)
+    monkeypatch.setattr("stmc.viewing.studio.storage.MOST_FILM_FRAMES", 5)
     assert "frames" in refused(client.get(f"/api/motions/{name}.webp"), 422)
 
 
@@ -339,7 +339,7 @@ def test_constraints_that_lead_out_of_all_bounds_name_themselves(client, monkeyp
 def port(model, tmp_path, monkeypatch) -> Iterator[int]:
     """Of a server that waits for half a second alone."""
     monkeypatch.setattr(connections, "HEAD_SECONDS", 0.5)
-    monkeypatch.setattr(guard, "BODY_SECONDS", 0.5)
+    monkeypatch.setattr(auth, "BODY_SECONDS", 0.5)
     with loaded("studio").listen(0) as listening:
         port = listening.getsockname()[1]
         server = connections.server_of(application(model, tmp_path, Sessions(), port))

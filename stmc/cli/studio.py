@@ -47,7 +47,7 @@ class Settings(OnModel, Threaded):
 @command("studio", Settings, takes_record=True)
 def main(settings: Settings) -> None:
     require("starlette", "uvicorn")
-    from stmc.viewing.studio.stores import private_folder  # not above: the studio comes with an extra
+    from stmc.viewing.studio.storage import private_folder  # not above: the studio comes with an extra
 
     folder = Path(settings.folder).expanduser()
     probe(private_folder(folder))

@@ -2,9 +2,9 @@
 
 import * as server from "./server.js";
 import { button, fill, find, make, say } from "./dom.js";
-import { HELP } from "./keys.js";
+import { HELP } from "./shortcuts.js";
 import { timelineOf } from "./state.js";
-import { argued } from "./work.js";
+import { argued } from "./actions.js";
 
 const FRAME_RATES = [20, 24, 25, 30, 50, 60, 120];
 

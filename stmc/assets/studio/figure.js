@@ -2,7 +2,7 @@
 
 import { AnimationMixer, DoubleSide, Group, Mesh, MeshBasicMaterial, SRGBColorSpace, Vector3 } from "./vendor/three.module.min.js";
 import { GLTFLoader } from "./vendor/GLTFLoader.js";
-import { ribbon } from "./marks.js";
+import { ribbon } from "./gizmos.js";
 
 const loader = new GLTFLoader();
 const SWAY = 0.35; // seconds over which the followed way is smoothed

@@ -9,20 +9,20 @@ import { fieldOf, learn } from "./constraints.js";
 import { createPlayer } from "./player.js";
 import { createPromptPanel, createSamplesPanel, createWordsPanel } from "./panels.js";
 import { createSaving } from "./saving.js";
-import { createShown } from "./shown.js";
+import { createPreview } from "./preview.js";
 import { createStage } from "./stage.js";
 import { createStudio } from "./studio.js";
 import { createTracks } from "./tracks.js";
 import { createTransport } from "./transport.js";
-import { createWork } from "./work.js";
-import { listenToKeys } from "./keys.js";
+import { createActions } from "./actions.js";
+import { listenToShortcuts } from "./shortcuts.js";
 import { documentOfTimeline, rounded, trackCount } from "./state.js";
 import { clock } from "./times.js";
 
 const studio = createStudio();
 const { store } = studio;
 const player = createPlayer(studio.duration);
-const work = createWork(studio, crypto.randomUUID?.() ?? String(Math.random()), say);
+const work = createActions(studio, crypto.randomUUID?.() ?? String(Math.random()), say);
 const saving = createSaving(studio, askConflict);
 const stage = createStage(find("stage"), {
   drawn: (points) => constraints.drawn(points),
@@ -31,7 +31,7 @@ const stage = createStage(find("stage"), {
 });
 const tracks = createTracks(studio, player, work);
 const constraints = createConstraintPanel(studio, player, stage);
-const shown = createShown(studio, stage);
+const shown = createPreview(studio, stage);
 createPromptPanel(studio, player, work, tracks);
 createSamplesPanel(studio, work, shown);
 createWordsPanel(studio, player);
@@ -209,7 +209,7 @@ dark.addEventListener("change", () => wear(find("theme").dataset.theme));
 wear(recalledTheme());
 
 // ---- keys, and the beginning --------------------------------------------------------------------------------------------
-listenToKeys(studio, player, work, tracks, {
+listenToShortcuts(studio, player, work, tracks, {
   fps: () => store.get().model?.fps ?? 20,
   toggleFollow,
   help: openHelp,

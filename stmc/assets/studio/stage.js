@@ -6,7 +6,7 @@ import {
   PerspectiveCamera, Plane, PlaneGeometry, Raycaster, Scene, ShaderMaterial, ShadowMaterial, Vector2, Vector3, WebGLRenderer,
 } from "./vendor/three.module.min.js";
 import { OrbitControls } from "./vendor/OrbitControls.js";
-import { createMarks } from "./marks.js";
+import { createGizmos } from "./gizmos.js";
 
 const HEIGHT = 0.9; // metres above the floor that the camera looks at
 const SIDE = [2.6, 1.0, 4.2]; // metres from there to the camera
@@ -39,7 +39,7 @@ export function createStage(host, tell = null) {
   controls.maxDistance = FARTHEST;
   const light = lit(scene);
   const floor = floorOf(scene);
-  const marks = createMarks(scene);
+  const marks = createGizmos(scene);
 
   let figures = []; // [{key, figure}], one view each
   let main = 0; // the view that the camera follows first

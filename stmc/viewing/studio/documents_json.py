@@ -17,7 +17,7 @@ from stmc.run.suggestions import Suggest, with_suggestions
 from stmc.text.vocabulary import Recognition, Suggestion
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
 from stmc.viewing.colours import owned_seconds
-from stmc.viewing.studio.refusals import Refused, take, take_texts
+from stmc.viewing.studio.request_errors import RequestError, take, take_texts
 
 MOST_SECONDS = 300
 """Maximum duration of a timeline in the studio: five minutes."""
@@ -32,43 +32,43 @@ MOST_FILE = 100_000
 
 
 def timeline_of(data: Mapping[str, Any]) -> Timeline:
-    """Read the timeline of a page's JSON. Raises `Refused`, with the index of the invalid prompt."""
+    """Read the timeline of a page's JSON. Raises `RequestError`, with the index of the invalid prompt."""
     name, listed = take(data, "name", str, ""), take(data, "prompts", list)
     if len(listed) > MOST_PROMPTS:
-        raise Refused(422, f"{len(listed)} prompts: {MOST_PROMPTS} at most in the studio", prompt=None)
+        raise RequestError(422, f"{len(listed)} prompts: {MOST_PROMPTS} at most in the studio", prompt=None)
     _check_letters(listed)
     timeline = _timeline(name, tuple(_prompt(number, each) for number, each in enumerate(listed)))
     if timeline.duration > MOST_SECONDS:
         last = max(range(len(listed)), key=lambda number: timeline.prompts[number].end)
-        raise Refused(422, f"{timeline.duration:g} s: {MOST_SECONDS} at most in the studio", prompt=last)
+        raise RequestError(422, f"{timeline.duration:g} s: {MOST_SECONDS} at most in the studio", prompt=last)
     return timeline
 
 
 def _check_letters(listed: list[Any]) -> None:
-    """Raise `Refused` if texts, padded to the longest one, would take too long to embed."""
+    """Raise `RequestError` if texts, padded to the longest one, would take too long to embed."""
     texts = [entry.get("text") if isinstance(entry, dict) else None for entry in listed]
     lengths = [len(text) if isinstance(text, str) else 0 for text in texts]
     longest, different = max(lengths, default=0), len({text for text in texts if isinstance(text, str)})
     if different * longest > MOST_LETTERS:
         message = f"{different} texts of up to {longest} letters: shorten the longest to {MOST_LETTERS // different}"
-        raise Refused(422, message, prompt=lengths.index(longest))
+        raise RequestError(422, message, prompt=lengths.index(longest))
 
 
 def _prompt(number: int, data: Any) -> Prompt:
     try:
         if not isinstance(data, dict):
-            raise Refused(422, "a prompt should be an object")
+            raise RequestError(422, "a prompt should be an object")
         start, end = (take(data, each, (int, float)) for each in ("start", "end"))
         return Prompt(take(data, "text", str), start, end, take_texts(data, "parts"))
-    except (TimelineError, Refused, TypeError) as error:
-        raise Refused(422, f"prompt {number + 1}: {error}", prompt=number) from None
+    except (TimelineError, RequestError, TypeError) as error:
+        raise RequestError(422, f"prompt {number + 1}: {error}", prompt=number) from None
 
 
 def _timeline(name: str, prompts: tuple[Prompt, ...]) -> Timeline:
     try:
         return Timeline(prompts, name=name)
     except TimelineError as error:
-        raise Refused(422, str(error), prompt=None) from None
+        raise RequestError(422, str(error), prompt=None) from None
 
 
 def as_data(timeline: Timeline) -> dict[str, Any]:
@@ -88,26 +88,26 @@ def in_order(parts: Collection[BodyPart]) -> list[BodyPart]:
 def read_timelines(name: str, text: str) -> list[Timeline]:
     """Read the timelines of a file in the format of its `name`.
 
-    Raises `TimelineError` for invalid timelines, and `Refused` for a file that is too long.
+    Raises `TimelineError` for invalid timelines, and `RequestError` for a file that is too long.
     """
     if len(text) > MOST_FILE:
-        raise Refused(422, f"{len(text):,} letters: the studio reads files of {MOST_FILE:,} at most")
+        raise RequestError(422, f"{len(text):,} letters: the studio reads files of {MOST_FILE:,} at most")
     return Timeline.parse_all(text, Path(name).suffix)
 
 
 def write_timeline(timeline: Timeline, kind: str) -> str:
     """Write a timeline as the text of a file, "json" or "txt".
 
-    Raises `Refused` for another kind, and `TimelineError` for a timeline that "txt" cannot represent.
+    Raises `RequestError` for another kind, and `TimelineError` for a timeline that "txt" cannot represent.
     """
     forms = {"json": Timeline.to_json, "txt": Timeline.to_text}
     if kind not in forms:
-        raise Refused(422, f"format={shown(kind)}: choose from {', '.join(forms)}")
+        raise RequestError(422, f"format={shown(kind)}: choose from {', '.join(forms)}")
     return forms[kind](timeline)
 
 
 def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any]:
-    """Check a timeline before sampling. Raises `Refused` if it cannot be planned.
+    """Check a timeline before sampling. Raises `RequestError` if it cannot be planned.
 
     The result has the body parts, advice and row of each prompt, and for every body part its prompts and transitions
     over time, in seconds.
@@ -124,7 +124,7 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any
         try:
             model.plans([timeline])
         except TimelineError as error:
-            raise Refused(422, str(error), prompt=None) from None
+            raise RequestError(422, str(error), prompt=None) from None
     doubtful = {each.text: each for each in model.doubtful([timeline])}
     prompts = [
         _described(prompt, row, None if listed else suggested[prompt.text], doubtful.get(prompt.text))

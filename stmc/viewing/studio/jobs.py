@@ -19,8 +19,8 @@ from stmc.composing import Progress
 from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.motion import Motion
-from stmc.viewing.studio.refusals import Refused, refusal_of
-from stmc.viewing.studio.stores import Motions
+from stmc.viewing.studio.request_errors import RequestError, request_error
+from stmc.viewing.studio.storage import Motions
 
 logger = logging.getLogger(__name__)
 
@@ -131,7 +131,7 @@ class Jobs:
         self._thread.start()
 
     def add(self, request: GenerateRequest, stages: tuple[Stage, ...] = (PREVIEW,), tab: str = "") -> Job:
-        """Queue a job and cancel waiting jobs of the same tab. Raises `Refused` if too many jobs wait.
+        """Queue a job and cancel waiting jobs of the same tab. Raises `RequestError` if too many jobs wait.
 
         Args:
             request: Request to sample.
@@ -144,7 +144,7 @@ class Jobs:
                 self._waiting.remove(other)
                 other.tell("cancelled")
             if len(self._waiting) >= MOST_WAITING:
-                raise Refused(429, f"{MOST_WAITING} jobs are already waiting")
+                raise RequestError(429, f"{MOST_WAITING} jobs are already waiting")
             self._known[job.name] = job
             self._forget()
             self._waiting.append(job)
@@ -153,10 +153,10 @@ class Jobs:
         return job
 
     def get(self, name: str) -> Job:
-        """Return the job with this name. Raises `Refused` if there is none."""
+        """Return the job with this name. Raises `RequestError` if there is none."""
         with self._changed:
             if name not in self._known:
-                raise Refused(404, "there is no such job")
+                raise RequestError(404, "there is no such job")
             return self._known[name]
 
     def cancel(self, name: str) -> None:
@@ -245,7 +245,7 @@ def _guarded(job: Job, work: Callable[[Job], None]) -> None:
 
 def _explained(error: Exception, job: Job) -> str:
     """Return the message of a failed job, which names the kinds of constraints that cannot be met."""
-    refusal = refusal_of(error)
+    refusal = request_error(error)
     if refusal is not None:
         return str(refusal)
     if job.request.constraints and isinstance(error, (ValueError, ArithmeticError)):

@@ -37,6 +37,7 @@ from stmc.text import Cached
 from stmc.text.vocabulary import sentence_encoder
 from stmc.timeline import Timeline
 from stmc.viewing.exports import EXPORTS
+from stmc.viewing.studio.auth import SESSION, AccessControl, error_response
 from stmc.viewing.studio.documents_json import (
     MOST_PROMPTS,
     MOST_SECONDS,
@@ -47,11 +48,10 @@ from stmc.viewing.studio.documents_json import (
     timeline_of,
     write_timeline,
 )
-from stmc.viewing.studio.guard import SESSION, Guard, refused
 from stmc.viewing.studio.jobs import OWN, PREVIEW, Jobs, Stage
-from stmc.viewing.studio.refusals import Refused, read_object, refusal_of, take
+from stmc.viewing.studio.request_errors import RequestError, read_object, request_error, take
 from stmc.viewing.studio.sessions import Sessions
-from stmc.viewing.studio.stores import Documents, Motions, private_folder
+from stmc.viewing.studio.storage import Documents, Motions, private_folder
 
 logger = logging.getLogger(__name__)
 
@@ -122,7 +122,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
         Route("/api/documents/{name}", answered(answers.delete_document), methods=["DELETE"]),
         Mount("/assets", StaticFiles(directory=ASSETS / "studio")),
     ]
-    guard = Middleware(Guard, sessions=sessions, port=port)
+    guard = Middleware(AccessControl, sessions=sessions, port=port)
     app = Starlette(routes=routes, lifespan=lifespan, middleware=[guard], exception_handlers={HTTPException: unrouted})
     app.router.redirect_slashes = False
     app.state.folder, app.state.jobs = folder, answers.jobs
@@ -136,20 +136,22 @@ def answered(handler: Handler) -> Handler:
         try:
             return await handler(request)
         except ClientDisconnect:
-            return refused(400, "the request is incomplete")
+            return error_response(400, "the request is incomplete")
         except Exception as error:
-            refusal = refusal_of(error)
+            refusal = request_error(error)
             if refusal is None:
                 logger.exception("%s %s", request.method, request.url.path)
-                refusal = Refused(500, "something went wrong; see the terminal that runs the studio")
-            return refused(refusal.status, str(refusal), **refusal.others)
+                refusal = RequestError(500, "something went wrong; see the terminal that runs the studio")
+            return error_response(refusal.status, str(refusal), **refusal.others)
 
     return answer
 
 
 async def unrouted(request: Request, error: Exception) -> Response:
     """Answer a request to an unknown address, or with an unknown method."""
-    return refused(error.status_code if isinstance(error, HTTPException) else 500, "the studio has no such address")
+    return error_response(
+        error.status_code if isinstance(error, HTTPException) else 500, "the studio has no such address"
+    )
 
 
 class Answers:
@@ -169,7 +171,7 @@ class Answers:
         """Exchange the token of an address for a key."""
         key = self.sessions.admit(take(read_object(await request.body()), "token", str))
         if key is None:
-            raise Refused(401, "this address was used before: start `stmc studio` again for another one")
+            raise RequestError(401, "this address was used before: start `stmc studio` again for another one")
         return JSONResponse({"key": key}, 201)
 
     async def describe(self, request: Request) -> Response:
@@ -297,7 +299,7 @@ class Answers:
         stages = {"preview": (PREVIEW,), "full": (PREVIEW, Stage("full", self.steps))}
         steps = take(data, "steps", str, "full")
         if steps not in stages:
-            raise Refused(422, f"steps={shown(steps)}: choose from {', '.join(stages)}")
+            raise RequestError(422, f"steps={shown(steps)}: choose from {', '.join(stages)}")
         return stages[steps]
 
     def _constraints(self, data: dict[str, Any]) -> tuple[Constraint, ...]:
@@ -318,18 +320,18 @@ def _rate(text: str | None) -> float | None:
     if text is None:
         return None
     if not re.fullmatch(r"\d{1,3}(\.\d{1,3})?", text) or not 1 <= float(text) <= 240:
-        raise Refused(422, f"fps={text[:20]}: a number from 1 to 240 needed")
+        raise RequestError(422, f"fps={text[:20]}: a number from 1 to 240 needed")
     return float(text)
 
 
 def _few(values: list[Any], name: str, most: int) -> list[Any]:
     if not 0 < len(values) <= most:
-        raise Refused(422, f"{name}: 1 to {most} needed")
+        raise RequestError(422, f"{name}: 1 to {most} needed")
     return values
 
 
 def _bounded(name: str, value: Any) -> Any:
-    """Return the value. Raises `Refused` for a list that is too long, or a number that is too large."""
+    """Return the value. Raises `RequestError` for a list that is too long, or a number that is too large."""
     if isinstance(value, list) and value:
         _few(value, name, MOST_CONDITIONS)
     left = [value]
@@ -337,7 +339,7 @@ def _bounded(name: str, value: Any) -> Any:
         each = left.pop()
         left += each.values() if isinstance(each, dict) else each if isinstance(each, list) else ()
         if isinstance(each, (int, float)) and abs(each) > FARTHEST:
-            raise Refused(422, f"{name}: {each:g} is beyond {FARTHEST} metres, radians or seconds")
+            raise RequestError(422, f"{name}: {each:g} is beyond {FARTHEST} metres, radians or seconds")
     return value
 
 

@@ -9,7 +9,7 @@ const CHECK_AFTER = 120; // milliseconds without an edit
 const GENERATE_AFTER = 350;
 const AGAIN_AFTER = 2000; // where the server is away
 
-export function createWork(studio, tab, say) {
+export function createActions(studio, tab, say) {
   const { store } = studio;
   let stop = null; // of the job that runs
   let running = null;

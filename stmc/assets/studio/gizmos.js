@@ -31,7 +31,7 @@ function arrowOf() {
 
 const line = (points) => ribbon(points.map(([x, y]) => [x, -y]), 0.035, 0.012);
 
-export function createMarks(scene) {
+export function createGizmos(scene) {
   const group = new Group();
   const ink = new LineBasicMaterial({ color: COLOUR });
   const band = new MeshBasicMaterial({ color: COLOUR, side: DoubleSide });

@@ -11,7 +11,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from stmc.viewing.studio.refusals import Refused
+from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.sessions import Sessions
 
 MOST_BYTES = 2**20 + 2**16
@@ -35,7 +35,7 @@ HEADERS = {
 }
 
 
-class Guard:
+class AccessControl:
     """ASGI middleware that requires our host and origin, the session's key, and requests of bounded size.
 
     The key is in the header `X-Stmc`, and no other page can know it. The page itself holds no secret.
@@ -59,19 +59,19 @@ class Guard:
         """Return the answer to a rejected request, or None."""
         headers, path = Headers(scope=scope), scope["path"]
         if headers.get("host") not in self.hosts:
-            return refused(403, "this is not an address of the studio")
+            return error_response(403, "this is not an address of the studio")
         origin = headers.get("origin")
         if origin is not None and origin.removeprefix("http://") not in self.hosts:
-            return refused(403, "only the studio's own page may do that")
+            return error_response(403, "only the studio's own page may do that")
         if path.startswith(API) and path != SESSION and not self.sessions.knows(headers.get("x-stmc", "")):
-            return refused(401, "open the address that the terminal with `stmc studio` shows")
+            return error_response(401, "open the address that the terminal with `stmc studio` shows")
         length = headers.get("content-length", "0")
         if not (length.isascii() and length.isdecimal()) or len(length) > 12 or int(length) > _most(scope):
-            return refused(413, f"the request is larger than {_most(scope) / 2**20:.0f} MiB")
+            return error_response(413, f"the request is larger than {_most(scope) / 2**20:.0f} MiB")
         return None
 
 
-def refused(status: int, sentence: str, **others: object) -> Response:
+def error_response(status: int, sentence: str, **others: object) -> Response:
     """Build an error response; a request that was not read to its end also closes the connection.
 
     Args:
@@ -86,7 +86,7 @@ def refused(status: int, sentence: str, **others: object) -> Response:
 async def _deny(scope: Scope, receive: Receive, send: Send) -> None:
     """Reject a WebSocket, with a message if the server can send one."""
     if "websocket.http.response" in scope.get("extensions", {}):
-        await refused(403, "the studio has no WebSockets")(scope, receive, send)
+        await error_response(403, "the studio has no WebSockets")(scope, receive, send)
     else:
         await send({"type": "websocket.close", "code": 1008, "reason": "the studio has no WebSockets"})
 
@@ -107,11 +107,11 @@ def _bounded(receive: Receive, most: int) -> Receive:
         try:
             message = await asyncio.wait_for(receive(), BODY_SECONDS)
         except TimeoutError:
-            raise Refused(408, f"the rest of the request did not come within {BODY_SECONDS:g} s") from None
+            raise RequestError(408, f"the rest of the request did not come within {BODY_SECONDS:g} s") from None
         complete = not message.get("more_body", False)
         total += len(message.get("body", b""))
         if total > most:
-            raise Refused(413, "the request is too large")
+            raise RequestError(413, "the request is too large")
         return message
 
     return bounded

@@ -19,7 +19,7 @@ MOST_NUMBER = 2**53 - 1
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
-class Refused(ValueError):
+class RequestError(ValueError):
     """Error for a request that cannot be fulfilled: an HTTP status, a message, and further data for the page."""
 
     def __init__(self, status: int, message: str, **others: Any) -> None:
@@ -27,39 +27,39 @@ class Refused(ValueError):
         self.status, self.others = status, others
 
 
-def refusal_of(error: Exception) -> Refused | None:
-    """Convert an error that the user can fix into a `Refused`; return None for a bug."""
-    if isinstance(error, Refused):
+def request_error(error: Exception) -> RequestError | None:
+    """Convert an error that the user can fix into a `RequestError`; return None for a bug."""
+    if isinstance(error, RequestError):
         return error
     if isinstance(error, (SettingError, TimelineError)):
-        return Refused(422, str(error))
+        return RequestError(422, str(error))
     if isinstance(error, FolderInUse):
-        return Refused(503, "another program is writing in the studio's folder; try again")
+        return RequestError(503, "another program is writing in the studio's folder; try again")
     if isinstance(error, OSError):
         if error.errno in _FULL:
-            return Refused(507, "the disk is full, so this was not saved; free some space and try again")
-        return Refused(503, f"the studio's folder cannot be used: {cut(error.strerror or str(error), 100)}")
+            return RequestError(507, "the disk is full, so this was not saved; free some space and try again")
+        return RequestError(503, f"the studio's folder cannot be used: {cut(error.strerror or str(error), 100)}")
     if isinstance(error, MemoryError) or "can't allocate memory" in str(error):  # torch has no class for it
-        return Refused(503, "there is not enough memory for this; make it shorter")
+        return RequestError(503, "there is not enough memory for this; make it shorter")
     return None
 
 
 def read_object(body: bytes) -> dict[str, Any]:
-    """Read the JSON object of a request's body. Raises `Refused` for anything else."""
+    """Read the JSON object of a request's body. Raises `RequestError` for anything else."""
     try:
         data = load_json(body.decode("utf-8"))
     except UnicodeDecodeError:
-        raise Refused(400, "the request is not UTF-8") from None
+        raise RequestError(400, "the request is not UTF-8") from None
     except (UnreadableError, RecursionError) as error:
-        raise Refused(400, f"the request is not JSON: {error}") from None
+        raise RequestError(400, f"the request is not JSON: {error}") from None
     if not isinstance(data, dict):
-        raise Refused(400, "the request should be a JSON object")
+        raise RequestError(400, "the request should be a JSON object")
     _check_portable(data)
     return data
 
 
 def _check_portable(data: Any) -> None:
-    """Raise `Refused` for values that are not portable JSON.
+    """Raise `RequestError` for values that are not portable JSON.
 
     These are NaN, infinities, numbers beyond `MOST_NUMBER`, and halves of surrogate pairs.
     """
@@ -72,9 +72,9 @@ def _check_portable(data: Any) -> None:
             left += value
         elif isinstance(value, str):
             if not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
-                raise Refused(422, f"{shown(value)} has half of a surrogate pair, which is no text")
+                raise RequestError(422, f"{shown(value)} has half of a surrogate pair, which is no text")
         elif isinstance(value, (int, float)) and not abs(value) <= MOST_NUMBER:
-            raise Refused(422, f"{_number(value)}: must be a finite number up to 2**53")
+            raise RequestError(422, f"{_number(value)}: must be a finite number up to 2**53")
 
 
 def _number(value: float | int) -> str:
@@ -84,7 +84,7 @@ def _number(value: float | int) -> str:
 def take(data: Mapping[str, Any], name: str, kind: type | tuple[type, ...], default: Any = ...) -> Any:
     """Return the value of a key.
 
-    Raises `Refused` if it has another type, or is missing without a default.
+    Raises `RequestError` if it has another type, or is missing without a default.
 
     Args:
         data: JSON object.
@@ -94,17 +94,19 @@ def take(data: Mapping[str, Any], name: str, kind: type | tuple[type, ...], defa
     """
     value = data.get(name, default)
     if value is ...:
-        raise Refused(422, f"{name} is missing")
+        raise RequestError(422, f"{name} is missing")
     if value is not default and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
         kinds = kind if isinstance(kind, tuple) else (kind,)
-        raise Refused(422, f"{name}={cut(json.dumps(value))}: {' or '.join(each.__name__ for each in kinds)} expected")
+        raise RequestError(
+            422, f"{name}={cut(json.dumps(value))}: {' or '.join(each.__name__ for each in kinds)} expected"
+        )
     return value
 
 
 def take_texts(data: Mapping[str, Any], name: str) -> list[str]:
-    """Return a list of texts, empty if the key is missing. Raises `Refused` for anything else."""
+    """Return a list of texts, empty if the key is missing. Raises `RequestError` for anything else."""
     values = take(data, name, list, [])
     for value in values:
         if not isinstance(value, str):
-            raise Refused(422, f"{name}: {shown(value)} is no text")
+            raise RequestError(422, f"{name}: {shown(value)} is no text")
     return values

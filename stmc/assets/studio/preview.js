@@ -7,7 +7,7 @@ import { figureOf } from "./figure.js";
 
 const MOST_KEPT = 24; // figures' files, in memory
 
-export function createShown(studio, stage) {
+export function createPreview(studio, stage) {
   const { store } = studio;
   const files = new Map(); // motion id → bytes
   let figures = new Map(); // motion id → figure, of those on the stage

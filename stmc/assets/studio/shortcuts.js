@@ -39,7 +39,7 @@ export const HELP = [
 
 const typing = (target) => target.matches("input:not([type=checkbox],[type=radio],[type=range]), textarea, select");
 
-export function listenToKeys(studio, player, work, tracks, page) {
+export function listenToShortcuts(studio, player, work, tracks, page) {
   const { store } = studio;
 
   const id = () => store.get().selected;

@@ -26,7 +26,7 @@ from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 from stmc.viewing.exports import EXPORTS, FILMS, export
 from stmc.viewing.studio.documents_json import MOST_SECONDS
-from stmc.viewing.studio.refusals import Refused
+from stmc.viewing.studio.request_errors import RequestError
 
 ID = re.compile(r"[A-Za-z0-9_-]{1,40}")
 
@@ -69,7 +69,7 @@ def _own_folder(folder: Path | str) -> Path:
 
 def _named(identity: str) -> str:
     if not ID.fullmatch(identity):
-        raise Refused(404, "there is no such thing")
+        raise RequestError(404, "there is no such thing")
     return identity
 
 
@@ -109,18 +109,18 @@ class Motions:
         return name
 
     def get(self, name: str) -> Motion:
-        """Return the motion with this name. Raises `Refused` if it is missing or damaged."""
+        """Return the motion with this name. Raises `RequestError` if it is missing or damaged."""
         with self._lock:
             if name in self._held:
                 self._held.move_to_end(name)
                 return self._held[name]
         path = self.folder / f"{_named(name)}.npz"
         if not path.exists():
-            raise Refused(404, "that motion is no longer stored; generate it again")
+            raise RequestError(404, "that motion is no longer stored; generate it again")
         try:
             motion = read(path)
         except ValueError as error:
-            raise Refused(422, f"that motion is damaged: {str(error).replace(str(path), 'its file')}") from None
+            raise RequestError(422, f"that motion is damaged: {str(error).replace(str(path), 'its file')}") from None
         _check_bounds(motion)
         self._hold(name, motion)
         return motion
@@ -131,17 +131,17 @@ class Motions:
         return {"id": name, "duration": motion.duration, "fps": motion.fps, "frames": motion.frames}
 
     def received(self, content: bytes, kind: str) -> str:
-        """Store the motion of an uploaded file with the suffix `kind`. Raises `Refused` if the file is invalid."""
+        """Store the motion of an uploaded file with the suffix `kind`. Raises `RequestError` if the file is invalid."""
         readable = [each.suffix for each in READABLE]
         if kind not in readable:
-            raise Refused(422, f"a recorded motion must be a {' or a '.join(readable)} file")
+            raise RequestError(422, f"a recorded motion must be a {' or a '.join(readable)} file")
         with self._heavy, tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"motion{kind}"
             path.write_bytes(content)
             try:
                 motion = read(path)
             except ValueError as error:
-                raise Refused(422, str(error).replace(str(path), "the file")) from None
+                raise RequestError(422, str(error).replace(str(path), "the file")) from None
         _check_bounds(motion)
         return self.add(motion)
 
@@ -156,8 +156,9 @@ class Motions:
     ) -> bytes:
         """Export a motion as the bytes of a file.
 
-        Raises `Refused` for unknown formats, for missing packages, and for motions that cannot be looped, resampled or
-        written.
+        Raises:
+            RequestError: For unknown formats, for missing packages, and for motions that cannot be looped, resampled or
+                written.
 
         Args:
             name: Name of the motion.
@@ -169,7 +170,7 @@ class Motions:
         """
         names = [each.name for each in EXPORTS]
         if kind not in names:
-            raise Refused(404, f"no .{kind}: choose from {', '.join(names)}")
+            raise RequestError(404, f"no .{kind}: choose from {', '.join(names)}")
         motion = self.get(name)
         try:
             if loop:
@@ -178,17 +179,19 @@ class Motions:
                 return self._film_of(_at_rate(motion, fps), kind, timeline)
             with self._heavy:
                 return _file_of(_at_rate(motion, fps), kind, timeline, constraints)
-        except Refused:
+        except RequestError:
             raise
         except (ValueError, OverflowError) as error:
-            raise Refused(422, str(error)) from None
+            raise RequestError(422, str(error)) from None
 
     def _film_of(self, motion: Motion, kind: str, timeline: Timeline | None) -> bytes:
         """Render one film at a time, since each takes a processor for minutes."""
         if motion.frames > MOST_FILM_FRAMES:
-            raise Refused(422, f"{motion.frames} frames: a film has {MOST_FILM_FRAMES} at most; lower the frame rate")
+            raise RequestError(
+                422, f"{motion.frames} frames: a film has {MOST_FILM_FRAMES} at most; lower the frame rate"
+            )
         if not self._film.acquire(blocking=False):
-            raise Refused(429, "another film is being rendered; wait until it is done")
+            raise RequestError(429, "another film is being rendered; wait until it is done")
         try:
             return _file_of(motion, kind, timeline)
         finally:
@@ -222,13 +225,13 @@ def _at_rate(motion: Motion, fps: float | int | None) -> Motion:
 
 
 def _check_bounds(motion: Motion) -> None:
-    """Raise `Refused` for a motion that is too long or too far away for the studio."""
+    """Raise `RequestError` for a motion that is too long or too far away for the studio."""
     if motion.duration > MOST_SECONDS:
-        raise Refused(422, f"{motion.duration:g} s: {MOST_SECONDS} at most in the studio")
+        raise RequestError(422, f"{motion.duration:g} s: {MOST_SECONDS} at most in the studio")
     try:
         check_metres("the motion", float(motion.translation.abs().max()))
     except BoundsError as error:
-        raise Refused(422, str(error)) from None
+        raise RequestError(422, str(error)) from None
 
 
 def _file_of(motion: Motion, kind: str, timeline: Timeline | None, constraints: Sequence[Constraint] = ()) -> bytes:
@@ -238,7 +241,7 @@ def _file_of(motion: Motion, kind: str, timeline: Timeline | None, constraints: 
             title = timeline.name if timeline else "motion"
             export(motion, path, timeline, title=title, constraints=constraints)
         except ModuleNotFoundError as error:
-            raise Refused(501, str(error)) from None
+            raise RequestError(501, str(error)) from None
         return path.read_bytes()
 
 
@@ -269,29 +272,29 @@ class Documents:
             try:
                 document = self.get(path.stem)
                 name, changed = str(document["content"].get("name", "")), path.stat().st_mtime
-            except (Refused, OSError):
+            except (RequestError, OSError):
                 continue
             found.append({"id": path.stem, "name": name, "version": document["version"], "changed": changed})
         return sorted(found, key=lambda each: -each["changed"])
 
     def get(self, name: str) -> dict[str, Any]:
-        """Return version and content of a document. Raises `Refused` if it is missing or damaged."""
+        """Return version and content of a document. Raises `RequestError` if it is missing or damaged."""
         try:
             document = load_json(read_text(self._path(name), 2 * MOST_DOCUMENT))
         except FileNotFoundError:
-            raise Refused(404, "there is no such document") from None
+            raise RequestError(404, "there is no such document") from None
         except (UnreadableError, OSError) as error:
-            raise Refused(422, f"the document is damaged: {error}") from None
+            raise RequestError(422, f"the document is damaged: {error}") from None
         shape = isinstance(document, dict) and document.keys() == {"version", "content"}
         if not shape or not isinstance(document["version"], int) or not isinstance(document["content"], dict):
-            raise Refused(422, "the document is damaged: version or content is missing")
+            raise RequestError(422, "the document is damaged: version or content is missing")
         return document
 
     def put(self, name: str, base: int, content: dict[str, Any]) -> int:
         """Save a document and return its new version.
 
-        Raises `Refused` with status 409 and the newer document if it was changed meanwhile, and for one that is too
-        large.
+        Raises:
+            RequestError: With status 409 and the newer document if it was changed meanwhile; for one that is too large.
 
         Args:
             name: Name of the document.
@@ -300,14 +303,14 @@ class Documents:
         """
         text = json.dumps(content, ensure_ascii=False, allow_nan=False)
         if len(text.encode()) > MOST_DOCUMENT:
-            raise Refused(413, f"the document is larger than {MOST_DOCUMENT / 2**20:g} MiB")
+            raise RequestError(413, f"the document is larger than {MOST_DOCUMENT / 2**20:g} MiB")
         with self._lock, locked(self.folder, PATIENCE):  # threads, and other processes
             path = self._path(name)
             now = self.get(name) if path.exists() else {"version": 0, "content": None}
             if now["version"] != base and now["content"] is not None:
-                raise Refused(409, "the document was changed elsewhere meanwhile", **now)
+                raise RequestError(409, "the document was changed elsewhere meanwhile", **now)
             if not path.exists() and sum(1 for _ in self.folder.glob("*.json")) >= MOST_DOCUMENTS:
-                raise Refused(507, f"there are {MOST_DOCUMENTS} documents; delete some")
+                raise RequestError(507, f"there are {MOST_DOCUMENTS} documents; delete some")
             version = max(base, now["version"]) + 1
             write_text(path, json.dumps({"version": version, "content": content}, ensure_ascii=False))
             path.chmod(0o600)
