@@ -486,7 +486,7 @@ def test_less_memory_means_smaller_batches_and_the_same_motions(sample, run, tmp
 
     monkeypatch.setattr(stmc.Model, "sample", on_little_memory)
     with sample.Progress(disable=True) as progress:
-        made = list(sample.sampled(model, jobs, {job.name for job in jobs}, 4, progress))
+        made = list(sample.sample_missing(model, jobs, {job.name for job in jobs}, 4, progress))
     assert tried == [4, 2, 2, 1]
     assert [job for job, _ in made] == jobs
     monkeypatch.undo()
@@ -508,7 +508,7 @@ def test_in_bf16_a_run_that_goes_on_makes_the_batches_of_one_that_was_not_stoppe
     for precision, expected in (("bf16", [[0, 1]]), ("fp32", [[1]])):
         tried.clear()
         with sample.Progress(disable=True) as progress:
-            made = list(sample.sampled(replace(tiny(), precision=precision), jobs, {"nod_1"}, 2, progress))
+            made = list(sample.sample_missing(replace(tiny(), precision=precision), jobs, {"nod_1"}, 2, progress))
         assert tried == expected
         assert [(job.name, len(motion)) for job, motion in made] == [("nod_1", 2)]
 
@@ -580,11 +580,11 @@ def test_a_text_without_seconds_is_answered_with_the_form_of_a_timeline(sample, 
 
 
 def test_a_log_hears_of_the_steps_now_and_then(sample, monkeypatch):
-    monkeypatch.setattr(sample, "SILENCE", 0)
+    monkeypatch.setattr(sample, "LOG_SECONDS", 0)
     console = sample.Console(file=io.StringIO())
-    with sample.told(console) as progress:
+    with sample.progress_bars(console) as progress:
         task = progress.add_task("", total=3)
-        assert list(sample.followed(range(3), 3, progress, task, 8)) == [0, 1, 2]
+        assert list(sample.track_steps(range(3), 3, progress, task, 8)) == [0, 1, 2]
     assert "denoising 8: step 3 of 3" in console.file.getvalue()
 
 

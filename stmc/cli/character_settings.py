@@ -1,4 +1,4 @@
-"""The character that the files of `stmc sample` show."""
+"""The `character` and `joint_map` settings of `stmc sample`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,19 @@ from stmc.settings.records import SettingError
 def read_settings_character(
     path: str | None, joint_map: str | None, formats: Sequence[str], console: Console
 ) -> stmc.Character | None:
-    """Read the character that the settings name, None if there is none, and print which joint of it is which.
+    """Read the character of the settings and print its joint map.
 
-    Raises `SettingError` if none of the formats shows the character, or if one needs a character and there is none.
+    Args:
+        path: File of the character; None: no character.
+        joint_map: File that corrects the joint map; None: the map that is found.
+        formats: Formats of the motions.
+        console: Console to print to.
+
+    Returns:
+        The character, or None without one.
+
+    Raises:
+        SettingError: If no format can show the character, or if a format needs a character and there is none.
     """
     if path is None:
         if {"vrm", "vrma"} & set(formats) or joint_map is not None:

@@ -43,12 +43,12 @@ from stmc.timeline import PromptWarning, advise_prompt
 from stmc.viewing.exports import EXPORTS
 
 EXAMPLE = "'walk # 0 # 4'"
-"""A timeline as it is typed."""
+"""An example of a typed timeline."""
 TIMES = (TimeElapsedColumn(), TimeRemainingColumn())
-TOGETHER = {"cpu": 8, "cuda": 64}
-"""Timelines at a time: a GPU is faster with many; a CPU is not, and what is done should be on the disk soon."""
-SILENCE = 30
-"""Seconds after which a log that is no terminal hears of the steps."""
+BATCH_SIZES = {"cpu": 8, "cuda": 64}
+"""Timelines per batch. A GPU is faster with many; a CPU is not, and small batches reach the disk sooner."""
+LOG_SECONDS = 30
+"""Interval between lines about the steps where the output is not a terminal, in seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ def main(settings: Settings) -> None:
         console.print(f"every motion{of_share(shard)} is in {folder.path.resolve()} already", markup=False)
         return
     model = stmc.load(settings.model, device=settings.device, precision=settings.precision, trusted=settings.trusted)
-    size = settings.batch or TOGETHER.get(model.device.type, 1)
+    size = settings.batch or BATCH_SIZES.get(model.device.type, 1)
     make(model, folder, wanted, missing, size, console, settings.json)
     console.print(f"motions{of_share(shard)} in {folder.path.resolve()}{hint(folder.formats)}", markup=False)
 
@@ -112,40 +112,42 @@ def make(
     console: Console,
     as_json: bool,
 ) -> None:
-    """Sample what is missing in batches, and write each motion as soon as it is there."""
+    """Sample the missing motions in batches, and write each as soon as it is ready."""
     sampling = model.check(wanted[0].request)
-    model.plans([job.timeline for job in wanted], sampling.overlap)  # what cannot be planned fails now
+    model.plans(
+        [job.timeline for job in wanted], sampling.overlap
+    )  # a timeline that cannot be planned fails here, before sampling
     doubtful = model.doubtful([job.timeline for job in wanted if job.name in missing])
     for prompt in doubtful:
         advise_prompt(prompt.advice, prompt.known)
-    warnings.simplefilter("ignore", PromptWarning)  # `sample` would tell again
+    warnings.simplefilter("ignore", PromptWarning)  # `sample` would repeat the warnings
     probe(folder.path)
     remove_leftovers(folder.path)
-    with told(console) as progress:
+    with progress_bars(console) as progress:
         task = progress.add_task("Motions", total=len(missing))
-        for number, (job, motion) in enumerate(sampled(model, wanted, missing, size, progress), start=1):
+        for number, (job, motion) in enumerate(sample_missing(model, wanted, missing, size, progress), start=1):
             paths = folder.save(motion, job, doubtful)
-            tell(job, motion, paths, f"{number} of {len(missing)}", as_json, progress.console)
+            report(job, motion, paths, f"{number} of {len(missing)}", as_json, progress.console)
             progress.advance(task)
 
 
 def hint(formats: Sequence[str]) -> str:
-    """The programs for those of the formats that a newcomer may not know."""
+    """Name the programs that open the less familiar of these formats, for a message; empty if there are none."""
     programs: dict[str, list[str]] = {}
     for each in EXPORTS:
         if each.opened_in and each.name in formats:
             programs.setdefault(each.opened_in, []).append(each.suffix)
-    told = [f"{' or '.join(suffixes)} in {program}" for program, suffixes in programs.items()]
-    return f": open {', '.join(told)}" if told else ""
+    hints = [f"{' or '.join(suffixes)} in {program}" for program, suffixes in programs.items()]
+    return f": open {', '.join(hints)}" if hints else ""
 
 
 def of_share(shard: Shard) -> str:
-    """Name the shard in a message; empty if there is only one."""
+    """Name the shard for a message; empty if there is only one."""
     return "" if shard.count == 1 or shard.number is None else f" of share {shard}"
 
 
 def check(settings: Settings) -> None:
-    """Refuses formats and devices that cannot be had."""
+    """Raise `SettingError` for formats whose packages are missing, and for devices that this machine lacks."""
     if not settings.formats:
         raise SettingError(f"formats=[]: choose from {', '.join(CHOICES)}")
     found_device(settings.device)
@@ -158,7 +160,7 @@ def check(settings: Settings) -> None:
 
 
 def open_folder(settings: Settings, character: stmc.Character | None = None) -> MotionFolder:
-    """Return the folder that is asked for; nothing is made yet."""
+    """Return the output folder of the settings, without creating it."""
     made_by = {"model": fingerprint(settings.model), "precision": settings.precision}
     files = {name: getattr(settings, name) for name in ("character", "joint_map")}
     made_by |= {name: sha256(Path(path).expanduser())[:16] for name, path in files.items() if path is not None}
@@ -166,10 +168,10 @@ def open_folder(settings: Settings, character: stmc.Character | None = None) -> 
 
 
 def read_jobs(settings: Settings, folder: MotionFolder, console: Console) -> list[Job]:
-    """Return every motion that is asked for; the longest first, so that memory runs out early."""
+    """Return a job for every requested motion. The longest come first, so that a lack of memory shows early."""
     timelines, stem = read_timelines(settings.timeline)
     if settings.suggest_parts:
-        tell_parts(timelines, console)
+        print_suggestions(timelines, console)
         timelines = [stmc.with_suggested_parts(each) for each in timelines]
     stem = stem or folder.free_name(timelines[0])
     found = distinct((timeline.name or (stem if len(timelines) == 1 else "") for timeline in timelines), stem)
@@ -181,8 +183,10 @@ def read_jobs(settings: Settings, folder: MotionFolder, console: Console) -> lis
 
 
 def request_of(settings: Settings, timelines: Sequence[stmc.Timeline], seeds: Sequence[int]) -> GenerateRequest:
-    """Return the request for motions of these timelines and seeds. Raises `SettingError` for files that cannot be
-    read."""
+    """Return the request for motions of these timelines and seeds.
+
+    Raises `SettingError` for files that cannot be read.
+    """
     values = {name: getattr(settings, name) for name in names() if hasattr(settings, name)}
     if settings.constraints is not None:
         values["constraints"] = stmc.read_constraints(settings.constraints)
@@ -190,7 +194,7 @@ def request_of(settings: Settings, timelines: Sequence[stmc.Timeline], seeds: Se
 
 
 def read_timelines(timeline: str | None) -> tuple[list[stmc.Timeline], str | None]:
-    """Return the timelines of a file, and the name for those without one; or the one that was typed, without a name."""
+    """Return the timelines of a file and a default name, or a typed timeline and None."""
     if timeline is not None and "#" in timeline and not Path(timeline).expanduser().exists():
         return [stmc.Timeline.parse(timeline.replace("\\n", "\n"))], None
     path = Path(timeline or str(files("stmc") / "assets/timelines/walk_jump_sit.json")).expanduser()
@@ -199,19 +203,19 @@ def read_timelines(timeline: str | None) -> tuple[list[stmc.Timeline], str | Non
     return list(stmc.Timeline.read_all(path)), path.stem
 
 
-def tell_parts(timelines: list[stmc.Timeline], console: Console) -> None:
-    """The body parts of every prompt that listed none, each text once."""
+def print_suggestions(timelines: list[stmc.Timeline], console: Console) -> None:
+    """Print the suggested body parts of every prompt that lists none, once per text."""
     for text in dict.fromkeys(prompt.text for each in timelines for prompt in each.prompts if not prompt.parts):
         console.print(f"suggested for {shown(text)}: {stmc.suggest_parts(text)}", markup=False)
 
 
-def sampled(
+def sample_missing(
     model: stmc.Model, wanted: list[Job], missing: set[str], size: int, progress: Progress
 ) -> Iterator[tuple[Job, stmc.Motion]]:
-    """Every missing job with its motion, in batches of `size`, or smaller ones where the memory does not suffice.
+    """Yield every missing job with its motion, in batches of `size`, which halves when memory runs out.
 
-    Batches are those of a run that makes everything: in bf16 a motion depends, a bit, on its batch, so there a batch is
-    made whole although only some of its motions are missing.
+    The batches are those of a run from scratch. In bf16 a motion depends slightly on its batch, so a batch is sampled
+    whole even if only some of its motions are missing.
     """
     done = 0
     while done < len(wanted):
@@ -236,36 +240,41 @@ def generate(model: stmc.Model, batch: list[Job], progress: Progress) -> list[st
     task = progress.add_task(f"Denoising {len(batch)}")
     try:
         request = GenerateRequest.joined([job.request for job in batch])
-        return model.sample(request, partial(followed, progress=progress, task=task, of=len(batch)))
+        return model.sample(request, partial(track_steps, progress=progress, task=task, of=len(batch)))
     finally:
         progress.remove_task(task)
 
 
-def followed(steps: Iterable, total: int, progress: Progress, task: int, of: int) -> Iterator:
-    """The steps of denoising, with a bar on a terminal and a line now and then elsewhere."""
+def track_steps(steps: Iterable, total: int, progress: Progress, task: int, of: int) -> Iterator:
+    """Yield the denoising steps; show a bar on a terminal, and print a line now and then elsewhere."""
     last = time.monotonic()
     progress.reset(task, total=total)
     for number, step in enumerate(steps, start=1):
         yield step
         progress.advance(task)
-        if not progress.console.is_terminal and time.monotonic() - last > SILENCE:
+        if not progress.console.is_terminal and time.monotonic() - last > LOG_SECONDS:
             progress.console.print(f"denoising {of}: step {number} of {total}")
             last = time.monotonic()
 
 
 @contextmanager
-def told(console: Console) -> Iterator[Progress]:
-    """Progress bars on a terminal; elsewhere the lines that are printed are all."""
+def progress_bars(console: Console) -> Iterator[Progress]:
+    """Show progress bars on a terminal; elsewhere only printed lines appear."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *TIMES)
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         yield progress
 
 
-def tell(job: Job, motion: stmc.Motion, paths: list[Path], place: str, as_json: bool, console: Console) -> None:
-    """A line for a motion that is on the disk."""
+def report(job: Job, motion: stmc.Motion, paths: list[Path], place: str, as_json: bool, console: Console) -> None:
+    """Print a line about a motion that has been written."""
     if as_json:
-        told = {"name": job.name, "seed": job.seed, "seconds": motion.duration, "files": [str(path) for path in paths]}
-        sys.stdout.write(json.dumps(told) + "\n")
+        record = {
+            "name": job.name,
+            "seed": job.seed,
+            "seconds": motion.duration,
+            "files": [str(path) for path in paths],
+        }
+        sys.stdout.write(json.dumps(record) + "\n")
         sys.stdout.flush()
     else:
         kinds = ", ".join(path.suffix for path in paths)

@@ -1,6 +1,6 @@
-"""The folder of `stmc sample`: each motion's files beside a record of what they were made of.
+"""The output folder of `stmc sample`: the files of each motion beside a record of their request.
 
-Knows requests, formats and digests; knows no model and no command line.
+Depends on requests, formats and digests; independent of models and of the command line.
 """
 
 from __future__ import annotations
@@ -25,31 +25,38 @@ from stmc.viewing.exports import EXPORTS, export
 CHARACTER_FORMATS = ("vrm", "vrma")
 """Formats that need a character."""
 FORMATS = ("npz", "bvh", "html")
-"""Those that are written if nobody says which."""
+"""Default formats."""
 CHOICES = tuple(dict.fromkeys((*FORMATS, *(each.name for each in EXPORTS), *CHARACTER_FORMATS)))
 
 
 class Job(NamedTuple):
-    """A motion to be: its files' name, and the request that it alone is."""
+    """One motion to sample: the name of its files, and a request for it alone."""
 
     name: str
     request: GenerateRequest
 
     @property
     def timeline(self) -> Timeline:
-        """Its timeline."""
+        """The timeline of the motion."""
         return self.request.timelines[0]
 
     @property
     def seed(self) -> int:
-        """Its seed."""
+        """The seed of the motion."""
         return self.request.seeds[0]
 
 
 @dataclass(frozen=True)
 class MotionFolder:
-    """Motions in all `formats`, at a frame rate (None: their own), made by what `made_by` says of the model, of a
-    `character` in the formats that show it."""
+    """A folder of motions.
+
+    Args:
+        path: The folder.
+        formats: Formats of every motion.
+        fps: Frame rate of the files; None: the motions' own.
+        made_by: Entries of the records about the model and its files.
+        character: Character of the formats that can show it; None: the library's own body.
+    """
 
     path: Path
     formats: Sequence[str]
@@ -58,18 +65,21 @@ class MotionFolder:
     character: stmc.Character | None = None
 
     def record(self, job: Job) -> dict[str, Any]:
-        """Return all that a motion's files depend on, but for settings that are left open."""
+        """Return everything that decides the content of a motion's files."""
         rate = {} if self.fps is None else {"fps": self.fps}
         return {**job.request.decides(), **rate, **self.made_by, "version": stmc.__version__}
 
     def finished(self, job: Job) -> bool:
-        """Tell whether the folder has the motion in all formats, made of this request."""
+        """Return whether the folder holds the motion of this request in all formats."""
         request, digests = self._recorded(job.name)
         return request == self.record(job) and set(self.formats) <= self._whole(job.name, digests)
 
     def save(self, motion: stmc.Motion, job: Job, unknown: Sequence[Recognition] = ()) -> list[Path]:
-        """Write the motion's files aside, then put all of them in place with the record that names their digests, which
-        no other process does at that time. Files of an earlier request go."""
+        """Write the motion in all formats, with its record, and return the paths.
+
+        Files are written aside and renamed under a lock, together with the record of their digests. Files of an earlier
+        request are deleted.
+        """
         motion = motion if self.fps is None else motion.resampled(self.fps)
         with scratch(self.path / job.name) as aside:
             made = [aside / f"{job.name}.{kind}" for kind in self.formats]
@@ -95,22 +105,26 @@ class MotionFolder:
             export(motion, path, job.timeline, title=job.name, unknown=unknown, constraints=marks)
 
     def free_name(self, timeline: Timeline) -> str:
-        """Return the name of a typed timeline: its texts, and a number behind them where motions of the same texts at
-        other times or for other body parts have that name here."""
+        """Return a name for a typed timeline, made of its texts.
+
+        A number follows if the folder has motions of the same texts at other times or for other body parts.
+        """
         base = name_of_texts(prompt.text for prompt in timeline.prompts)
         names = chain([base], (f"{base}-{number}" for number in count(2)))
         return next(name for name in names if self._prompts(name) in ([], [prompts_of(timeline)]))
 
     def _prompts(self, name: str) -> list[list]:
-        """The different prompts in the records of the motions of that name, of whatever seed."""
+        """Return the distinct prompts in the records of this name, over all seeds."""
         paths = [path for path in self.path.glob(f"{name}_*.json") if path.stem[len(name) + 1 :].isdigit()]
         records = [read_record(path) for path in paths]
         prompts = [record["prompts"] for record in records if "prompts" in record]
         return [each for number, each in enumerate(prompts) if each not in prompts[:number]]
 
     def _recorded(self, name: str) -> tuple[dict | None, dict[str, str | None]]:
-        """The request that a motion's record names, and the SHA-256 of its files by format. A record that is damaged,
-        or of an earlier version, names no request, and may have files of every format."""
+        """Return the request in a motion's record, and the SHA-256 of its files by format.
+
+        A damaged or older record yields no request, and every format without a digest.
+        """
         try:
             request = load_json(read_text(self.path / f"{name}.json", MOST_BYTES))
             digests = request.pop("files")
@@ -121,13 +135,13 @@ class MotionFolder:
             return None, dict.fromkeys(CHOICES)
 
     def _whole(self, name: str, digests: Mapping[str, str | None]) -> set[str]:
-        """The formats whose files are as their record says."""
+        """Return the formats whose files match their digests."""
         files = {kind: self.path / f"{name}.{kind}" for kind in digests}
         return {kind for kind, path in files.items() if path.is_file() and sha256(path) == digests[kind]}
 
 
 def read_record(path: Path) -> dict:
-    """Read a record beside a motion, within bounds; empty if there is none that can be read."""
+    """Read the record beside a motion, within bounds; return an empty one if it is absent or unreadable."""
     try:
         record = load_json(read_text(path, MOST_BYTES))
     except (OSError, UnreadableError):

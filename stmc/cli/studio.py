@@ -56,7 +56,7 @@ def main(settings: Settings) -> None:
 
 
 def serve(settings: Settings, folder: Path, listening: socket.socket) -> None:
-    """The studio, until it is ended."""
+    """Serve the studio until the user ends it."""
     from stmc.viewing.studio import Sessions, application
     from stmc.viewing.studio.connections import server_of
 
@@ -78,8 +78,10 @@ def serve(settings: Settings, folder: Path, listening: socket.socket) -> None:
 
 @contextmanager
 def opening(folder: Path, address: str) -> Iterator[Path]:
-    """A file that leads a browser to an address, and that nobody else can read: everybody on the machine can read with
-    which arguments a browser is started."""
+    """Write a private file that redirects a browser to `address`, and delete it at the end.
+
+    The address holds a token, and other users of the machine can read the arguments of a browser process.
+    """
     path = folder.resolve() / "open.html"
     path.unlink(missing_ok=True)
     try:
@@ -92,7 +94,7 @@ def opening(folder: Path, address: str) -> Iterator[Path]:
 
 
 def listen(port: int) -> socket.socket:
-    """A socket of this machine alone. Raises `SettingError` where the port is taken."""
+    """Open a socket on the loopback interface. Raises `SettingError` if the port is taken."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -105,7 +107,7 @@ def listen(port: int) -> socket.socket:
 
 
 def loaded(settings: Settings) -> stmc.Model:
-    """The model, in the precision that is asked for, or else in the faster one."""
+    """Load the model in the requested precision, by default in the faster one."""
 
     def load(precision: str) -> stmc.Model:
         return stmc.load(settings.model, device=settings.device, precision=precision, trusted=settings.trusted)
@@ -116,7 +118,7 @@ def loaded(settings: Settings) -> stmc.Model:
 
 
 def seconds(model: stmc.Model) -> float:
-    """How long two steps take, the first try aside."""
+    """Measure two denoising steps, in seconds, after a warm-up."""
 
     def try_out() -> None:
         model.generate("walk # 0 # 5", steps=2)
@@ -126,7 +128,7 @@ def seconds(model: stmc.Model) -> float:
 
 
 def timed(work: Callable[[], None]) -> float:
-    """Return the seconds that `work` takes."""
+    """Measure the duration of a call, in seconds."""
     began = time.perf_counter()
     work()
     return time.perf_counter() - began

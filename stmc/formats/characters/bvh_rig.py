@@ -1,6 +1,6 @@
-"""Characters in BVH files, and any character's motion as a BVH file of its own skeleton.
+"""Characters in BVH files, and writing the motion of any character as a BVH file of its own skeleton.
 
-Knows the text of BVH and its angles; its rest pose has no rotations, so that a rig's nodes lie along the world's axes.
+The rest pose of a BVH file has no rotations, so the nodes of its rig are aligned with the axes of the world.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from stmc.motion.retargeting import RigMotion
 
 _TURN = "Zrotation Xrotation Yrotation"
 _MOST_VALUES = 20_000_000
-"""Frames times joints of a file that is written."""
+"""Maximum number of frames times joints of a written file."""
 
 
 @dataclass(frozen=True, eq=False)
 class BvhRig:
-    """The joints of a BVH file where its rest pose has them, in the file's axes and unit."""
+    """Joints of a BVH file in its rest pose, in the axes and the unit of the file."""
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
     places: Float[np.ndarray, "nodes 3"]
     ends: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
-    """Offsets of the tips of joints that no joint follows."""
+    """Offsets of the tips of joints without children."""
 
     @classmethod
     def of(cls, bvh: Bvh) -> BvhRig:
-        """The joints of a file without rotations, each where its offset, or the first frame's position, has it."""
+        """Build the rig without rotations, from the offsets or from the positions of the first frame."""
         offsets = bvh.positions[0].numpy()
         places = np.empty_like(offsets)
         for node, parent in enumerate(bvh.parents):
@@ -47,8 +47,11 @@ class BvhRig:
 
 
 def bvh_text(body: BvhRig, motion: RigMotion, standing: Standing) -> bytes:
-    """The motion on the character's own joints from the highest that carries the pelvis, in the file's axes and unit:
-    zero angles are the rest pose; the root and the pelvis have positions."""
+    """Write a motion as a BVH file of the character's own skeleton, in the axes and the unit of its file.
+
+    The hierarchy begins at the root above the pelvis. Zero angles are the rest pose. The root and the pelvis have
+    position channels.
+    """
     rig, turn = motion.rig, standing.turn
     pelvis = rig.joints["pelvis"]
     top = _top(body, pelvis)
@@ -80,12 +83,12 @@ def bvh_text(body: BvhRig, motion: RigMotion, standing: Standing) -> bytes:
 
 
 def _ground(standing: Standing) -> Float[np.ndarray, " 3"]:
-    """A point of the floor below the file's origin, in its axes."""
+    """Return the point of the floor below the origin of the file, in its axes."""
     return standing.turn[2] * standing.floor
 
 
 def _top(body: BvhRig, pelvis: int) -> int:
-    """The root above the pelvis."""
+    """Return the root above the pelvis."""
     node = pelvis
     while body.parents[node] >= 0:
         node = body.parents[node]
@@ -104,7 +107,7 @@ def _depth_first(parents: Sequence[int], top: int) -> list[int]:
 
 
 def _lines(body: BvhRig, order: Sequence[int], top: int, pelvis: int) -> list[str]:
-    """The hierarchy: of each joint its offset, its channels, and a tip where no joint follows."""
+    """Return the lines of the hierarchy: offset and channels of each joint, and an end site for each leaf."""
     lines, open_nodes = [], []
     for node in order:
         while open_nodes and open_nodes[-1] != body.parents[node]:
@@ -127,7 +130,7 @@ def _lines(body: BvhRig, order: Sequence[int], top: int, pelvis: int) -> list[st
 
 
 def _tip(body: BvhRig, node: int, offset: np.ndarray) -> Sequence[float]:
-    """Return the tip of a joint: the file's own, else half as far on as the joint is from its parent."""
+    """Return the tip of a joint: that of the file, or half of the joint's own offset."""
     return body.ends.get(node) or (0.5 * offset).tolist()
 
 

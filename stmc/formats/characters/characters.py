@@ -1,6 +1,6 @@
-"""Characters that others made: read from their files, moved as our motions move, written with the animation.
+"""Characters of users: reading their files, retargeting motions onto them, and writing them with an animation.
 
-Knows which formats there are and how joints are told apart: by VRM's map, by names, by shape, or by the user's map.
+Holds the table of formats, and the order in which joints are identified: VRM's map, names, shape, the user's map.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _JOINTS = (*OPTIONAL[:1], *NEEDED, *OPTIONAL[1:])
 
 @dataclass(frozen=True, eq=False)
 class Character:
-    """A character of a file: its rig, and what writes it with a motion. `read_character` reads one.
+    """A character that was read from a file by `read_character`: its rig, and its nodes for writing.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -44,17 +44,17 @@ class Character:
     """
 
     rig: Rig
-    """Its joints at rest."""
+    """Joints at rest."""
     found_by: str
-    """The way in which its joints were found."""
+    """How the joints were identified."""
     body: GltfRig | BvhRig
-    """Its nodes in the file's world."""
+    """Nodes in the coordinate system of the file."""
     standing: Standing
-    """The turn and the floor that bring the file's world to ours."""
+    """Rotation and floor height that convert the coordinate system of the file to ours."""
 
     @property
     def joint_map(self) -> dict[str, str]:
-        """The name in the file of each joint of ours that it has, as a YAML for `joint_map` has them.
+        """The file's name of each of our joints, in the form of a `joint_map` YAML.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -66,7 +66,7 @@ class Character:
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """The endings of the files that it can be written as.
+        """File suffixes that the character can be written as.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -81,7 +81,7 @@ class Character:
 
 @dataclass(frozen=True, eq=False)
 class CharacterMotion:
-    """A character moving: what `retarget` makes.
+    """A motion of a character; the result of `retarget`.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -91,14 +91,17 @@ class CharacterMotion:
 
     character: Character
     motion: RigMotion
-    """Its joints over time, in its own unit."""
+    """Joints over time, in the unit of the character."""
 
     def write(self, path: str | Path) -> None:
         """Write the character with its motion, in the format of `path`'s suffix.
 
-        `.glb`, and `.vrm` of a VRM file: the character's file with one animation more, its first; meshes, materials,
-        textures and nodes stay as they are. `.vrma`: VRM Animation. `.bvh`: the character's own skeleton, in its unit.
-        Raises `ValueError` for another suffix. A file already there is replaced once the new one is whole.
+        `.glb`, and `.vrm` for a VRM file, are the character's file with an additional animation, which comes first;
+        meshes, materials, textures and nodes are unchanged. `.vrma` is VRM Animation. `.bvh` is the character's own
+        skeleton, in its unit. An existing file is replaced once the new one is complete.
+
+        Raises:
+            ValueError: For another suffix.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -113,7 +116,7 @@ class CharacterMotion:
         write_whole(path, lambda temporary: temporary.write_bytes(content))
 
     def content(self, suffix: str) -> bytes:
-        """The bytes of a file of this suffix, one of `character.formats`.
+        """Return the bytes of a file with this suffix, one of `character.formats`.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -133,13 +136,19 @@ class CharacterMotion:
 def read_character(path: str | Path, joint_map: str | Path | Mapping[str, str | None] | None = None) -> Character:
     """Read the character of a `.glb`, `.gltf` or `.vrm` file, or the skeleton of a `.bvh`.
 
-    Joints are told apart by VRM's humanoid map, by their names (Mixamo's, Unreal's, Unity's, Rigify's, MakeHuman's,
-    Daz's, Biped's, CMU's, SMPL's), or by the rig's shape. `joint_map` corrects that: a YAML file, or a mapping, from
-    our joints' names to the file's ("left_knee: Shin.L"; null: the character has none). The character rests upright, in
-    a T-pose or an A-pose; its trunk may have any number of joints.
+    Joints are identified by VRM's humanoid map, by their names (Mixamo, Unreal, Unity, Rigify, MakeHuman, Daz, Biped,
+    CMU, SMPL), or by the shape of the rig. The rest pose must be upright, a T-pose or an A-pose. The trunk may have any
+    number of joints.
 
-    Raises `ValueError`, a sentence that names the file and what is missing: a skin, bones, a joint; more than one
-    skeleton; nodes in a cycle; numbers that are not finite; data in other files; compressed or too large meshes.
+    Args:
+        path: The file.
+        joint_map: Corrections, as a YAML file or a mapping from our joint names to those of the file, such as
+            `left_knee: Shin.L`. null means that the character has no such joint.
+
+    Raises:
+        ValueError: With a sentence that names the file and the problem: no skin, no bones, a missing joint, several
+            skeletons, nodes in a cycle, numbers that are not finite, data in other files, compressed or too large
+            meshes.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -160,12 +169,15 @@ def read_character(path: str | Path, joint_map: str | Path | Mapping[str, str | 
 
 
 def retarget(motion: Motion, character: Character | str | Path) -> CharacterMotion:
-    """Move a character as our body moves in `motion`.
+    """Transfer a motion to a character.
 
-    Arms and legs point where ours do, whatever the rest pose and the roll of bones; the trunk's turns spread over the
-    character's own spine; the motion is as large as its legs are long. Feet move over the floor as ours do while they
-    stand, hands near the head or near each other are where ours are, in lengths of the arm. What has no joint of ours
-    keeps its rest pose. Raises `ValueError` as `read_character`.
+    Arms and legs point in the directions of the motion, independent of the rest pose and the roll of bones. Rotations
+    of the trunk are spread over the character's own spine. Translations scale with the length of the legs. Standing
+    feet keep their contacts. Hands near the head or near each other keep their relative positions, in arm lengths.
+    Joints without a counterpart keep the rest pose.
+
+    Raises:
+        ValueError: As `read_character`.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)

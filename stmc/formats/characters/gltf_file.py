@@ -1,6 +1,6 @@
-"""glTF 2.0 files as they are: the JSON document and the binary chunk, `.glb`, `.vrm` or `.gltf`, checked and bounded.
+"""Reading and writing glTF 2.0 files (`.glb`, `.vrm`, `.gltf`) as a JSON document and a binary chunk, within bounds.
 
-Knows containers, nodes and skins; knows no person. Meshes, materials and textures are not read: they go through.
+Knows containers, nodes and skins, but no persons. Meshes, materials and textures pass through unread.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from stmc.formats.glb_container import BIN, JSON, pack_glb
 from stmc.io.untrusted import UnreadableError, load_json, read_bytes, shown
 
 MOST_BYTES = 2**28
-"""A file's limit: 256 MiB."""
+"""Maximum size of a file: 256 MiB."""
 MOST_JSON = 2**24
-"""Bytes of its JSON: 16 MiB; a character of 200 joints has 100 kB."""
+"""Maximum size of the JSON: 16 MiB. A character of 200 joints has 100 kB."""
 MOST_NODES = 20_000
 MOST_JOINTS = 1_000
-"""All skins' limit; a character with fingers, face and clothes has some 200."""
+"""Maximum number of joints of all skins. A character with fingers, face and clothes has about 200."""
 MOST_VERTICES = 2_000_000
-"""All meshes' limit; a film's character has some 200,000."""
+"""Maximum number of vertices of all meshes. A film character has about 200,000."""
 MOST_METRES = 1e6
-"""The limit of every number of a transform."""
+"""Maximum absolute value of a number in a transform."""
 
 COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 class CharacterError(ValueError):
-    """A file that is no character that can be animated; the message says what is missing, in a sentence."""
+    """Error for a file that cannot be animated; the message is a sentence that says what is missing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gltf:
-    """A document and its binary chunk, None where the file has none."""
+    """A JSON document and its binary chunk; None for a file without one."""
 
     document: dict[str, Any]
     binary: bytes | None
@@ -52,8 +52,11 @@ class Gltf:
 
 
 def read_gltf(path: Path) -> Gltf:
-    """The content of a `.glb`, `.vrm` or `.gltf` file. Raise `CharacterError` unless it is a whole glTF 2.0 file in
-    itself whose meshes are neither compressed nor larger than the bounds above, and whose nodes are trees."""
+    """Read a `.glb`, `.vrm` or `.gltf` file.
+
+    Raises `CharacterError` unless the file is complete and self-contained glTF 2.0, its meshes are uncompressed and
+    within the bounds above, and its nodes form trees.
+    """
     try:
         gltf = _split(read_bytes(path, MOST_BYTES))
     except UnreadableError as error:
@@ -104,7 +107,7 @@ def _document(content: bytes) -> dict[str, Any]:
 
 
 def objects(document: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-    """A list of objects in a document; empty where it has none. Raise `CharacterError` for anything else."""
+    """Return a list of objects of the document, empty if it is absent. Raises `CharacterError` for other values."""
     values = document.get(name, [])
     if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
         raise CharacterError(f"{name} is not a list of objects")
@@ -112,14 +115,14 @@ def objects(document: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 
 
 def index(value: Any, count: int, name: str) -> int:
-    """An index below `count`. Raise `CharacterError`, which names it, for anything else."""
+    """Return `value` if it is an index below `count`. Raises `CharacterError` with `name` otherwise."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
         raise CharacterError(f"{name} is {shown(value)}, which is not one of {count}")
     return value
 
 
 def numbers(value: Any, count: int, name: str) -> list[float]:
-    """So many finite numbers, at most `MOST_METRES` large. Raise `CharacterError`, which names them, for others."""
+    """Return `count` numbers up to `MOST_METRES`. Raises `CharacterError` with `name` for other values."""
     if not isinstance(value, list) or len(value) != count:
         raise CharacterError(f"{name} is {shown(value)}, not {count} numbers")
     for each in value:
@@ -150,7 +153,7 @@ def _check_document(gltf: Gltf) -> None:
 
 
 def _check_buffers(gltf: Gltf) -> None:
-    """Raise `CharacterError` unless everything is in the file itself."""
+    """Raise `CharacterError` unless the file is self-contained."""
     for name in ("buffers", "images"):
         for number, each in enumerate(objects(gltf.document, name)):
             uri = each.get("uri")
@@ -185,7 +188,7 @@ def _check_vertices(document: Mapping[str, Any]) -> None:
 
 
 def parents_of(nodes: Sequence[Mapping[str, Any]]) -> list[int]:
-    """The parent of each node, -1 for roots. Raise `CharacterError` for a node with two parents, and for a cycle."""
+    """Return the parent of each node, -1 for roots. Raises `CharacterError` for two parents, and for a cycle."""
     parents = [-1] * len(nodes)
     for number, node in enumerate(nodes):
         children = node.get("children", [])
@@ -210,7 +213,7 @@ def parents_of(nodes: Sequence[Mapping[str, Any]]) -> list[int]:
 
 
 def skin_joints(gltf: Gltf) -> list[list[int]]:
-    """The joints of each skin. Raise `CharacterError` where the file has no skin, or one without joints."""
+    """Return the joints of each skin. Raises `CharacterError` without a skin, and for a skin without joints."""
     skins, count = objects(gltf.document, "skins"), len(objects(gltf.document, "nodes"))
     if not skins:
         raise CharacterError("it has no skin: a mesh without bones cannot be animated; rig it first")
@@ -231,10 +234,15 @@ def skin_joints(gltf: Gltf) -> list[list[int]]:
 def with_animation(
     gltf: Gltf, chunks: Iterable[bytes], accessors: Sequence[Mapping[str, Any]], animation: Mapping[str, Any]
 ) -> Gltf:
-    """The file with an animation before those that it has, for players show the first.
+    """Return the file with an additional animation, which comes first, because players show the first.
 
-    Each of the `accessors` gets one of the `chunks`, whose lengths are multiples of 4; the animation counts its
-    accessors from 0. What the file has keeps its bytes and its place.
+    The existing content keeps its bytes and its indices.
+
+    Args:
+        gltf: The file.
+        chunks: Binary data of the accessors; lengths are multiples of 4.
+        accessors: One accessor per chunk, without a buffer view.
+        animation: The animation; its accessors count from 0.
     """
     document = dict(gltf.document)
     views, buffers = list(objects(document, "bufferViews")), [dict(each) for each in objects(document, "buffers")]

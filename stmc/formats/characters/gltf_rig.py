@@ -1,6 +1,6 @@
-"""Characters in glTF files: their nodes at rest, and the file with an animation of them added.
+"""Characters in glTF files: the rest transforms of their nodes, and adding an animation to the file.
 
-Knows transforms of nodes and how animations are stored; knows no motion of ours but through the rig.
+Knows transforms of nodes and the storage of animations; sees motions only through the rig.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from stmc.motion.geometry import matrix_to_quaternion
 from stmc.motion.retargeting import RigMotion
 
 _EVEN = 1e-2
-"""The ratio, beside 1, between a node's scales up to which it keeps angles."""
+"""Tolerance of the ratio between the three scales of a node, which must preserve angles."""
 _DEEPEST = 500
-"""Nodes from a root to a joint."""
+"""Maximum number of nodes from a root to a joint."""
 
 
 @dataclass(frozen=True, eq=False)
 class GltfRig:
-    """The joints of a glTF file and the nodes above them, parents before children, in the file's world at rest."""
+    """Joints of a glTF file and the nodes above them at rest, parents before children, in the file's coordinates."""
 
     gltf: Gltf
     nodes: tuple[int, ...]
-    """Their indices in the file."""
+    """Indices of the nodes in the file."""
     parents: tuple[int, ...]
-    """Among themselves."""
+    """Parent of each node, as an index into `nodes`; -1 for roots."""
     turns: Float[np.ndarray, "nodes 3 3"]
     places: Float[np.ndarray, "nodes 3"]
     scales: Float[np.ndarray, " nodes"]
     joints: frozenset[int]
-    """Those among them that carry skin, or are in a humanoid map."""
+    """Nodes that carry skin or belong to a humanoid map, as indices into `nodes`."""
 
     @classmethod
     def of(cls, gltf: Gltf) -> GltfRig:
-        """The joints of a file's one skeleton. Raise `CharacterError` for none, for several, for bad transforms."""
+        """Build the rig of the only skeleton. Raises `CharacterError` for none, for several, and for bad transforms."""
         above, skins = parents_of(objects(gltf.document, "nodes")), skin_joints(gltf)
         vrm = set(vrm_joints(gltf).values())
         wanted = set().union(*skins)
@@ -74,25 +74,27 @@ class GltfRig:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The nodes' names; of those without one, "node" and the number."""
+        """Names of the nodes; "node" and the index for those without one."""
         named = (self.gltf.nodes[node].get("name") for node in self.nodes)
         pairs = zip(named, self.nodes, strict=True)
         return tuple(name if isinstance(name, str) and name else f"node {number}" for name, number in pairs)
 
     def humanoid(self) -> dict[str, int]:
-        """Joints of ours by VRM's humanoid map; empty without one."""
+        """Return the node of each of our joints by VRM's humanoid map, empty without one."""
         places = {node: place for place, node in enumerate(self.nodes)}
         return {joint: places[node] for joint, node in vrm_joints(self.gltf).items()}
 
     @property
     def is_vrm(self) -> bool:
-        """Whether the file has a humanoid map."""
+        """Whether the file has VRM's humanoid map."""
         return bool(vrm_joints(self.gltf))
 
     def glb(self, motion: RigMotion, standing: Standing) -> bytes:
-        """The file as `.glb` with the motion as its first animation: rotations of the driven nodes, and the pelvis'
-        place. All else is as it was, but that a driven node's matrix becomes the translation, rotation and scale it is
-        made of."""
+        """Return the bytes of a `.glb` file with the motion as its first animation.
+
+        The animation has the rotations of the driven nodes and the position of the pelvis. Everything else is
+        unchanged, except that the matrix of a driven node is split into translation, rotation and scale.
+        """
         rotations, pelvis = self._local(motion, standing)
         times = (np.arange(len(pelvis)) / motion.fps).astype("<f4")
         pelvis_node = motion.rig.joints["pelvis"]
@@ -107,7 +109,7 @@ class GltfRig:
         return with_animation(replace(self.gltf, document=document), *made).to_glb()
 
     def _local(self, motion: RigMotion, standing: Standing) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """Quaternions x y z w of each driven node, and the pelvis' place, in their parents' frames."""
+        """Return quaternions x y z w of each driven node, and positions of the pelvis, in their parents' frames."""
         rig = motion.rig
         turn = standing.turn
         turned = turn.T @ motion.turns.numpy() @ turn  # in the file's world
@@ -134,7 +136,14 @@ def animation_of(
     values: Sequence[Float[np.ndarray, "frames _"]],
     fps: float | int,
 ) -> tuple[list[bytes], list[dict[str, Any]], dict[str, Any]]:
-    """The binary chunks, the accessors and the animation of these tracks, as `with_animation` takes them."""
+    """Return the chunks, accessors and animation of some tracks, in the form of `with_animation`.
+
+    Args:
+        times: Time of each frame in seconds.
+        targets: Node and property of each track.
+        values: Values of each track.
+        fps: Frame rate, which is stored as an extra.
+    """
     chunks = [times.astype("<f4").tobytes()]
     accessors = [{"componentType": 5126, "count": len(times), "type": "SCALAR"}]
     accessors[0] |= {"min": [float(times[0])], "max": [float(times[-1])]}
@@ -149,7 +158,7 @@ def animation_of(
 
 
 def vrm_joints(gltf: Gltf) -> dict[str, int]:
-    """The nodes of VRM's humanoid map, 0 or 1, by our joints' names; empty where the file has none."""
+    """Return the nodes of VRM's humanoid map (version 0 or 1) by our joint names, empty without one."""
     extensions = gltf.document.get("extensions", {})
     if not isinstance(extensions, dict):
         raise CharacterError("extensions is not an object")
@@ -181,7 +190,7 @@ def _depth(above: Sequence[int], node: int) -> int:
 
 
 def _check_one_skeleton(gltf: Gltf, above: Sequence[int], skins: Sequence[Sequence[int]]) -> None:
-    """Raise `CharacterError` where two skins have skeletons that hang neither together nor from one node."""
+    """Raise `CharacterError` if the skeletons of two skins share neither a joint nor a parent node."""
     everything = set().union(*skins)
 
     def tops(joints: Sequence[int]) -> set[int]:
@@ -221,7 +230,7 @@ def _rest(gltf: Gltf, nodes: Sequence[int], parents: Sequence[int]) -> tuple[np.
 
 
 def transform(node: Mapping[str, Any], name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The translation, the rotation matrix and the three scales of a node in its parent."""
+    """Return the translation, the rotation matrix and the three scales of a node relative to its parent."""
     if "matrix" in node:
         matrix = np.array(numbers(node["matrix"], 16, f"the matrix of {name}")).reshape(4, 4).T
         scale = np.linalg.norm(matrix[:3, :3], axis=0)
@@ -255,7 +264,7 @@ def _matrix(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
 
 
 def _without_matrix(node: Mapping[str, Any]) -> dict[str, Any]:
-    """The node with its matrix taken apart: glTF animates no matrices."""
+    """Return the node with its matrix split into parts, because glTF cannot animate a matrix."""
     if "matrix" not in node:
         return dict(node)
     translation, turn, scale = transform(node, "a node")

@@ -1,7 +1,7 @@
-"""The names of joints in rigs of Mixamo, Unreal, Unity, VRM, Rigify, MakeHuman, Daz, Biped, CMU, SMPL and their like.
+"""Identify joints by their names: Mixamo, Unreal, Unity, VRM, Rigify, MakeHuman, Daz, Biped, CMU, SMPL and the like.
 
-Knows words alone. A name is taken apart into words, side and number; two tables say which joint the words mean, since
-a "shoulder" is a collar bone where upper arms are called arms, and an upper arm where collar bones are called collars.
+A name is split into words, side and number. There are two tables of words: a "shoulder" is a collar bone in rigs
+whose upper arms are called arms, and an upper arm in rigs whose collar bones are called collars.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _NOISE = {
     "mixamorig", "bip", "biped", "valve", "valvebiped", "def", "org", "jnt", "joint", "bone", "character", "armature",
     "rig", "skeleton", "cc", "j", "b", "c", "skel",
 }  # fmt: skip
-"""Words before or after a name that say nothing of the joint."""
+"""Prefixes and suffixes without information about the joint."""
 _SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 _BY_BONES = {
@@ -78,7 +78,7 @@ def joints_by_name(names: Sequence[str], nodes: Iterable[int]) -> dict[str, int]
 
 
 def taken_apart(name: str) -> tuple[str | None, str]:
-    """The side of a joint's name ("left", "right" or None) and its words in small letters, put together.
+    """Split the name of a joint into a side ("left", "right" or None) and its words, joined in lower case.
 
     "mixamorig:LeftUpLeg" is ("left", "upleg"), "DEF-upper_arm.L" is ("left", "upperarm"), "lhumerus" is
     ("left", "humerus"), "Bip01 R Toe0" is ("right", "toe0").
@@ -99,7 +99,7 @@ def taken_apart(name: str) -> tuple[str | None, str]:
 
 
 def _glued(word: str) -> tuple[str | None, str]:
-    """The side that a word begins or ends with, where the rest is the name of a limb's joint."""
+    """Split a side off the beginning or the end of a word if the rest names the joint of a limb."""
     for start, side in _SIDES.items():
         if word.startswith(start) and word[len(start) :] in _WORDS:
             return side, word[len(start) :]

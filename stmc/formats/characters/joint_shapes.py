@@ -1,6 +1,6 @@
-"""Which joint is which by the shape of the rig alone, for rigs whose names say nothing.
+"""Identify joints by the shape of the rig alone, for rigs with arbitrary names.
 
-Knows that a person stands upright: two legs end lowest, two arms end farthest to the sides, the head is highest.
+Assumes a person who stands upright: two legs end lowest, two arms end farthest to the sides, the head is highest.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from jaxtyping import Float
 from stmc.motion.retargeting.rig import SIDES, ancestors, path
 
 _LONGEST = 40
-"""Joints of a limb, from the trunk on."""
+"""Maximum number of joints of a limb, counted from the trunk."""
 _STEEP = 0.6
-"""The sine of a bone's slope above which it belongs to a leg and not to a foot."""
+"""Sine of the slope above which a bone belongs to the leg rather than to the foot."""
 
 
 def joints_by_shape(
     parents: Sequence[int], places: Float[np.ndarray, "nodes 3"], nodes: Sequence[int]
 ) -> dict[str, int]:
-    """Which of the `nodes` is which joint of ours, from where they are at rest (y up); empty where it is no person.
+    """Identify our joints among `nodes` by their rest positions (y up); return an empty mapping for no person.
 
-    The left side is towards the side that toes, which point forward, say; without toes towards +x.
+    Toes point forward and so decide which side is left; without toes it is +x.
     """
     inside = set(nodes)
     leaves = [node for node in nodes if not any(parents[other] == node for other in inside)]
@@ -62,7 +62,7 @@ def joints_by_shape(
 def _pair(
     leaves: Sequence[int], places: np.ndarray, middle: float, rank: Callable[[int], float]
 ) -> tuple[int, int] | None:
-    """The leaf on the +x side and the one on the other that rank highest."""
+    """Return the highest-ranked leaf on the +x side, and that on the other side."""
     sides = [[leaf for leaf in leaves if sign * (places[leaf, 0] - middle) > 1e-6] for sign in (1, -1)]
     if not all(sides):
         return None
@@ -74,13 +74,13 @@ def _above(parents: Sequence[int], pair: tuple[int, int]) -> int | None:
 
 
 def _shared(parents: Sequence[int], leaf: int, pair: tuple[int, int], top: int) -> bool:
-    """Whether a leaf is on one of the two branches that go down from `top` to the pair."""
+    """Return whether a leaf lies on one of the two branches from `top` to the pair."""
     branch = path(parents, top, leaf)[1:2]
     return any(branch == path(parents, top, other)[1:2] for other in pair)
 
 
 def _head(chain: Sequence[int]) -> int:
-    """The joint that carries what is highest: the last but one of three or more, for the last ends it."""
+    """Return the head joint of a chain: the last but one of three or more, since the last is only a tip."""
     return chain[-1] if len(chain) < 3 else chain[-2]
 
 
@@ -111,8 +111,10 @@ def _arm(parents: Sequence[int], places: np.ndarray, chain: Sequence[int], insid
 
 
 def _bent(places: np.ndarray, chain: Sequence[int], ends: Iterable[int]) -> tuple[int, ...] | None:
-    """Find the nodes at which a limb begins, bends and ends, at one of these places of the chain: those that make its
-    two bones long and the most alike in length."""
+    """Find the beginning, the bend and the end of a limb in a chain.
+
+    The choice maximises the lengths of the two bones and their similarity. `ends` are the candidate indices of the end.
+    """
     best: tuple[float, tuple[int, ...]] | None = None
     for end in ends if len(chain) <= _LONGEST else ():
         for first, second in itertools.combinations(chain[:end], 2):

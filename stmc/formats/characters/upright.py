@@ -1,6 +1,6 @@
-"""Characters from the axes of their files to those of rigs: z up, on the floor at 0, facing -y.
+"""Convert characters from the axes of their files to those of rigs: z up, floor at 0, facing -y.
 
-Derives up, front and floor from the rest positions of joints.
+Up, front and floor follow from the rest positions of joints.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from stmc.formats.characters.gltf_file import CharacterError
 from stmc.motion.retargeting.rig import NEEDED, Rig, RigError
 
 _UPRIGHT = 0.8
-"""The least cosine between the ways from ankles to hips and to the head and an axis of the file."""
+"""Minimum cosine between an axis of the file and the vectors from the ankles to the hips and to the head."""
 _SNAP = np.radians(20)
-"""The yaw, beside quarter turns, up to which the rest pose is not quite even rather than turned."""
+"""Maximum yaw from a quarter turn that is treated as asymmetry of the rest pose rather than as a rotation."""
 _SOLE, _ANKLE = 0.2, 0.3
-"""Heights of toes and ankles above the floor, as shares of the leg, up to which the file's ground is the floor."""
+"""Maximum heights of toes and ankles, as fractions of the leg, at which the floor is the ground of the file."""
 _BELOW = 0.02
-"""The share of the leg by which a toe may be below the file's ground."""
+"""Maximum depth of a toe below the ground of the file, as a fraction of the leg."""
 _HEEL = 0.09
-"""The height of an ankle above its sole, as a share of the leg, where nothing tells it."""
+"""Default height of an ankle above the sole, as a fraction of the leg."""
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """The way from the file's world to the rig's: a turn, then a shift down to the floor."""
+    """Transform from the coordinates of the file to those of the rig: a rotation, then a shift to the floor."""
 
     turn: Float[np.ndarray, "3 3"]
     floor: float
-    """The height of the floor in the file's world, in its unit."""
+    """Height of the floor after the rotation, in the unit of the file."""
 
 
 def stand(
@@ -91,7 +91,7 @@ def _turn(places: np.ndarray, joints: Mapping[str, int], y_up: bool) -> Float[np
 
 
 def _floor(rig: Rig) -> float:
-    """Find the height of the floor: the file's ground if the feet are just above it, else below the lower foot."""
+    """Return the height of the floor: the ground of the file if the feet are near it, else below the lower foot."""
     leg = rig.length(("hip", "knee", "ankle"))
     toes = [float(rig.at(joint)[2]) for joint in ("left_foot", "right_foot") if joint in rig.joints]
     if toes:

@@ -1,7 +1,4 @@
-"""Motions of a character as VRM Animation 1.0 (`.vrma`): a humanoid in a T-pose and its turns, for any VRM player.
-
-Knows VRM's bones; the file has no mesh.
-"""
+"""Write motions of a character as VRM Animation 1.0 (`.vrma`): a T-pose and rotations, without a mesh."""
 
 from __future__ import annotations
 
