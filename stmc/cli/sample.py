@@ -114,9 +114,7 @@ def make(
 ) -> None:
     """Sample the missing motions in batches, and write each as soon as it is ready."""
     sampling = model.check(wanted[0].request)
-    model.plans(
-        [job.timeline for job in wanted], sampling.overlap
-    )  # a timeline that cannot be planned fails here, before sampling
+    model.plans([job.timeline for job in wanted], sampling.overlap)  # timelines without a plan fail before sampling
     doubtful = model.doubtful([job.timeline for job in wanted if job.name in missing])
     for prompt in doubtful:
         advise_prompt(prompt.advice, prompt.known)
@@ -268,12 +266,8 @@ def progress_bars(console: Console) -> Iterator[Progress]:
 def report(job: Job, motion: stmc.Motion, paths: list[Path], place: str, as_json: bool, console: Console) -> None:
     """Print a line about a motion that has been written."""
     if as_json:
-        record = {
-            "name": job.name,
-            "seed": job.seed,
-            "seconds": motion.duration,
-            "files": [str(path) for path in paths],
-        }
+        files = [str(path) for path in paths]
+        record = {"name": job.name, "seed": job.seed, "seconds": motion.duration, "files": files}
         sys.stdout.write(json.dumps(record) + "\n")
         sys.stdout.flush()
     else:
