@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from starlette.testclient import TestClient
 
 import stmc
+from stmc.data.sources.contents import CONTENTS
 from stmc.motion.body import JOINTS
 from stmc.viewing.studio import Documents, Jobs, Motions, Sessions, application
 from stmc.viewing.studio.auth import MOST_BYTES
@@ -61,6 +62,13 @@ def made(told: list[tuple[str, dict]]) -> list[dict]:
 def progress(told: list[tuple[str, dict]]) -> set[tuple[str, int]]:
     """The stages that were told, with their steps."""
     return {(details["stage"], details["steps"]) for kind, details in told if kind == "progress"}
+
+
+def test_actions_have_plain_names_and_topics(client, model):
+    actions = client.get("/api/model").json()["contents"]
+    named = {action["title"]: action for action in actions}
+    assert len(named) == len(actions) == len({CONTENTS[each.name].title for each in model.vocabulary.examples})
+    assert named["cartwheel"]["topic"] == "sport" and named["walk backwards"]["parts"] == ["legs"]
 
 
 # Who may talk to it

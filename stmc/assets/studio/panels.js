@@ -182,14 +182,19 @@ export function createWordsPanel(studio, player) {
   panel.append(heading("What the model knows"), field, list);
 
   function paint({ model }) {
-    const wanted = field.value.trim().toLowerCase();
-    const contents = (model?.contents ?? []).filter(({ name, examples }) => !wanted || [name, ...examples].some((text) => text.toLowerCase().includes(wanted)));
-    find("known-texts").replaceChildren(...(model?.contents ?? []).map(({ examples }) => make("option", { value: examples[0] })));
+    const actions = model?.contents ?? [], wanted = field.value.trim().toLowerCase();
+    const matches = actions.filter(({ title, examples }) => !wanted || [title, ...examples].some((text) => text.toLowerCase().includes(wanted)));
+    const topics = Map.groupBy(matches, ({ topic }) => topic);
+    find("known-texts").replaceChildren(...actions.map(({ examples }) => make("option", { value: examples[0] })));
     list.replaceChildren(
-      make("ul", { class: "list" }, contents.map(({ name, parts, examples }) => make("li", {},
-        make("button", { type: "button", class: "entry", onclick: () => write(examples[0], parts), title: examples.join("\n") },
-          make("span", {}, examples[0]), make("span", { class: "faint" }, parts.length === PARTS.length ? "whole body" : parts.join(", ")))))),
-      contents.length ? "" : make("p", { class: "faint" }, model?.contents.length ? "Nothing of that name." : "The model does not say what it knows."));
+      ...[...topics].flatMap(([topic, members]) => [make("h3", {}, topic), make("ul", { class: "list" }, members.map(entry))]),
+      matches.length ? "" : make("p", { class: "faint" }, actions.length ? "Nothing of that name." : "The model does not say what it knows."));
+  }
+
+  function entry({ title, parts, examples }) {
+    return make("li", {},
+      make("button", { type: "button", class: "entry", onclick: () => write(examples[0], parts), title: examples.join("\n") },
+        make("span", {}, title), make("span", { class: "faint" }, parts.length === PARTS.length ? "whole body" : parts.join(", "))));
   }
 
   // Into the chosen prompt, or else as a new one at the cursor.

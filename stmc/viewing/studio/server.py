@@ -9,7 +9,7 @@ import dataclasses
 import json
 import logging
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from importlib.resources import files
 from pathlib import Path
@@ -26,6 +26,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 import stmc
+from stmc.data.sources.contents import CONTENTS
 from stmc.editing.constraints import KINDS, Constraint, constraint_of
 from stmc.editing.generate_request import GenerateRequest
 from stmc.formats import READABLE
@@ -34,7 +35,7 @@ from stmc.model import Model
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.run.suggestions import suggester, with_suggestions
 from stmc.text import Cached
-from stmc.text.vocabulary import sentence_encoder
+from stmc.text.vocabulary import Content, Sentence, sentence_encoder
 from stmc.timeline import Timeline
 from stmc.viewing.exports import EXPORTS
 from stmc.viewing.studio.auth import SESSION, AccessControl, error_response
@@ -260,7 +261,6 @@ class Answers:
 
     def _described(self) -> dict[str, Any]:
         known = self.model.vocabulary
-        examples = {} if known is None else known.examples
         return {
             "name": type(self.model.denoiser).__name__,
             "version": stmc.__version__,
@@ -269,14 +269,7 @@ class Answers:
             "overlap": self.model.own_sampling.overlap,
             "parts": list(BodyPart),
             "joints": [{"name": joint, "part": part} for joint in JOINTS for part in BodyPart if joint in part.joints],
-            "contents": [
-                {
-                    "name": each.name,
-                    "parts": in_order(each.parts),
-                    "examples": [sentence.text for sentence in sentences],
-                }
-                for each, sentences in examples.items()
-            ],
+            "contents": _actions({} if known is None else known.examples),
             "formats": [each.describe() for each in EXPORTS],
             "receives": [each.suffix for each in READABLE],
             "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],
@@ -305,6 +298,16 @@ class Answers:
     def _constraints(self, data: dict[str, Any]) -> tuple[Constraint, ...]:
         entries = _bounded("constraints", take(data, "constraints", list, []))
         return tuple(constraint_of(each, self.motions.get) for each in entries)
+
+
+def _actions(vocabulary: Mapping[Content, Sequence[Sentence]]) -> list[dict[str, Any]]:
+    """Describe the known actions for the page, one for each title; actions of strangers are titled by a sentence."""
+    actions: dict[str, dict[str, Any]] = {}
+    for content, sentences in vocabulary.items():
+        examples, own = [sentence.text for sentence in sentences], CONTENTS.get(content.name)
+        title, topic = (own.title, own.topic) if own else (examples[0], "other actions")
+        actions.setdefault(title, {"topic": topic, "parts": in_order(content.parts), "examples": examples})
+    return [{"title": title} | action for title, action in actions.items()]
 
 
 def bundled_timelines() -> list[Timeline]:
