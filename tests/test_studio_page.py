@@ -297,9 +297,8 @@ def test_where_nothing_known_is_near_the_words_are_offered(tab):
     click(tab, "#panel-prompt [data-key=words]")
     assert tab.ask("document.getElementById('tab-words').ariaSelected") == "true"
     assert "cartwheel" in tab.ask("document.querySelector('#panel-words ul').parentElement.textContent")
-    assert (
-        tab.ask("[...document.querySelectorAll('#panel-words h3')].map((each) => each.textContent)")[0] == "locomotion"
-    )
+    topics = tab.ask("[...document.querySelectorAll('#panel-words h3')].map((each) => each.textContent)")
+    assert {"locomotion", "sport"} <= set(topics)
 
 
 def test_the_page_asks_nobody_but_its_server(tab):
