@@ -1,20 +1,39 @@
-"""Draws the figures of these pages that follow from the library alone: `python docs/figures.py` fills docs/figures/.
+"""Draw the figures of these pages that need nothing but the library.
 
-Each is a plan, drawn by `stmc.plot_plan`, or the picture of a timeline; the results' charts are scripts/evaluate.py's.
+`python docs/figures.py` draws the plans into docs/figures/ with `stmc.plot_plan`. `python docs/figures.py film` samples
+the film at the top of the README with the bundled model and writes it to docs/assets/. `stmc evaluate` draws the charts
+of the results.
 """
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
 
 import stmc
 from stmc.composing.methods import TEACH_CONTEXT_SECONDS
 from stmc.timeline.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, reweighted
+from stmc.viewing.colours import part_colours, transition_seconds
+from stmc.viewing.strip import Stage
+from stmc.viewing.timeline_figure import INK, draw_tracks
 
 FOLDER = Path(__file__).parent / "figures"
 FPS = 20
 DOTS_PER_INCH = 110
+FILM = Path(__file__).parent / "assets" / "timeline.webp"
+FILM_FPS, FILM_SEED = 12, 0
+FILM_TIMELINE = """
+walk forwards # 0 # 3.5 # legs
+wave the right hand # 0.6 # 3.3 # right arm
+squat # 3.5 # 5.5
+run # 5.5 # 9 # legs
+wave the left hand # 6 # 8.7 # left arm
+"""
 
 TIMELINE = stmc.Timeline.parse(
     "walk forwards # 0 # 4 # legs\nturn left # 4 # 7 # legs\nraise the right arm # 1.5 # 5.5 # right arm"
@@ -65,7 +84,37 @@ def plans() -> dict[str, Plan]:
     }  # fmt: skip
 
 
+def film() -> None:
+    """Sample the README's film: a person above the tracks of the timeline, with a cursor that moves along them."""
+    timeline = stmc.Timeline.parse(FILM_TIMELINE)
+    [motion] = stmc.load().generate(timeline, seed=FILM_SEED, steps=50)
+    first, *others = pictures(motion.resampled(FILM_FPS), timeline)
+    first.save(FILM, save_all=True, append_images=others, duration=round(1000 / FILM_FPS), loop=0, quality=60, method=6)
+
+
+def pictures(motion: stmc.Motion, timeline: stmc.Timeline) -> Iterator[Image.Image]:
+    """Draw each frame of `motion` on the stage of `stmc.render_film`, above the tracks, at 640 by 620 pixels."""
+    overlap = transition_seconds(motion, None)
+    colours = part_colours(timeline, motion.fps, motion.frames, overlap)
+    stage = Stage.of(motion, None, colours, np.arange(motion.frames))
+    stage = replace(stage, frame=(1.85, -0.47, stage.frame[2]))
+    figure = Figure(figsize=(6.4, 6.2), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    person, tracks = figure.add_axes((0.0, 0.355, 1.0, 0.615)), figure.add_axes((0.11, 0.085, 0.86, 0.265))
+    draw_tracks(tracks, timeline, motion.fps, overlap)
+    cursor = tracks.axvline(0.0, color=INK, linewidth=1.8)
+    for frame in range(motion.frames):
+        person.clear()
+        stage.paint(person, frame)
+        cursor.set_xdata([frame / motion.fps] * 2)
+        canvas.draw()
+        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+
+
 def main() -> None:
+    if sys.argv[1:] == ["film"]:
+        film()
+        return
     FOLDER.mkdir(exist_ok=True)
     for name, plan in plans().items():
         drawing = stmc.plot_plan(plan, FPS, width=8.5)

@@ -69,6 +69,12 @@ def followed(page: Path, link: str) -> Path:
     return target
 
 
+@pytest.mark.parametrize("page", [page for page in ALL if page.name != "CHANGELOG.md"], ids=name)
+def test_lines_of_prose_have_at_most_120_characters(page):
+    """So that a diff can be reviewed; rows of tables cannot be broken."""
+    assert [line for line in prose(page).splitlines() if len(line) > 120 and not line.startswith("|")] == []
+
+
 @pytest.mark.parametrize("page", ALL, ids=name)
 def test_every_link_of_a_page_leads_to_a_file_and_a_heading_that_are_there(page):
     for link in re.findall(r"\]\((?!https?:|mailto:)([^)\s]+)\)", prose(page)):
