@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import pytest
 import torch
+from helpers.scripts import configured, loaded
 from helpers.tiny_model import tiny
 from torch import Tensor, nn
 
@@ -15,6 +16,7 @@ from stmc.training import Batch, Denoising, MultistepTeacher
 
 SCHEDULE = Schedule.cosine(100, spacing="trailing")
 STD = 0.15
+TWO = stmc.Sampling(steps=2)
 
 
 def drawn(*shape: int, seed: int = 0) -> Tensor:
@@ -183,6 +185,15 @@ def test_the_last_of_few_steps_is_of_full_precision(model):
     model.denoiser.denoise = watched
     replace(model, precision="bf16").generate("walk # 0 # 2", clean_feet=False)
     assert list(dict.fromkeys(seen)) == [(99, True), (74, True), (49, True), (24, False)]
+
+
+def test_the_experiment_compares_a_teacher_with_students_in_their_own_steps(model):
+    experiment = configured("evaluate", "experiment=few_steps").experiment
+    models = {"MDM-SMPL": tiny(), "Student": model, "Two": replace(model, sampling=TWO.over(model.sampling))}
+    settings = dict.fromkeys(loaded("evaluate").choose_settings(experiment, models, ()))
+    rows = [(each.denoiser, each.sampling.steps, each.sampling.guidance, each.sampling.sampler) for each in settings]
+    own = [("MDM-SMPL", steps, 2.5, "ddim") for steps in (50, 4)]
+    assert rows == [*own, *(("Student", steps, 1, "ddim") for steps in (4, 2, 1)), ("Two", 2, 1, "ddim")]
 
 
 # Spacing --------------------------------------------------------------------------------------------------------------

@@ -110,8 +110,8 @@ def choose_settings(
 ) -> Iterator[Setting]:
     """Yield all combinations of an experiment, without settings that do not apply and with the models' defaults.
 
-    Settings of a method, and then of a model, replace those of all. Methods that need a text for every frame run with networks that accept it only. Raises `SettingError` for unknown
-    names and invalid values.
+    Settings of a method, and then of a model, replace those of all. Methods that need a text for every frame run with
+    networks that accept it only. Raises `SettingError` for unknown names and invalid values.
     """
     methods = {name: find_method(name, trusted) for name in experiment.methods}
     if experiment.real:
