@@ -47,7 +47,7 @@ class Model:
 
     `fps` is the frame rate of the features, `longest` the largest number of frames in a training crop; `config` tells
     how to rebuild the parts (see `run.save`). `precision` applies to the denoiser at sampling: "bf16" is faster on
-    processors that support it, but a motion then depends slightly on its batch; the step at t = 0 always runs in fp32,
+    processors that support it, but a motion then depends slightly on its batch; the last step always runs in fp32,
     since rounding there would add jitter. `sampling` holds the model's default settings. `vocabulary` describes the
     training texts; with it, `generate` warns of prompts that are far from all of them. In memory, any functions with
     the signatures of a `Denoiser` and of `TextEncoder.encode` can take their place.
@@ -379,9 +379,10 @@ class Model:
             return {text: self.network.encode_text(words[None].to(self.device))[0].float() for text, words in texts}
 
     def _denoise(self, x: Tensor, t: Tensor, *others: Tensor | None, **settings: int) -> Tensor:
-        """Run the network, at t = 0 in fp32. Later steps remove the rounding of earlier ones, so only that of the last
-        step remains; in bf16 it adds about two fifths to the mean jerk, and every layer contributes."""
-        with self._autocast(self.precision == "bf16" and not bool((t == 0).all())):
+        """Run the network, at the model's own last step in fp32. Later steps remove the rounding of earlier ones, so
+        only that of the last remains; in bf16 it adds two fifths to the mean jerk, and every layer contributes."""
+        last = self.schedule.spaced(self.sampling.steps)[0]
+        with self._autocast(self.precision == "bf16" and bool((t > last).any())):
             return self.network.denoise(x, t, *others, **settings)
 
     def _autocast(self, half: bool) -> torch.autocast:

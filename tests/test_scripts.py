@@ -205,6 +205,45 @@ def test_a_distilled_model_is_otherwise_sampled_as_its_teacher(work, trained, di
     assert asked.guidance == 1.5
 
 
+FEW_STEPS = ("+schedule.spacing=trailing", "+objective.steps=2", "+objective.teacher_steps=4")
+
+
+def test_a_model_of_few_steps_is_distilled_and_remembers_how_it_is_sampled(work, trained, distilling):
+    in_this_process("train", "train", *distilling, *FEW_STEPS, f"run={work / 'few'}")
+    student = stmc.load(work / "few")
+    settings = student.settings()
+    assert (settings.steps, settings.sampler, settings.guidance) == (2, "ddim", 1)
+    assert student.schedule.spaced(settings.steps) == (49, 99)
+    assert "Its 2 steps of DDIM replace 4 of that model" in (work / "few" / CARD).read_text()
+    further = ("objective.distilled_guidance=1", "objective.steps=1", "objective.teacher_steps=2")
+    again = (*distilling, *FEW_STEPS, *further, f"init_from={work / 'few'}", f"run={work / 'fewer'}")
+    in_this_process("train", "train", *again)
+    assert stmc.load(work / "fewer").settings().steps == 1
+
+
+@pytest.mark.parametrize(("steps", "stitch_from"), [(4, 0.25), (2, 0.5), (1, 0.0), (10, 0.2)])
+def test_few_steps_are_stitched_after_the_whole_steps_that_hold_the_teacher_s_share(
+    trained, distilling, steps, stitch_from
+):
+    teacher = replace(stmc.load(trained), sampling=stmc.Sampling(stitch_from=0.2))
+    config = configured("train", *distilling, f"+objective.steps={steps}", "+objective.teacher_steps=20")
+    assert loaded("train").default_sampling(config, teacher).stitch_from == stitch_from
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (["+objective.teacher_steps=4"], r"teacher_steps=4 needs objective\.steps, such as 4"),
+        (["+objective.steps=3", "+objective.teacher_steps=4"], r"\(4\) must be a multiple of steps \(3\)"),
+        (["+objective.steps=2", "+objective.teacher_steps=4"], "use a schedule with spacing=trailing"),
+        (["+objective.steps=two"], "objective.steps"),
+    ],
+)
+def test_steps_that_cannot_be_distilled_are_refused_before_the_data_are_read(distilling, settings, message):
+    with pytest.raises(ValueError, match=message):
+        in_this_process("train", "train", *distilling, *settings, "data.folder=nowhere")
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -19,7 +19,7 @@ from stmc.data.sources.contents import CONTENTS
 from stmc.motion.body import JOINTS
 from stmc.viewing.studio import Documents, Jobs, Motions, Sessions, application
 from stmc.viewing.studio.auth import MOST_BYTES
-from stmc.viewing.studio.jobs import MOST_WAITING
+from stmc.viewing.studio.jobs import MOST_WAITING, PREVIEW, stages_by_quality
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.storage import ID
 
@@ -229,6 +229,11 @@ def test_a_job_of_a_preview_alone_is_told_as_one(client):
     told = sampled(client, steps="preview")
     assert [each["stage"] for each in made(told)] == ["preview"]
     assert ("preview", 10) in progress(told) and progress(told) <= {("waiting", 0), ("preview", 10)}
+
+
+def test_a_model_of_few_steps_has_these_and_no_preview_before_them():
+    assert stages_by_quality(4, 4) == {"preview": (("preview", 4),), "full": (("full", 4),)}
+    assert stages_by_quality(None, 50) == {"preview": (PREVIEW,), "full": (PREVIEW, ("full", 50))}
 
 
 def test_a_motion_is_what_the_library_makes_of_the_timeline(client, model):

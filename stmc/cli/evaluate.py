@@ -110,16 +110,16 @@ def choose_settings(
 ) -> Iterator[Setting]:
     """Yield all combinations of an experiment, without settings that do not apply and with the models' defaults.
 
-    Methods that need a text for every frame run with networks that accept it only. Raises `SettingError` for unknown
-    names and invalid values.
+    Settings of a method, and then of a model, replace those of all. Methods that need a text for every frame run with
+    networks that accept it only. Raises `SettingError` for unknown names and invalid values.
     """
     methods = {name: find_method(name, trusted) for name in experiment.methods}
-    choices = {name: combinations({**experiment.settings, **experiment.of_methods.get(name, {})}) for name in methods}
     if experiment.real:
         yield Setting(REAL)
     for (name, model), method in itertools.product(models.items(), methods):
+        own = experiment.of_methods.get(method, {}), experiment.of_models.get(name, {})
         if model.network.per_frame_text or not methods[method].per_frame_text:
-            for each in choices[method]:
+            for each in combinations({**experiment.settings, **own[0], **own[1]}):
                 yield Setting(method, name, settled(each, methods[method], model.own_sampling))
 
 

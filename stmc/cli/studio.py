@@ -36,7 +36,12 @@ class Settings(OnModel, Threaded):
 
     folder: str = setting("~/.stmc/studio", "where motions and documents are kept")
     port: int = setting(8686, "of the address; 0: any that is free", at_least=0, at_most=65535)
-    steps: int = setting(50, "steps of denoising of a motion; its preview takes fewer", at_least=1, at_most=1000)
+    steps: int | None = setting(
+        None,
+        "steps of denoising of a motion, whose preview takes fewer; null: 50, or the model's own few",
+        at_least=1,
+        at_most=1000,
+    )
     precision: str | None = setting(
         None, "of the denoiser; null: what is faster on this machine, tried out", choices=get_args(Precision)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,7 +20,7 @@ from stmc.cli.shared_settings import Trained
 from stmc.cli.training_data import read_training_data
 from stmc.composing.sampling import Sampling
 from stmc.data.cache import Cache
-from stmc.diffusion import NoiseScale, tensors
+from stmc.diffusion import NoiseScale, Schedule, tensors
 from stmc.io.files import write_whole
 from stmc.model import Model
 from stmc.run import PARTS, build, check
@@ -27,7 +28,7 @@ from stmc.run.configs import PARTIAL, TARGET
 from stmc.settings.records import SettingError, check_value, record_of, setting, shown
 from stmc.text import Cached
 from stmc.text.vocabulary import sentence_encoder
-from stmc.training import Denoising, GuidedTeacher
+from stmc.training import Denoising, GuidedTeacher, MultistepTeacher
 from stmc.training.data.batches import ClipBatches, Recipe
 from stmc.training.data.dataset import Dataset
 from stmc.training.data.vocabularies import vocabulary_of
@@ -49,7 +50,8 @@ class Settings(Trained):
         {"prediction": "x0", "weights": {}},
         "prediction: quantity that the denoiser predicts (x0, eps, v or score); weights: loss weights of fields other "
         "than 1; timestep_alpha: above 1, noisy steps are drawn more often; energy_floor: weigh small motions as much "
-        "as large ones; distilled_guidance: guidance scale of the teacher whose predictions are learned",
+        "as large ones; distilled_guidance: guidance scale of the teacher whose predictions are learned; steps: number "
+        "of sampling steps to train; teacher_steps: number of the teacher's steps that these replace",
     )
     noise_scale: str = setting(
         "variance", "scale of DDPM's noise when the model is sampled", choices=get_args(NoiseScale)
@@ -137,9 +139,25 @@ def check_parts(config: DictConfig) -> None:
         built = build(described, {part: PARTS[part] for part in ("denoiser", "schedule")}, config.trusted)
     settings = dict(config.objective)
     check_value("objective.distilled_guidance", settings.pop("distilled_guidance", None), float | int | None)
+    check_steps(config, built["schedule"], settings.pop("teacher_steps", None))
     settings.pop("weights", None)  # may name fields that only the data add
     checked = OmegaConf.create({"objective": {TARGET: "stmc.training.Denoising", PARTIAL: True} | settings})
     build_part(checked, "objective")(schedule=built["schedule"])
+
+
+def check_steps(config: DictConfig, schedule: Schedule, teacher_steps: int | None) -> None:
+    """Raise `ValueError` unless few steps of sampling, if any, can be distilled from `teacher_steps` of a teacher."""
+    objective = config.objective
+    check_value("objective.steps", objective.get("steps"), int | None)
+    check_value("objective.teacher_steps", teacher_steps, int | None)
+    if teacher_steps is None:
+        return
+    if objective.get("steps") is None or objective.get("distilled_guidance") is None:
+        raise SettingError(
+            f"objective.teacher_steps={teacher_steps} needs objective.steps, such as 4, and "
+            "objective.distilled_guidance, such as 2"
+        )
+    MultistepTeacher(lambda batch, noisy, t: noisy, schedule, objective.steps, teacher_steps)
 
 
 def find_teacher(config: DictConfig, teacher: Model | None) -> Model | None:
@@ -160,8 +178,9 @@ def find_teacher(config: DictConfig, teacher: Model | None) -> Model | None:
     described = OmegaConf.to_container(config, resolve=True)
     reading = () if config.teacher else ("text_encoder",)  # another model may have its own text encoder
     asked = {part: described[part] for part in ("schedule", "representation", *reading)}
-    asked |= {"objective.prediction": config.objective.prediction}
+    asked |= {"objective.prediction": config.objective.prediction, "schedule": noise_levels(asked["schedule"])}
     has = {**teacher.config, "objective.prediction": teacher.prediction}
+    has["schedule"] = noise_levels(has["schedule"])
     differing = [f"{part} is {has[part]} there and {value} here" for part, value in asked.items() if has[part] != value]
     named = teacher_path(config)
     if differing:
@@ -174,6 +193,11 @@ def find_teacher(config: DictConfig, teacher: Model | None) -> Model | None:
     return teacher
 
 
+def noise_levels(schedule: Mapping) -> dict:
+    """Return the description of a schedule without its spacing, which concerns sampling alone."""
+    return {name: value for name, value in schedule.items() if name != "spacing"}
+
+
 def teacher_path(config: DictConfig) -> str | None:
     """Return the run directory of the distilled model."""
     return config.teacher or config.init_from
@@ -182,12 +206,15 @@ def teacher_path(config: DictConfig) -> str | None:
 def build_objective(config: DictConfig, dataset: Dataset, model: Model, distilled: Model | None) -> Denoising:
     """Build the objective of `model`: learn from the data, or from the guided predictions of a distilled model."""
     auxiliary, settings = config.data.auxiliary_loss, dict(config.objective)
-    guidance = settings.pop("distilled_guidance", None)
+    guidance, teacher_steps = settings.pop("distilled_guidance", None), settings.pop("teacher_steps", None)
     auxiliary_loss = build_part(config, "data.auxiliary_loss", dataset=dataset) if auxiliary else None
     fields = dict(dataset.layout.slices)
     if auxiliary_loss:
         fields[auxiliary_loss.name] = slice(dataset.features_width, None)
     teacher = build_teacher(config, dataset, distilled, guidance) if distilled else None
+    if teacher_steps:
+        steps = settings["steps"], teacher_steps
+        teacher = MultistepTeacher(teacher, model.schedule, *steps, prediction=model.prediction)
     return Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, teacher=teacher, **settings)
 
 
@@ -205,9 +232,19 @@ def build_teacher(config: DictConfig, dataset: Dataset, distilled: Model, guidan
 
 
 def default_sampling(config: DictConfig, distilled: Model | None = None) -> Sampling:
-    """Return the model's sampling defaults: those of the teacher without guidance for a distilled model."""
+    """Return the model's sampling defaults: those of the teacher without guidance for a distilled model.
+
+    A model of few steps is sampled in these, by DDIM. Its stitching starts after whole steps: those that contain the
+    teacher's share, but never all.
+    """
     guidance = 1 if distilled and config.guidance is None else config.guidance
-    own = record_of(Sampling, {"noise_scale": config.noise_scale, "guidance": guidance})
+    values = {"noise_scale": config.noise_scale, "guidance": guidance}
+    if steps := config.objective.get("steps"):
+        values |= {"steps": steps, "sampler": "ddim"}
+        if distilled and distilled.sampling.stitch_from:
+            independent = min(math.ceil(distilled.sampling.stitch_from * steps), steps - 1)
+            values["stitch_from"] = independent / steps
+    own = record_of(Sampling, values)
     return own.over(distilled.sampling) if distilled else own
 
 
@@ -251,6 +288,8 @@ def export(config: DictConfig, model: Model, step: int, changes: Sequence[str]) 
             f"Distilled from {teacher_path(config)}: one pass predicts what that model does with guidance {guidance}. "
             f"Its own guidance is {model.own_sampling.guidance:g}.\n\n"
         )
+    if teacher_steps := config.objective.get("teacher_steps"):
+        card += f"Its {config.objective.steps} steps of DDIM replace {teacher_steps} of that model.\n\n"
     card += f"```yaml\n{settings}```\n"
     changed = "".join(f"\nSettings changed {change}\n" for change in changes)
     stmc.save(model, folder, card + changed, trusted=config.trusted)
@@ -260,7 +299,8 @@ def draw(config: DictConfig, model: Model, step: int) -> None:
     """Draw the timelines of `config.draw` with a fixed seed, to show the progress of training."""
     folder = Path(config.run).expanduser() / "pictures"
     timelines = [stmc.Timeline.parse(text) for text in config.draw]
-    motions = model.generate(timelines, seed=[0] * len(timelines), steps=25, sampler=stmc.ddim, clean_feet=False)
+    steps = model.sampling.steps or 25
+    motions = model.generate(timelines, seed=[0] * len(timelines), steps=steps, sampler=stmc.ddim, clean_feet=False)
     for number, (timeline, motion) in enumerate(zip(timelines, motions, strict=True)):
         picture = partial(stmc.film_strip(motion, timeline).savefig, format="png", dpi=80)
         write_whole(folder / f"{number}_{step:07d}.png", picture)

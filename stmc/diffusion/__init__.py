@@ -3,7 +3,7 @@
 from stmc.diffusion.guidance import guide
 from stmc.diffusion.noise import Noise, Seed
 from stmc.diffusion.samplers import SAMPLERS, Draw, NoiseScale, Predict, Sampler, ddim, ddpm, dpm_solver
-from stmc.diffusion.schedule import Prediction, Schedule
+from stmc.diffusion.schedule import Prediction, Schedule, Spacing
 
 __all__ = [
     "SAMPLERS",
@@ -15,6 +15,7 @@ __all__ = [
     "Sampler",
     "Schedule",
     "Seed",
+    "Spacing",
     "ddim",
     "ddpm",
     "dpm_solver",

@@ -114,12 +114,9 @@ def ddim(
     for i in reversed(range(len(times))):
         x0 = predict(x, times[i])
         yield x0
-        noise = short.from_x0(x0, x, i, "eps")
-        remaining = 1 - short.alpha_bar_before[i]
-        variance = eta**2 * remaining * short.beta[i] / (1 - short.alpha_bar[i])
-        x = short.alpha_bar_before[i].sqrt().to(x) * x0 + (remaining - variance).clamp(min=0).sqrt().to(x) * noise
+        x, variance = short.ddim(x0, x, i, eta)
         if eta > 0:
-            x = x + variance.sqrt().to(x) * draw(x.shape)
+            x = x + variance.sqrt() * draw(x.shape)
 
 
 def dpm_solver(

@@ -18,6 +18,9 @@ Prediction = Literal["x0", "eps", "v", "score"]
 """The quantity that a network predicts: the clean sample, the noise, sqrt(alpha_bar) eps - sqrt(1 - alpha_bar) x0, or
 the score."""
 
+Spacing = Literal["linspace", "trailing"]
+"""Steps that a sampler of few steps visits, by diffusers' names (Lin et al. 2024, Table 2): see `Schedule.spaced`."""
+
 Steps = int | Int[Tensor, " batch"]
 """One step for the whole batch, or one per sample; step 0 is the least noisy."""
 
@@ -30,14 +33,19 @@ MOST_STEPS = 10_000
 class Schedule:
     """A noise schedule: `alpha_bar[t]` is the fraction of the clean sample's variance that remains at step t.
 
+    `spacing` names the steps that a sampler of few steps visits; see `spaced`.
+
     Examples:
         >>> stmc.Schedule(torch.tensor([0.9, 0.5, 0.1], dtype=torch.float64))
         Schedule(3 steps, alpha_bar 0.9 to 0.1)
     """
 
     alpha_bar: Float64[Tensor, " _"]
+    spacing: Spacing = "linspace"
 
     def __post_init__(self) -> None:
+        if self.spacing not in get_args(Spacing):
+            raise ValueError(f"unknown spacing {self.spacing!r}; choose from {', '.join(get_args(Spacing))}")
         before = torch.cat([self.alpha_bar.new_ones(1), self.alpha_bar])
         if len(before) < 2 or not bool((before[1:] < before[:-1]).all() & (before[1:] > 0).all()):
             raise ValueError(
@@ -48,11 +56,11 @@ class Schedule:
         return f"Schedule({self.steps} steps, alpha_bar {self.alpha_bar[0]:.4g} to {self.alpha_bar[-1]:.4g})"
 
     @classmethod
-    def cosine(cls, steps: int, s: float = 0.008) -> Schedule:
+    def cosine(cls, steps: int, s: float = 0.008, spacing: Spacing = "linspace") -> Schedule:
         """Create the cosine schedule of Nichol and Dhariwal (2021), with every beta at most 0.999.
 
-        MDM-SMPL uses it with 100 steps. `s` is the offset of the cosine. Raises `ValueError` if `steps` is out of
-        range.
+        MDM-SMPL uses it with 100 steps. `s` is the offset of the cosine, `spacing` as in `spaced`. Raises `ValueError`
+        if `steps` is out of range.
 
         Examples:
             >>> stmc.Schedule.cosine(100).steps
@@ -64,14 +72,14 @@ class Schedule:
             return math.cos(math.pi / 2 * (u + s) / (1 + s)) ** 2
 
         return cls._from_betas(
-            [min(0.999, 1 - remaining((i + 1) / steps) / remaining(i / steps)) for i in range(steps)]
+            [min(0.999, 1 - remaining((i + 1) / steps) / remaining(i / steps)) for i in range(steps)], spacing
         )
 
     @classmethod
-    def linear(cls, steps: int) -> Schedule:
+    def linear(cls, steps: int, spacing: Spacing = "linspace") -> Schedule:
         """Create the linear schedule of Ho et al. (2020): beta from 1e-4 to 0.02 in 1000 steps, rescaled to `steps`.
 
-        Raises `ValueError` if `steps` is out of range.
+        `spacing` as in `spaced`. Raises `ValueError` if `steps` is out of range.
 
         Examples:
             >>> round(float(stmc.Schedule.linear(1000).beta[-1]), 4)
@@ -79,11 +87,12 @@ class Schedule:
         """
         _check_steps(steps)
         scale = 1000 / steps
-        return cls._from_betas(torch.linspace(1e-4 * scale, 0.02 * scale, steps, dtype=torch.float64).tolist())
+        betas = torch.linspace(1e-4 * scale, 0.02 * scale, steps, dtype=torch.float64).tolist()
+        return cls._from_betas(betas, spacing)
 
     @classmethod
-    def _from_betas(cls, betas: list[float]) -> Schedule:
-        return cls(torch.cumprod(1 - torch.tensor(betas, dtype=torch.float64), dim=0))
+    def _from_betas(cls, betas: list[float], spacing: Spacing) -> Schedule:
+        return cls(torch.cumprod(1 - torch.tensor(betas, dtype=torch.float64), dim=0), spacing)
 
     @property
     def steps(self) -> int:
@@ -101,20 +110,24 @@ class Schedule:
         return 1 - self.alpha_bar / self.alpha_bar_before
 
     def spaced(self, steps: int | None) -> tuple[int, ...]:
-        """Return `steps` evenly spaced steps of this schedule in rising order, including both ends; None returns all.
+        """Return `steps` evenly spaced steps of this schedule in rising order; None returns all.
 
-        Raises `ValueError` if `steps` is less than one or more than the schedule has.
+        With the spacing "linspace" they include both ends, as published. With "trailing" each is the noisiest of an
+        equal share of the schedule, so that none of few steps is spent on the last trace of noise. Raises `ValueError`
+        if `steps` is less than one or more than the schedule has.
 
         Examples:
             >>> stmc.Schedule.cosine(100).spaced(4)
             (0, 33, 66, 99)
+            >>> stmc.Schedule.cosine(100, spacing="trailing").spaced(4)
+            (24, 49, 74, 99)
         """
         if steps is None:
             return tuple(range(self.steps))
         if not 1 <= steps <= self.steps:
             raise ValueError(f"steps={steps}: this schedule can be sampled in 1 to {self.steps} steps")
-        if steps == 1:
-            return (self.steps - 1,)
+        if steps == 1 or self.spacing == "trailing":
+            return tuple(round((i + 1) * self.steps / steps) - 1 for i in range(steps))
         return tuple(round(i * (self.steps - 1) / (steps - 1)) for i in range(steps))
 
     def respaced(self, times: tuple[int, ...]) -> Schedule:
@@ -124,7 +137,7 @@ class Schedule:
             >>> stmc.Schedule.cosine(100).respaced((0, 33, 66, 99)).steps
             4
         """
-        return Schedule(self.alpha_bar[list(times)])
+        return Schedule(self.alpha_bar[list(times)], self.spacing)
 
     def q_sample(
         self, x0: Float[Tensor, "batch ..."], t: Steps, noise: Float[Tensor, "batch ..."]
@@ -168,6 +181,33 @@ class Schedule:
         clean_weight = _at(beta * before.sqrt() / noise, t, x)
         noisy_weight = _at((1 - before) * (1 - beta).sqrt() / noise, t, x)
         return clean_weight * x0 + noisy_weight * x, _at(beta * (1 - before) / noise, t, x)
+
+    def ddim(
+        self, x0: Float[Tensor, "batch ..."], x: Float[Tensor, "batch ..."], t: Steps, eta: float = 0.0
+    ) -> tuple[Float[Tensor, "batch ..."], Tensor]:
+        """Compute the mean and variance of x_{t-1} given x_t and x_0 in DDIM (Song et al. 2021, Eq. 12 and 16).
+
+        At step 0 they are `x0` and 0. With `eta=1` they are those of `posterior`.
+
+        Args:
+            x0: Clean samples, [batch, ...].
+            x: Noisy samples x_t, of the shape of `x0`.
+            t: Step of the batch, or of each sample.
+            eta: Fraction of the ancestral noise.
+
+        Returns:
+            The mean, [batch, ...], and the variance, which broadcasts to it.
+
+        Examples:
+            >>> mean, variance = stmc.Schedule.cosine(100).ddim(torch.ones(1, 3), torch.zeros(1, 3), 0)
+            >>> mean, float(variance)
+            (tensor([[1., 1., 1.]]), 0.0)
+        """
+        before = self.alpha_bar_before
+        variance = eta**2 * (1 - before) * self.beta / (1 - self.alpha_bar)
+        noise_weight = (1 - before - variance).clamp(min=0).sqrt()
+        noise = self.from_x0(x0, x, t, "eps")
+        return _at(before.sqrt(), t, x) * x0 + _at(noise_weight, t, x) * noise, _at(variance, t, x)
 
     def to_x0(
         self, output: Float[Tensor, "batch ..."], x: Float[Tensor, "batch ..."], t: Steps, prediction: Prediction

@@ -1,8 +1,9 @@
-"""Distillation of classifier-free guidance (Meng et al. 2023, first stage).
+"""Distillation of classifier-free guidance (Meng et al. 2023, first stage) and of steps (Salimans and Ho 2022).
 
 One pass of a network learns the guided prediction of its teacher, which needs two passes, with a text and without. A
-network with a text for every frame can learn from a teacher with one text per row. This module knows networks with a
-denoiser's signature; it knows no data set and no schedule.
+network with a text for every frame can learn from a teacher with one text per row. One step of a sampler learns where
+several steps of a teacher arrive. This module knows networks with a denoiser's signature, and schedules; it knows no
+data set.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stmc.denoisers.denoiser import Denoiser
-from stmc.diffusion import guide, tensors
-from stmc.training.loss import Batch
+from stmc.diffusion import Prediction, Schedule, guide, tensors
+from stmc.training.loss import Batch, Teacher
 
 NEIGHBOURS = 5
 """Number of frames beyond either end of a segment that the teacher also sees, where predictions are cross-faded."""
@@ -91,6 +92,79 @@ class GuidedTeacher:
         text = self.texts[sentence, : int(words.max())]
         text_mask = None if (words == words.max()).all() else tensors.mask(words)
         return self.denoiser(noisy, t, text, text_mask, mask).float()
+
+
+@dataclass(frozen=True, eq=False)
+class MultistepTeacher:
+    """The prediction whose one DDIM step arrives where several steps of a teacher do, for `Denoising` to learn.
+
+    The schedule is divided into `steps` phases. From the beginning of its phase each row follows the teacher to the
+    end, `teacher_steps / steps` DDIM steps, and the clean sample that leads there in one step is the target (Salimans
+    and Ho 2022, algorithm 2, with any number of steps instead of two). A student of these targets, sampled by DDIM in
+    `steps` steps, repeats `teacher_steps` steps of the teacher, and is deterministic as they are. If the teacher is a
+    student itself, sampled in its own number of steps, this is a further stage of progressive distillation.
+
+    Args:
+        teacher: Teacher of single steps, such as `GuidedTeacher`.
+        schedule: Noise schedule.
+        steps: Number of the student's steps.
+        teacher_steps: Number of the teacher's steps, a multiple of `steps`.
+        prediction: Quantity that teacher and student predict.
+
+    Raises:
+        ValueError: If `teacher_steps` is no multiple of `steps`, or the spacing of the schedule does not let the
+            teacher visit the student's steps.
+
+    Examples:
+        >>> schedule = stmc.Schedule.cosine(100, spacing="trailing")
+        >>> rest = lambda batch, noisy, t: torch.full_like(noisy, 0.5)
+        >>> teacher = stmc.training.MultistepTeacher(rest, schedule, steps=4, teacher_steps=20)
+        >>> batch = stmc.training.Batch(torch.zeros(1, 2, 3), None, torch.ones(1, 1, 8), None, frames=2)
+        >>> teacher(batch, torch.ones(1, 2, 3), torch.tensor([74]))[0, 0]
+        tensor([0.5000, 0.5000, 0.5000])
+    """
+
+    teacher: Teacher
+    schedule: Schedule
+    steps: int
+    teacher_steps: int
+    prediction: Prediction = "x0"
+
+    def __post_init__(self) -> None:
+        ours, theirs = self.schedule.spaced(self.steps), self.schedule.spaced(self.teacher_steps)
+        if self.teacher_steps % self.steps:
+            raise ValueError(f"teacher_steps ({self.teacher_steps}) must be a multiple of steps ({self.steps})")
+        if theirs[self.per_step - 1 :: self.per_step] != ours:
+            raise ValueError(
+                f"{self.teacher_steps} steps of the teacher do not pass through the {self.steps} steps {ours} with the "
+                f"spacing {self.schedule.spacing}; use a schedule with spacing=trailing"
+            )
+
+    @property
+    def per_step(self) -> int:
+        """Number of the teacher's steps that one step of the student replaces."""
+        return self.teacher_steps // self.steps
+
+    @torch.no_grad()
+    def __call__(
+        self, batch: Batch, noisy: Float[Tensor, "batch frames features"], t: Int[Tensor, " batch"]
+    ) -> Float[Tensor, "batch frames features"]:
+        """Follow the teacher from the batch's noisy motion at steps `t`, each the beginning of a phase, to its end."""
+        grid = torch.tensor(self.schedule.spaced(self.teacher_steps), device=t.device)
+        short, place, x = self.schedule.respaced(tuple(grid.tolist())), torch.searchsorted(grid, t), noisy
+        for _ in range(self.per_step):
+            x0 = self.schedule.to_x0(self.teacher(batch, x, grid[place]), x, grid[place], self.prediction)
+            x, _ = short.ddim(x0, x, place)
+            place = place - 1
+        x0 = self._leading_to(x, short.alpha_bar_before[(place + 1).cpu()], noisy, t)
+        return self.schedule.from_x0(x0, noisy, t, self.prediction)
+
+    def _leading_to(self, x: Tensor, alpha_bar: Tensor, noisy: Tensor, t: Tensor) -> Tensor:
+        """Return the clean sample from which one DDIM step of `noisy` at `t` is `x`, whose noise is `alpha_bar`."""
+        now = self.schedule.alpha_bar[t.cpu()]
+        ratio = ((1 - alpha_bar) / (1 - now)).sqrt()
+        ratio, signal = (each.to(noisy)[:, None, None] for each in (ratio, alpha_bar.sqrt() - ratio * now.sqrt()))
+        return (x - ratio * noisy) / signal
 
 
 @dataclass(frozen=True, eq=False)

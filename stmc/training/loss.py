@@ -21,7 +21,7 @@ AuxiliaryLoss = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor,
 """Clean normalised features → derived features that are also trained, each of a frame and the next."""
 
 Teacher = Callable[["Batch", Float[Tensor, "batch frames features"], Int[Tensor, " batch"]], Tensor]
-"""A batch, its noisy motion and the steps → the prediction to learn: see `GuidedTeacher`."""
+"""A batch, its noisy motion and the steps → the prediction to learn: see `GuidedTeacher` and `MultistepTeacher`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +92,7 @@ class Denoising:
         auxiliary_loss: Function that derives further features to train; None: none.
         timestep_alpha: Relative steps follow Beta(alpha, 1). 1 is uniform, as in the papers; with 2, half of the draws
             are from the noisiest 30 %, at which it is decided which motion emerges from the noise.
+        steps: Number of the schedule's spaced steps to train, those that few-step sampling visits; None: all.
         energy_floor: Weigh rows by 1 / (energy + floor), also in the logs, see `energy_weights`. Otherwise a cartwheel,
             with a hundred times the energy of an arm circle, dominates the loss. None: equal weights, as in the papers.
         teacher: Teacher whose prediction is the target; None: the true value is.
@@ -103,12 +104,14 @@ class Denoising:
     weights: Mapping[str, float | int] = field(default_factory=dict)
     auxiliary_loss: AuxiliaryLoss | None = None
     timestep_alpha: float | int = 1.0
+    steps: int | None = None
     energy_floor: float | int | None = None
     teacher: Teacher | None = None
 
     def __post_init__(self) -> None:
         if self.energy_floor is not None and self.energy_floor <= 0:
             raise ValueError(f"energy_floor {self.energy_floor} must be above 0, or None")
+        self.schedule.spaced(self.steps)  # checks their number
         if self.timestep_alpha <= 0:
             raise ValueError(
                 f"timestep_alpha {self.timestep_alpha} must be above 0; 1 is uniform, 2 favours noisy steps"
@@ -125,11 +128,11 @@ class Denoising:
 
     def __call__(self, network: Denoiser, piece: Batch, generator: torch.Generator) -> Float[Tensor, " terms"]:
         """Compute squared errors per column, with steps and noise drawn from `generator`."""
-        t, noise = draw_noise(piece, self.schedule.steps, generator, self.timestep_alpha)
+        times = torch.tensor(self.schedule.spaced(self.steps), device=piece.motion.device)
+        index, noise = draw_noise(piece, len(times), generator, self.timestep_alpha)
         weight = None if self.energy_floor is None else energy_weights(piece, self.energy_floor)
-        return squared_errors(
-            network, self.schedule, piece, t, noise, self.prediction, self.auxiliary_loss, weight, self.teacher
-        )
+        settings = self.prediction, self.auxiliary_loss, weight, self.teacher
+        return squared_errors(network, self.schedule, piece, times[index], noise, *settings)
 
     def weigh(self, terms: Float[Tensor, " terms"]) -> Float[Tensor, ""]:
         """Return the weighted mean over columns."""

@@ -49,6 +49,21 @@ class Stage(NamedTuple):
 
 PREVIEW = Stage("preview", 10)
 
+FULL_STEPS = 50
+"""Denoising steps of a motion, unless the model is one of few steps."""
+
+
+def stages_by_quality(own_steps: int | None, steps: int) -> dict[str, tuple[Stage, ...]]:
+    """Return the stages of a preview and of a motion in `steps` steps; a model of few steps needs no preview before it.
+
+    `own_steps` is the number of steps that a model of few steps stores; None for other models.
+    """
+    full = Stage("full", steps)
+    if own_steps is not None:
+        return {"preview": (Stage("preview", steps),), "full": (full,)}
+    return {"preview": (PREVIEW,), "full": (PREVIEW, full)}
+
+
 OWN = Sampling(sampler="ddim")
 """Defaults of the studio for settings that a request leaves unset."""
 

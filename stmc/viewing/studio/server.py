@@ -49,7 +49,7 @@ from stmc.viewing.studio.documents_json import (
     timeline_of,
     write_timeline,
 )
-from stmc.viewing.studio.jobs import OWN, PREVIEW, Jobs, Stage
+from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
 from stmc.viewing.studio.request_errors import RequestError, read_object, request_error, take
 from stmc.viewing.studio.sessions import Sessions
 from stmc.viewing.studio.storage import Documents, Motions, private_folder
@@ -75,7 +75,7 @@ TYPES = {each.name: each.media_type for each in EXPORTS}
 Handler = Callable[[Request], Awaitable[Response]]
 
 
-def application(model: Model, folder: str | Path, sessions: Sessions, port: int, steps: int = 50) -> Starlette:
+def application(model: Model, folder: str | Path, sessions: Sessions, port: int, steps: int | None = None) -> Starlette:
     """Build the studio as an ASGI application.
 
     Args:
@@ -84,7 +84,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
             `stmc.io.files.locked(folder)` while the application runs, as `stmc studio` does.
         sessions: Sessions that may use the application.
         port: Port of the application, at 127.0.0.1.
-        steps: Denoising steps of a motion; previews have fewer.
+        steps: Denoising steps of a motion; None: 50, or the model's own few. Previews have fewer.
 
     Examples:
         >>> app = stmc.viewing.studio.application(stmc.load(), "studio", stmc.viewing.studio.Sessions(), port=8686)
@@ -158,8 +158,11 @@ async def unrouted(request: Request, error: Exception) -> Response:
 class Answers:
     """Handlers of the addresses."""
 
-    def __init__(self, model: Model, motions: Motions, documents: Documents, sessions: Sessions, steps: int) -> None:
-        self.model, self.motions, self.documents, self.steps = model, motions, documents, steps
+    def __init__(
+        self, model: Model, motions: Motions, documents: Documents, sessions: Sessions, steps: int | None
+    ) -> None:
+        self.model, self.motions, self.documents = model, motions, documents
+        self.stages = stages_by_quality(model.sampling.steps, steps or model.sampling.steps or FULL_STEPS)
         self.sessions = sessions
         self.jobs = Jobs(model.sample, motions)
         self.suggest = suggester(sentence_encoder(model.text_encoder))
@@ -274,7 +277,7 @@ class Answers:
             "receives": [each.suffix for each in READABLE],
             "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],
             "limits": {"duration": MOST_SECONDS, "prompts": MOST_PROMPTS, "samples": MOST_SEEDS},
-            "steps": {"preview": PREVIEW.steps, "full": self.steps},
+            "steps": {quality: stages[-1].steps for quality, stages in self.stages.items()},
             "constraints": [kind.describe() for kind in KINDS],
         }
 
@@ -289,11 +292,10 @@ class Answers:
         return request
 
     def _stages(self, data: dict[str, Any]) -> tuple[Stage, ...]:
-        stages = {"preview": (PREVIEW,), "full": (PREVIEW, Stage("full", self.steps))}
         steps = take(data, "steps", str, "full")
-        if steps not in stages:
-            raise RequestError(422, f"steps={shown(steps)}: choose from {', '.join(stages)}")
-        return stages[steps]
+        if steps not in self.stages:
+            raise RequestError(422, f"steps={shown(steps)}: choose from {', '.join(self.stages)}")
+        return self.stages[steps]
 
     def _constraints(self, data: dict[str, Any]) -> tuple[Constraint, ...]:
         entries = _bounded("constraints", take(data, "constraints", list, []))
