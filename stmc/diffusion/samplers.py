@@ -115,7 +115,7 @@ def ddim(
         x0 = predict(x, times[i])
         yield x0
         x, variance = short.ddim(x0, x, i, eta)
-        if eta > 0:
+        if draw is not None and eta > 0:
             x = x + variance.sqrt() * draw(x.shape)
 
 
