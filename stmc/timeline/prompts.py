@@ -12,6 +12,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stmc.io.bounds import MOST_SECONDS
 from stmc.io.untrusted import shown
@@ -58,7 +59,13 @@ class Prompt:
     text: str
     start: int | float
     end: int | float
-    parts: Collection[str] = frozenset()
+    if TYPE_CHECKING:  # the constructor converts `parts`
+        parts: frozenset[BodyPart]
+
+        def __init__(self, text: str, start: int | float, end: int | float, parts: Collection[str] = frozenset()): ...
+
+    else:
+        parts: Collection[str] = frozenset()
 
     def __post_init__(self) -> None:
         if not isinstance(self.text, str) or not isinstance(self.parts, Collection):
@@ -332,8 +339,9 @@ def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
     for start, _, ended, started in sweep((prompt.start, prompt.end) for prompt in prompts):
         precedence.update(ended, started)
         for part in BodyPart:
-            for rival in precedence.rivals(part):
-                shared.setdefault((rival, precedence.owner(part)), (start, set()))[1].add(part)
+            if (owner := precedence.owner(part)) is not None:
+                for rival in precedence.rivals(part):
+                    shared.setdefault((rival, owner), (start, set()))[1].add(part)
         if len(shared) > MAX_PAIRS_COUNTED:
             break
     names = [f"{shown(prompt.text)} ({place})" for prompt, place in zip(prompts, places, strict=True)]
