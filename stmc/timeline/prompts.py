@@ -82,12 +82,13 @@ class Prompt:
             raise TimelineError(f"end {self.end:g} must be later than start {self.start:g} (seconds)")
         if self.end > LATEST:
             raise TimelineError(f"end {self.end:g} is later than {LATEST} seconds, the limit")
-        listed = (self.parts,) if isinstance(self.parts, str) else self.parts
-        try:
-            object.__setattr__(self, "parts", frozenset(BodyPart.parse(part) for part in listed))
-        except ValueError:
-            unknown = next(part for part in listed if not _is_part(part))
-            raise TimelineError(f"unknown body part {shown(unknown)}; choose from {', '.join(BodyPart)}") from None
+        parts = []
+        for part in (self.parts,) if isinstance(self.parts, str) else self.parts:
+            try:
+                parts.append(BodyPart.parse(part))
+            except ValueError:
+                raise TimelineError(f"unknown body part {shown(part)}; choose from {', '.join(BodyPart)}") from None
+        object.__setattr__(self, "parts", frozenset(parts))
 
     def __repr__(self) -> str:
         return typed(self.text, self.start, self.end, [str(part) for part in BodyPart if part in self.parts])
@@ -364,13 +365,6 @@ def _crowded_track(timeline: Timeline, later: int, earlier: int) -> str:
         f"{timeline.places[later]} {one} is in the same track as {timeline.places[earlier]} {other} at the same time; "
         "the prompts of a track follow each other: move one in time or to another track"
     )
-
-
-def _is_part(text: str) -> bool:
-    try:
-        return bool(BodyPart.parse(text))
-    except ValueError:
-        return False
 
 
 def _listed(parts: Collection[BodyPart]) -> str:
