@@ -30,15 +30,12 @@ from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, Representation
 from stmc.settings.records import SettingError, record_of, with_signature_of
-from stmc.text import TextEncoder
+from stmc.text.text_encoder import Encode, TextEncoder
 from stmc.text.vocabulary import Recogniser, Recognition, Vocabulary
 from stmc.timeline import Timeline, advise_prompt
 from stmc.timeline.planning import Plan, plan
 
 Precision = Literal["fp32", "bf16"]
-
-Encode = Callable[[Sequence[str]], tuple[Tensor, Tensor]]
-"""A function like `TextEncoder.encode`: texts → their words and the number of words of each text."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,7 +119,7 @@ class Model:
             >>> [(crop.text, crop.frames) for crop in plan.crops]
             [('walk', 25), ('jump', 25), (None, 10)]
         """
-        frames = self._frames(self.own_sampling.overlap if overlap is None else overlap)
+        frames = self._frames((self.own_sampling.overlap if overlap is None else overlap) or 0.0)
         one_shot = self._one_shot_texts(timelines)
         return [plan(timeline, self.fps, frames, self.longest, one_shot) for timeline in timelines]
 
@@ -135,7 +132,8 @@ class Model:
             [('walk', 384), ('jump', 384)]
         """
         distinct = list(dict.fromkeys(texts))
-        words, lengths = getattr(self.text_encoder, "encode", self.text_encoder)(distinct)
+        encode = self.text_encoder.encode if hasattr(self.text_encoder, "encode") else self.text_encoder
+        words, lengths = encode(distinct)
         words = self.text_statistics.normalise(words.float().cpu())
         return {text: row[:length] for text, row, length in zip(distinct, words, lengths.tolist(), strict=True)}
 
@@ -225,7 +223,7 @@ class Model:
         requested, method, defaults = record_of(Sampling, settings), find_method(method), self.own_sampling
         refuse(requested, method, defaults)
         resolved = settled(requested, method, defaults)
-        if resolved.steps > self.schedule.steps:
+        if resolved.steps is not None and resolved.steps > self.schedule.steps:
             raise SettingError(f"steps={resolved.steps}: must be at most {self.schedule.steps}, as many as in training")
         self._frames(resolved.overlap or 0.0)
         return resolved
@@ -275,8 +273,8 @@ class Model:
             >>> model.generate("run # 0 # 2 # legs\\nraise the right arm # 0.5 # 1.5 # right arm", seed=1, steps=2)
             [Motion(40 frames at 20 fps, 2.00 s)]
         """
-        values = {"timelines": timelines, "seeds": seed, "method": method, "joints_from": joints_from, "keep": keep}
-        values |= {"change": change, "constraints": constraints, "clean_feet": clean_feet}
+        values: dict[str, Any] = {"timelines": timelines, "seeds": seed, "method": method, "joints_from": joints_from}
+        values |= {"keep": keep, "change": change, "constraints": constraints, "clean_feet": clean_feet}
         return self.sample(GenerateRequest.read(values | settings), progress)
 
     def check(self, request: GenerateRequest) -> Sampling:
@@ -305,7 +303,7 @@ class Model:
         for prompt in self.doubtful(timelines):
             advise_prompt(prompt.advice, prompt.known)
         if method.baseline:
-            timelines = [method.baseline(timeline, self.fps, self.longest) for timeline in timelines]
+            timelines = tuple(method.baseline(timeline, self.fps, self.longest) for timeline in timelines)
         frames = [timeline.frames(self.fps) for timeline in timelines]
         kept = prepare_kept(request, frames, self.skeleton, self.fps)
         self.network.eval()
@@ -367,10 +365,14 @@ class Model:
             raise SettingError(f"overlap={overlap}: must be at least 0 and below {limit:g} s, the model's longest crop")
         return int(overlap * self.fps)
 
-    def _arguments(self, plans: Sequence[Plan], guidance: float | int | None, ape_steps: float | int | None) -> tuple:
+    def _arguments(
+        self, plans: Sequence[Plan], guidance: float | int | None, ape_steps: float | int | None
+    ) -> tuple[Callable[..., Tensor], Schedule, Sequence[Plan], dict[str, Tensor], float | int, Prediction]:
         """Return the arguments that predictors of crops and of sequences share."""
         guidance = self.own_sampling.guidance if guidance is None else guidance
-        start = {} if ape_steps is None else {"absolute_from": round((1 - ape_steps) * self.schedule.steps)}
+        assert guidance is not None  # a model has a default of every setting that applies
+        steps = self.schedule.steps
+        start: dict[str, Any] = {} if ape_steps is None else {"absolute_from": round((1 - ape_steps) * steps)}
         return partial(self._denoise, **start), self.schedule, plans, self._encode(plans), guidance, self.prediction
 
     def _encode(self, plans: Sequence[Plan]) -> dict[str, Float[Tensor, "words encoded"]]:
@@ -378,7 +380,7 @@ class Model:
             texts = self.embed(distinct_texts(plans)).items()
             return {text: self.network.encode_text(words[None].to(self.device))[0].float() for text, words in texts}
 
-    def _denoise(self, x: Tensor, t: Tensor, *others: Tensor | None, **settings: int) -> Tensor:
+    def _denoise(self, x: Tensor, t: Tensor, *others: Any, **settings: Any) -> Tensor:
         """Run the network, at the model's own last step in fp32. Later steps remove the rounding of earlier ones, so
         only that of the last remains; in bf16 it adds two fifths to the mean jerk, and every layer contributes."""
         last = self.schedule.spaced(self.sampling.steps)[0]

@@ -27,7 +27,7 @@ def test_success_is_told_by_distance():
     """Cosines of 10, 30, 40, 60 and 70 degrees: 0.98, 0.87, 0.77, 0.5 and 0.34."""
     shares = {"10": 1.0, "30": 0.75, "40": 0.5, "60": 0.25, "70": 0.0}
     found = success_by_distance(shares, ["0"], Angles())
-    assert [(each.name, each.count) for each in found] == [
+    assert [(each.name, each.size) for each in found] == [
         ("below 0.7", 2), ("0.7 to 0.8", 1), ("0.8 to 0.9", 1), ("0.9 and more", 1)
     ]  # fmt: skip
     assert [each.success for each in found] == pytest.approx([0.125, 0.5, 0.75, 1.0])

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from omegaconf import DictConfig
@@ -56,7 +56,7 @@ def main(config: DictConfig) -> None:
     require("matplotlib")
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
     folder.mkdir(parents=True, exist_ok=True)
-    results = {}
+    results: dict[str, dict[str, Any]] = {}
     with Progress() as progress:
         task = progress.add_task("Sampling", total=len(config.noise_scales) * len(abilities()))
         for scale in config.noise_scales:
@@ -94,7 +94,7 @@ def measure_motions(ability, motions) -> dict[str, float]:
 
 def measure_real_sliding(cache: Cache, model: stmc.Model) -> dict[str, float]:
     """Measure the foot sliding of the test split's real clips, in cm by content."""
-    contents = {}
+    contents: dict[str, list[float]] = {}
     for clip in cache.clips:
         if clip.split == "test":
             motion = model.representation.decode(cache.features[clip.start : clip.end], cache.fps, model.skeleton)

@@ -15,7 +15,7 @@ from functools import partial
 from io import BytesIO
 from pathlib import Path
 from statistics import fmean, median
-from typing import get_args
+from typing import Any, get_args
 
 import torch
 from omegaconf import DictConfig
@@ -146,12 +146,14 @@ def make_trial(
 ) -> Trial:
     """Return the record that a run directory keeps of a sentence's samples."""
     settings = model.settings(guidance=config.guidance, steps=config.steps, noise_scale=config.noise_scale)
+    assert settings.steps is not None
     return Trial(action, len(motions), geometry, evaluator, settings.steps, settings.guidance, config.seed)
 
 
 def record(config: DictConfig, model: stmc.Model, trials: Mapping[str, Trial]) -> None:
     """Store trials in the model's run directory beside those of other sentences if `record` is set."""
     if config.record:
+        assert model.vocabulary is not None  # see `load_model`
         path = calibrate(config.model, model.vocabulary.calibration.with_trials(trials))
         Console().print(f"success of {len(trials)} sentences stored in {path}", soft_wrap=True, markup=False)
 
@@ -271,7 +273,8 @@ def evaluate_texts(config: DictConfig) -> None:
     words = read_paraphrases(config.paraphrases, prompts)
     known = model.recognise(list(words.values())) if model.vocabulary else []
     warned = {text: not each.works for text, each in zip(words, known, strict=False)}
-    results, trials = {}, {}
+    results: dict[str, dict[str, Any]] = {}
+    trials: dict[str, Trial] = {}
     for prompt, motions in zip(prompts, sample_texts(config, model, prompts, words), strict=True):
         answers = [check_text(prompt.text, motion) for motion in motions]
         results[prompt.text] = {"words": words[prompt.text], "warned": warned.get(prompt.text)} | {
@@ -297,6 +300,7 @@ def calibrate_warnings(config: DictConfig) -> None:
     Prints the rates of warnings with the old and the new thresholds, and stores the new ones if `record` is set.
     """
     model = load_model(config)
+    assert model.vocabulary is not None
     before, contents = model.vocabulary.calibration, {content.name for content in model.vocabulary.contents}
     inside, unknown = read_prompts(config.prompts)
     known = {text: name for name in CONTENTS if name in contents for text in CONTENTS[name].unseen}

@@ -50,7 +50,8 @@ def parse_arguments(
     multirun = any(argument in _MULTIRUN for argument in arguments)
     hints, remaining = get_type_hints(record), [each for each in arguments if each not in _MULTIRUN]
     groups = {**groups, "hydra": None} if multirun else groups
-    names, overrides, flags = iter(positional), [], {}
+    names, overrides = iter(positional), list[str]()
+    flags: dict[str, Any] = {}
     while remaining:
         argument = remaining.pop(0)
         flag, equals, value = argument.partition("=")
@@ -70,11 +71,12 @@ def parse_arguments(
             raise SettingError(f"unknown setting {shown(flag)}; --help lists all settings")
         elif found := _OVERRIDE.fullmatch(argument):
             check_name(re.split(r"[.@/]", found[2])[0], [*hints, *groups])
-            overrides.append(_as_override(*found.groups(), hints, multirun))
+            sign, key, value = found.groups()
+            overrides.append(_as_override(sign, key, value, hints, multirun))
         elif _DELETED.fullmatch(argument):
             overrides.append(argument)
-        elif (key := next(names, None)) is not None:
-            overrides.append(_as_override("", key, argument, hints, multirun))
+        elif (name := next(names, None)) is not None:
+            overrides.append(_as_override("", name, argument, hints, multirun))
         else:
             raise SettingError(f"{shown(argument)} is not a setting; write settings as key=value, --help lists them")
     folder = Path(flags.pop("folder")).expanduser() if "folder" in flags else None

@@ -87,7 +87,7 @@ def record_scores(
         steps += total
         return track(order, "Steps", total=total, console=console)
 
-    with recorded_attention(model.denoiser, slice(frame, frame + 1)) as calls:
+    with recorded_attention(model.network, slice(frame, frame + 1)) as calls:
         model.generate(timeline, seed=config.seed, method="flow_mdm", progress=watched, clean_feet=False, **given)
     if len(calls) != steps:
         raise SettingError(
@@ -96,7 +96,7 @@ def record_scores(
     return torch.stack([each[0, 0] for each in calls]).numpy(), frame
 
 
-def save_arrays(path: Path, **arrays: object) -> None:
+def save_arrays(path: Path, **arrays: Any) -> None:
     """Write arrays without the suffix that NumPy would append to a temporary name."""
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)

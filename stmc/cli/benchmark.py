@@ -6,7 +6,7 @@ Methods are compared in time and in the number of denoised frames.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -49,7 +49,10 @@ def main(config: DictConfig) -> None:
     chosen = timelines[: config.batch]
 
     def sample_motions(
-        model: stmc.Model, timelines: object, seed: int, method: str = config.method
+        model: stmc.Model,
+        timelines: stmc.Timeline | Sequence[stmc.Timeline],
+        seed: int,
+        method: str = config.method,
     ) -> list[stmc.Motion]:
         return model.generate(timelines, seed=seed, steps=config.steps, method=method, clean_feet=False)
 

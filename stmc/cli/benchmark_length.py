@@ -17,13 +17,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 import stmc
 from stmc.cli.commands import command
+from stmc.cli.config_parts import resolve_config
 from stmc.cli.shared_settings import OnDevice, Threaded
 from stmc.evaluation.results.naming import method_row
 from stmc.io.files import write_text, write_whole
@@ -65,7 +66,7 @@ def main(config: DictConfig) -> None:
     from stmc.evaluation.results.length_charts import length_chart  # not above: it comes with an extra
 
     jobs = [(run.method, run.model, seconds) for run in config.runs for seconds in sorted(config.seconds)]
-    settings = OmegaConf.to_container(config, resolve=True)
+    settings = resolve_config(config)
     console = Console()
     found = {}
     for name, model, seconds in track(jobs, "Lengths", console=console):

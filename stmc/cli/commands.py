@@ -24,7 +24,7 @@ from omegaconf import OmegaConf, open_dict
 
 from stmc.cli.arguments import Arguments, parse_arguments
 from stmc.cli.config_folder import find_configs
-from stmc.cli.config_parts import check_plugins, check_trust, described, record_of_part
+from stmc.cli.config_parts import check_plugins, check_trust, described, record_of_part, resolve_config
 from stmc.cli.exit_codes import run_guarded
 from stmc.cli.help import format_help
 from stmc.settings.records import SettingError, defaults, field_infos, record_of
@@ -62,6 +62,7 @@ class Command:
         elif parsed.multirun:
             with self._initialise_hydra(parsed) as (name, overrides):
                 hydra = GlobalHydra.instance().hydra
+                assert hydra is not None  # it is initialised here
                 hydra_config = hydra.config_loader.load_configuration(name, overrides, RunMode.MULTIRUN).hydra
                 check_plugins(OmegaConf.to_container(hydra_config), "hydra")
                 hydra.multirun(name, functools.partial(_job, self.name), overrides)
@@ -115,7 +116,7 @@ class Command:
             fields = field_infos(self.settings)
             described = [f"{name}= ({fields[name].help})" if name in fields else f"{name}=" for name in missing]
             raise SettingError(f"missing: {', '.join(described)}")
-        values = OmegaConf.to_container(config, resolve=True)
+        values = resolve_config(config)
         return record_of(self.settings, {name: value for name, value in values.items() if name not in self.parts})
 
     def explain(self, parsed: Arguments) -> str:
@@ -166,7 +167,8 @@ def _in_front(folder: Path) -> Iterator[None]:
 
 def _groups(folder: Path, name: str, within: str) -> Iterator[tuple[str, tuple[str, list[str]]]]:
     """Yield the groups of the configuration `name` and, recursively, those of the chosen options."""
-    listed = OmegaConf.load(folder / f"{name}.yaml").get("defaults", [])
+    config: Any = OmegaConf.load(folder / f"{name}.yaml")
+    listed = config.get("defaults", [])
     chosen = [next(iter(each.items())) for each in listed if OmegaConf.is_dict(each)]
     for group, one in chosen:
         if not group.startswith("override "):

@@ -97,7 +97,8 @@ def record_of_part(config: Any, place: str) -> type | None:
         return None
     module, _, name = target.rpartition(".")
     record = getattr(import_module(module), name)
-    return record if dataclasses.is_dataclass(record) and field_infos(record) else None
+    is_record = isinstance(record, type) and dataclasses.is_dataclass(record) and field_infos(record)
+    return record if is_record else None
 
 
 def described(config: Any, place: str) -> dict[str, Any]:
@@ -105,7 +106,13 @@ def described(config: Any, place: str) -> dict[str, Any]:
     node = OmegaConf.select(config, place)
     if not OmegaConf.is_dict(node):
         raise SettingError(f"{place}={shown(node)}: must be a table with `_target_`")
-    return OmegaConf.to_container(node, resolve=True)
+    return resolve_config(node)
+
+
+def resolve_config(config: Any) -> dict[str, Any]:
+    """Return a configuration as plain data, with the values that its interpolations name."""
+    values: Any = OmegaConf.to_container(config, resolve=True)
+    return values
 
 
 def _part(kind: type) -> Part:

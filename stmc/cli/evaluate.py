@@ -225,6 +225,7 @@ def generate(run: Run, numbers: list[int], config: DictConfig) -> tuple[list[stm
 
     Times on a CPU would rather reflect its other load.
     """
+    assert run.model is not None  # recorded motion has no timelines to sample
     began = time.perf_counter()
     motions = run.model.generate(
         [run.timelines[number] for number in numbers],

@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from typing import TextIO
 
 import hydra
 import omegaconf
@@ -26,7 +27,7 @@ from stmc.io.extras import missing_extra
 
 USAGE, STOPPED, ENDED = 2, 130, 143
 """Exit codes of a user error, of Ctrl-C, and of a request to end (SIGTERM)."""
-_CONFIG_PACKAGES = tuple(Path(package.__file__).resolve().parent for package in (hydra, omegaconf))
+_CONFIG_PACKAGES = tuple(Path(package.__path__[0]).resolve() for package in (hydra, omegaconf))
 MAX_CHARACTERS = 380
 """Maximum number of characters of a message."""
 
@@ -106,7 +107,14 @@ def _exit_on_sigterm() -> None:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(ENDED))
 
 
-def _print_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
+def _print_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
     if issubclass(category, UserWarning):
         _print_line(f"warning: {to_one_line(str(message))}")
 

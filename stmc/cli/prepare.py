@@ -48,7 +48,7 @@ def main(config: DictConfig) -> None:
     folder, preparation = Path(config.folder).expanduser(), build_preparation(config)
     preparation.check()
     with locked(folder):
-        prepare(preparation, folder, config.workers or os.cpu_count(), Console())
+        prepare(preparation, folder, config.workers or os.cpu_count() or 1, Console())
 
 
 def prepare(preparation: Preparation, folder: Path, workers: int, console: Console) -> None:

@@ -18,11 +18,19 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import get_args
+from typing import cast, get_args
 
 import torch
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 import stmc
 from stmc.cli.character_settings import read_settings_character
@@ -97,7 +105,8 @@ def main(settings: Settings) -> None:
     if not missing:
         console.print(f"every motion{of_share(shard)} is in {folder.path.resolve()} already", markup=False)
         return
-    model = stmc.load(settings.model, device=settings.device, precision=settings.precision, trusted=settings.trusted)
+    precision = cast(Precision, settings.precision)  # one of its choices
+    model = stmc.load(settings.model, device=settings.device, precision=precision, trusted=settings.trusted)
     size = settings.batch or BATCH_SIZES.get(model.device.type, 1)
     make(model, folder, wanted, missing, size, console, settings.json)
     console.print(f"motions{of_share(shard)} in {folder.path.resolve()}{hint(folder.formats)}", markup=False)
@@ -243,7 +252,7 @@ def generate(model: stmc.Model, batch: list[Job], progress: Progress) -> list[st
         progress.remove_task(task)
 
 
-def track_steps(steps: Iterable, total: int, progress: Progress, task: int, of: int) -> Iterator:
+def track_steps(steps: Iterable, total: int, progress: Progress, task: TaskID, of: int) -> Iterator:
     """Yield the denoising steps; show a bar on a terminal, and print a line now and then elsewhere."""
     last = time.monotonic()
     progress.reset(task, total=total)

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
-from typing import get_args
+from typing import cast, get_args
 
 from rich.console import Console
 
@@ -114,11 +114,11 @@ def listen(port: int) -> socket.socket:
 def loaded(settings: Settings) -> stmc.Model:
     """Load the model in the requested precision, by default in the faster one."""
 
-    def load(precision: str) -> stmc.Model:
+    def load(precision: Precision) -> stmc.Model:
         return stmc.load(settings.model, device=settings.device, precision=precision, trusted=settings.trusted)
 
     if settings.precision:
-        return load(settings.precision)
+        return load(cast(Precision, settings.precision))  # one of its choices
     return min(map(load, get_args(Precision)), key=seconds)
 
 

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 import stmc
 from stmc import training
 from stmc.cli.commands import command
-from stmc.cli.config_parts import build_part
+from stmc.cli.config_parts import build_part, resolve_config
 from stmc.cli.shared_settings import Trained
 from stmc.cli.training_data import read_training_data
 from stmc.composing.sampling import Sampling
@@ -26,12 +26,13 @@ from stmc.model import Model
 from stmc.run import PARTS, build, check
 from stmc.run.configs import PARTIAL, TARGET
 from stmc.settings.records import SettingError, check_value, record_of, setting, shown
-from stmc.text import Cached
+from stmc.text import Cached, TextEncoder
 from stmc.text.vocabulary import sentence_encoder
 from stmc.training import Denoising, GuidedTeacher, MultistepTeacher
 from stmc.training.data.batches import ClipBatches, Recipe
 from stmc.training.data.dataset import Dataset
 from stmc.training.data.vocabularies import vocabulary_of
+from stmc.training.loss import Teacher
 
 if TYPE_CHECKING:  # an extra, which the help does without
     import accelerate
@@ -90,9 +91,9 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     with open_dict(config):
         config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
     model = build_model(config, dataset, cache, default_sampling(config, distilled), int(recipe.longest * dataset.fps))
-    denoiser = model.denoiser
+    denoiser = model.network
     if started:
-        denoiser.load_state_dict(started.denoiser.state_dict())
+        denoiser.load_state_dict(started.network.state_dict())
         denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
     if recipe.several_texts and not denoiser.per_frame_text:
         raise ValueError(
@@ -101,10 +102,10 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
             "denoisers use data/sampling=balanced, which has one text per row"
         )
     check(model, config.trusted)  # before the first step: refuse to train a model that could not be loaded
-    described = OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint}
+    described = resolve_config(config) | {"cache": cache.fingerprint}
     if config.teacher is None:
         del described["teacher"]  # runs from before this setting existed can be resumed
-    trainer = training.Trainer(
+    trainer: training.Trainer = training.Trainer(
         denoiser,
         build_objective(config, dataset, model, distilled),
         ClipBatches(dataset, "train", recipe, settings.seed),
@@ -129,7 +130,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
 
 def check_parts(config: DictConfig) -> None:
     """Check that denoiser, schedule and objective can be built, before the data are read."""
-    described = OmegaConf.to_container(config, resolve=True)
+    described = resolve_config(config)
     reading = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
     widths = {"features": reading["representation"].width, "text_width": reading["text_encoder"].width}
     if not isinstance(described["denoiser"], dict):
@@ -175,7 +176,7 @@ def find_teacher(config: DictConfig, teacher: Model | None) -> Model | None:
         raise SettingError(
             f"objective.distilled_guidance={guidance} needs a model to distil: init_from=RUN or teacher=RUN"
         )
-    described = OmegaConf.to_container(config, resolve=True)
+    described = resolve_config(config)
     reading = () if config.teacher else ("text_encoder",)  # another model may have its own text encoder
     asked = {part: described[part] for part in ("schedule", "representation", *reading)}
     asked |= {"objective.prediction": config.objective.prediction, "schedule": noise_levels(asked["schedule"])}
@@ -211,8 +212,8 @@ def build_objective(config: DictConfig, dataset: Dataset, model: Model, distille
     fields = dict(dataset.layout.slices)
     if auxiliary_loss:
         fields[auxiliary_loss.name] = slice(dataset.features_width, None)
-    teacher = build_teacher(config, dataset, distilled, guidance) if distilled else None
-    if teacher_steps:
+    teacher: Teacher | None = build_teacher(config, dataset, distilled, guidance) if distilled else None
+    if teacher is not None and teacher_steps:
         steps = settings["steps"], teacher_steps
         teacher = MultistepTeacher(teacher, model.schedule, *steps, prediction=model.prediction)
     return Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, teacher=teacher, **settings)
@@ -223,9 +224,10 @@ def build_teacher(config: DictConfig, dataset: Dataset, distilled: Model, guidan
     if distilled.fps != dataset.fps:
         raise ValueError(f"{teacher_path(config)} has {distilled.fps:g} frames per second, the data {dataset.fps:g}")
     device = dataset.motion.mean.device
+    assert isinstance(distilled.text_encoder, TextEncoder)  # it was loaded
     reading = replace(distilled, text_encoder=Cached(distilled.text_encoder, config.text_cache))
     texts, words = tensors.pad(list(reading.embed(dataset.sentences).values()))
-    denoiser = distilled.to(device).denoiser
+    denoiser = distilled.to(device).network
     if config.training.compile:
         denoiser.compile(dynamic=True)
     return GuidedTeacher(denoiser, guidance, texts.to(device), words.to(device))
@@ -258,7 +260,7 @@ def build_model(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sa
         sampling: Sampling defaults.
         longest: Maximum number of frames of a motion.
     """
-    described = OmegaConf.to_container(config, resolve=True)
+    described = resolve_config(config)
     parts = build(described, trusted=config.trusted)
     representation, encoder = parts["representation"], Cached(parts["text_encoder"], config.text_cache)
     return Model(

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from stmc import training
 from stmc.cli.commands import command
-from stmc.cli.config_parts import build_part
+from stmc.cli.config_parts import build_part, resolve_config
 from stmc.cli.shared_settings import Trained
 from stmc.cli.training_data import read_training_data
 from stmc.evaluation.metrics.retrieval import Retrieval, cosines, small_batches, t2m_m2t
@@ -94,7 +94,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
             ),
         ],
         accelerator=accelerator,
-        described=OmegaConf.to_container(config, resolve=True) | {"cache": cache.fingerprint},
+        described=resolve_config(config) | {"cache": cache.fingerprint},
         allow_changed_settings=config.allow_changed_settings,
     )
     columns = tuple(f"{way}_R{count}" for way in ("t2m", "m2t") for count in (1, 3, 10))
@@ -120,7 +120,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
 
 def build_evaluator(config: DictConfig, dataset: Dataset) -> Evaluator:
     """Build the evaluator as it would be loaded from the run directory, with fresh weights."""
-    described = OmegaConf.to_container(config, resolve=True)
+    described = resolve_config(config)
     parts = build(described, EVALUATOR_PARTS, config.trusted)
     return Evaluator(
         network=parts["network"],

@@ -12,7 +12,7 @@ import torch
 from omegaconf import OmegaConf
 
 from stmc.cli.commands import Config
-from stmc.cli.config_parts import build_part
+from stmc.cli.config_parts import build_part, resolve_config
 from stmc.data.cache import Cache, read_caches
 from stmc.data.sources.joined import joined_sentences
 from stmc.diffusion.statistics import Statistics
@@ -39,7 +39,7 @@ def read_training_data(
         device: Device of the data set.
         motion_statistics: Statistics of the teacher; None: those of the data set.
     """
-    described = OmegaConf.to_container(config, resolve=True)
+    described = resolve_config(config)
     parts = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
     layout = parts["representation"].layout
     logger.info("reading %s", config.data.folder)

@@ -195,8 +195,8 @@ class _Batch:
     def to(self, x: Tensor) -> _Batch:
         """Move the batch to the device of `x`, and the text to its dtype."""
         rows, conditional, *segment = (tensor.to(x.device) for tensor in (self.rows, self.conditional, *self.segment))
-        masks = [None if tensor is None else tensor.to(x.device) for tensor in (self.text_mask, self.mask)]
-        return _Batch(rows, conditional, self.frames, self.text.to(x), *masks, tuple(segment))
+        words, frames = (None if tensor is None else tensor.to(x.device) for tensor in (self.text_mask, self.mask))
+        return _Batch(rows, conditional, self.frames, self.text.to(x), words, frames, tuple(segment))
 
 
 def _none_if_full(mask: Tensor) -> Tensor | None:

@@ -190,7 +190,7 @@ def sample_flow_mdm(run: Run) -> Features:
     run = replace(run, fixed_length=None)  # sequences have no fixed length
     plans = run.plans(0)
     draw = run.noise(plans)
-    sequences = compose_tracks(run.guided_sequences(plans, run.sampling.guidance), plans, run.columns)
+    sequences = compose_tracks(run.guided_sequences(plans, run.guidance), plans, run.columns)
     return run.denoise(run.constrained(sequences), draw(), draw)
 
 
@@ -211,7 +211,7 @@ def sample_double_take(run: Run) -> Features:
 
 _COMPOSED_FROM_THE_START: Mapping[str, Any] = {"stitch_from": 0.0, "guidance_from": 0.0}
 _NOT_COMPOSED: Mapping[str, Any] = {"stitch_from": None, "guidance_from": None}
-_WITHOUT_OVERLAP: Mapping[str, Any] = _NOT_COMPOSED | {"overlap": None}
+_WITHOUT_OVERLAP: Mapping[str, Any] = {**_NOT_COMPOSED, "overlap": None}
 
 
 def _one_track(timeline: Timeline, fps: float | int, longest: int) -> Timeline:

@@ -89,6 +89,12 @@ class Run:
         """The columns of the features that each body part owns."""
         return self.layout.columns
 
+    @property
+    def guidance(self) -> float | int:
+        """The guidance weight of the texts."""
+        assert self.sampling.guidance is not None
+        return self.sampling.guidance
+
     @cached_property
     def times(self) -> tuple[int, ...]:
         """The visited steps of the schedule, in rising order."""
@@ -123,7 +129,7 @@ class Run:
         exaggerates the differences of neighbouring crops, which a transition must then bridge: a hand moves its whole
         way in three frames. Lower guidance follows the text less; see the results page.
         """
-        guidance = self.sampling.guidance if guidance is None else guidance
+        guidance = self.guidance if guidance is None else guidance
         unguided, predict = self.steps_before(self.sampling.guidance_from), cache(partial(self._guided, plans))
         if not unguided or guidance <= 1:
             return predict(guidance)
@@ -153,7 +159,7 @@ class Run:
         self._check_no_constraints()
         plans = self.plans(0)
         draw = self._crop_noise(plans)
-        predict = self._impute_crops(self._guided(plans, self.sampling.guidance), plans)
+        predict = self._impute_crops(self._guided(plans, self.guidance), plans)
         return sinc(self.denoise(predict, draw(), draw), plans, self.columns)
 
     def autoregressive(self, plans: Sequence[Plan]) -> Float[Tensor, "batch frames features"]:
@@ -176,7 +182,7 @@ class Run:
         lengths = crop_lengths(plans, self.fixed_length)
         observed = seen_before(actions, lengths, made, self.known)
         draw = self._noise([(self.seeds[action.timeline], action.number) for action in actions], lengths)
-        return self.denoise(impute(self.guided(plans, self.sampling.guidance), *observed), draw(), draw)
+        return self.denoise(impute(self.guided(plans, self.guidance), *observed), draw(), draw)
 
     def _check_no_constraints(self) -> None:
         if self.meet is not None:
@@ -229,14 +235,15 @@ def sampler_of(sampling: Sampling) -> Sampler:
     return partial(sampler, **{name: value for name, value in sampling.given.items() if name in taken})
 
 
-def settings_taken(sampler: str | Sampler) -> set[str]:
+def settings_taken(sampler: str | Sampler | None) -> set[str]:
     """Return the settings that are unbound arguments of a sampler, without the steps, which the schedule defines."""
     sampler = _find_sampler(sampler)
     bound = set(sampler.keywords) if isinstance(sampler, partial) else set()
     return set(inspect.signature(sampler).parameters) - bound - {"steps"}
 
 
-def _find_sampler(sampler: str | Sampler) -> Sampler:
+def _find_sampler(sampler: str | Sampler | None) -> Sampler:
+    assert sampler is not None  # resolved settings have one
     return SAMPLERS[sampler] if isinstance(sampler, str) else sampler
 
 

@@ -57,7 +57,8 @@ def compose_tracks(predict: Predict, plans: Sequence[Plan], columns: Columns) ->
         plans: Plans without overlap.
         columns: Columns of each body part.
     """
-    timelines, rows = [], {}
+    timelines: list[int] = []
+    rows: dict[tuple[int, BodyPart], int] = {}
     for i, plan in enumerate(plans):
         for parts in body_sequences(plan).values():
             rows |= {(i, part): len(timelines) for part in parts}

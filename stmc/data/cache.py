@@ -214,9 +214,9 @@ def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "_ features"]]]) -> tuple[
     """
     clips, start = [], 0
     for clip, features in rows:
-        span = {"start": start, "end": start + len(features)}
-        clips.append(dataclasses.replace(clip, **span, recording="", whole=()))
-        start += len(features)
+        end = start + len(features)
+        clips.append(dataclasses.replace(clip, start=start, end=end, recording="", whole=()))
+        start = end
     return tuple(clips), torch.cat([features for _, features in rows])
 
 

@@ -154,7 +154,9 @@ def _end_with_parent() -> None:
     A worker waits for its next job at a pipe that it holds open itself, so that it would survive a killed parent
     forever. This works on every platform.
     """
-    multiprocessing.parent_process().join()
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
     os._exit(1)
 
 

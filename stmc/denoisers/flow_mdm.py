@@ -66,6 +66,7 @@ class FlowMdm(Network):
 
     ends = "input_process.poseEmbedding", "output_process.poseFinal"
     per_frame_text = True
+    positions: Tensor
 
     def __init__(
         self,
@@ -150,7 +151,9 @@ class FlowMdm(Network):
             return torch.full_like(t, self._encodings == "absolute", dtype=torch.bool)
         if self.training:
             return torch.rand(len(t), device=t.device) >= BPE_TRAINING_RATIO
-        return t >= (self.absolute_from if absolute_from is None else absolute_from)
+        lowest = self.absolute_from if absolute_from is None else absolute_from
+        assert lowest is not None  # a blended network has it
+        return t >= lowest
 
     def blended(
         self,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
@@ -286,7 +286,9 @@ class Layers(nn.Module):
         self.stochastic_depth = stochastic_depth
 
     def forward(self, frames: Float[Tensor, "batch frames width"], *attention: object) -> Tensor:
-        for (norm,), block in self.layers:
+        layer: Any  # a `ModuleList` does not declare the types of its modules
+        for layer in self.layers:
+            (norm,), block = layer
             normed = norm(frames)
             out = block(normed, *attention) if isinstance(block, Attention) else block(normed)
             if self.training and self.stochastic_depth:

@@ -25,6 +25,7 @@ class _Mdm(Network):
     """Common parts of both architectures. See `MdmEncoder` for the arguments."""
 
     ends = "input_process.poseEmbedding", "output_process.poseFinal"
+    positions: Tensor
 
     def __init__(
         self, features: int, text_width: int, width: int, heads: int, dropout: float, fixed_length: int | None

@@ -39,6 +39,7 @@ class MdmSmpl(Network):
     """
 
     ends = "skel_embedding", "to_skel_layer"
+    positions: Tensor
 
     def __init__(
         self,

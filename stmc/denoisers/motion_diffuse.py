@@ -140,6 +140,8 @@ class _LinearAttention(nn.Module):
     Keys are normalised over the memory and queries over the features, without scaling by the root of the width.
     """
 
+    text_norm: nn.LayerNorm  # of cross-attention only
+
     def __init__(self, width: int, memory_width: int, heads: int, stylization_width: int, dropout: float) -> None:
         super().__init__()
         self.heads = heads

@@ -6,6 +6,7 @@ Independent of layers; `denoiser` defines the interface of a denoiser.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import ClassVar
 
 from jaxtyping import Bool, Float, Int
@@ -43,7 +44,9 @@ class Network(nn.Module, ABC):
 
         See `statistics.restate`.
         """
-        restate(*map(self.get_submodule, self.ends), old, new)
+        first, last = map(self.get_submodule, self.ends)
+        assert isinstance(first, nn.Linear) and isinstance(last, nn.Linear)
+        restate(first, last, old, new)
 
     @abstractmethod
     def encode_text(
@@ -90,12 +93,21 @@ def as_network(denoiser: Denoiser) -> Network:
 class _FunctionNetwork(Network):
     def __init__(self, denoiser: Denoiser) -> None:
         super().__init__()
-        self.function = denoiser
+        self.function: Callable[..., Tensor] = denoiser
         for name in ("fixed_length", "supports_padding", "per_frame_text", "absolute_from"):
             setattr(self, name, getattr(denoiser, name, getattr(Network, name)))
 
     def encode_text(self, text: Tensor, text_mask: Tensor | None = None) -> Tensor:
         return text
 
-    def denoise(self, x: Tensor, t: Tensor, text: Tensor, *others: Tensor | None, **settings: int) -> Tensor:
-        return self.function(x, t, text, *others, **settings)
+    def denoise(
+        self,
+        x: Tensor,
+        t: Tensor,
+        text: Tensor,
+        text_mask: Tensor | None = None,
+        mask: Tensor | None = None,
+        *segment: Tensor | None,
+        **settings: int,
+    ) -> Tensor:
+        return self.function(x, t, text, text_mask, mask, *segment, **settings)

@@ -6,7 +6,7 @@ caller iterates, and so decides about progress, early stopping and gradients. Th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Literal, get_args
 
 import torch
@@ -115,7 +115,7 @@ def ddim(
         x0 = predict(x, times[i])
         yield x0
         x, variance = short.ddim(x0, x, i, eta)
-        if eta > 0:
+        if draw is not None and eta > 0:
             x = x + variance.sqrt() * draw(x.shape)
 
 
@@ -166,5 +166,5 @@ def dpm_solver(
         previous = x0
 
 
-SAMPLERS = {"ddpm": ddpm, "ddim": ddim, "dpm_solver": dpm_solver}
+SAMPLERS: Mapping[str, Sampler] = {"ddpm": ddpm, "ddim": ddim, "dpm_solver": dpm_solver}
 """Samplers by their names in configurations."""

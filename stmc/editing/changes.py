@@ -73,10 +73,10 @@ class Change:
         """
         start, *rest = (word.strip() for word in text.split("#"))
         try:
-            times = [float(word) for word in (start, *rest[:1])]
+            first, last = float(start), float(rest[0]) if rest else None
         except ValueError:
             raise SettingError(f"change={text!r}: must be start # end # body parts, in seconds") from None
-        return cls(*times, parts=rest[1:])
+        return cls(first, last, rest[1:])
 
 
 def changed_prompt(timeline: Timeline, prompt: Prompt) -> tuple[Change, ...]:

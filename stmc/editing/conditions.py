@@ -78,6 +78,7 @@ class Conditions:
         """Return a function that moves clean features [batch, frames, features] towards the constraints, or None."""
         if not self.constraints:
             return None
+        assert isinstance(self.representation, SmplRepresentation)
         parts = (self.constraints, self.representation, self.statistics, self.skeleton, self.fps)
         guides = [
             Guidance(*parts, place, 1 - weight) for place, weight in zip(self._starts, self._weights, strict=True)
@@ -107,8 +108,9 @@ class Conditions:
         canvas = max(self.frames) + (run.fixed_length or 0)
         guidance = self.constraint_guidance()
         features = sample(replace(run, known=self.observed(canvas, run.device), meet=guidance))
-        for _ in range(_REFINEMENT_PASSES if guidance else 0):
-            features = guidance(features)
+        if guidance is not None:
+            for _ in range(_REFINEMENT_PASSES):
+                features = guidance(features)
         restored = self.statistics.restore(features.cpu().double())
         skeleton = Skeleton(self.skeleton.offsets.double()) if joints_from == "skeleton" else None
         return [self._motion(i, restored[i, :frames], skeleton) for i, frames in enumerate(self.frames)]
@@ -124,7 +126,7 @@ class Conditions:
         by = motion.translation.new_tensor([x, y, z])
         by[:2] -= motion.translation[0, :2]
         moved = Motion(motion.rotations, motion.translation + by, motion.joints + by, self.fps)
-        if self.constraints:
+        if self.constraints and skeleton is not None:
             moved = project(moved, self.constraints, skeleton, self._free_parts(i))
         return moved.to(dtype=torch.float32)
 

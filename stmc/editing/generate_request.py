@@ -131,7 +131,7 @@ class GenerateRequest:
             >>> [request.seeds for request in two.split()]
             [(4,), (5,)]
         """
-        keeps = [(motion,) for motion in self.keep] or [()] * len(self.timelines)
+        keeps: Sequence[tuple[Motion, ...]] = [(motion,) for motion in self.keep] or [()] * len(self.timelines)
         return [
             replace(self, timelines=(timeline,), seeds=(seed,), keep=keep)
             for timeline, seed, keep in zip(self.timelines, self.seeds, keeps, strict=True)
@@ -146,7 +146,9 @@ class GenerateRequest:
             >>> stmc.GenerateRequest.joined(two.split()) == two
             True
         """
-        items = {name: tuple(item for request in requests for item in getattr(request, name)) for name in _PER_MOTION}
+        items: dict[str, Any] = {
+            name: tuple(item for request in requests for item in getattr(request, name)) for name in _PER_MOTION
+        }
         return replace(requests[0], **items)
 
     def decides(self) -> dict[str, Any]:

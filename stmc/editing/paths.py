@@ -84,7 +84,7 @@ def bend_path(
         )
     body, skeleton = exact(motion)
     line = _Line.of(body)
-    curvature = 1 / radius if radius is not None else angle / (line.length * (1 - ramp))
+    curvature = 1 / given[0] if radius is not None else given[0] / (line.length * (1 - ramp))
     curve = _Curve.of(curvature, line.length, ramp * line.length)
     bent = _move_ground(body, skeleton, lambda points: curve.bend(line, points))
     along = line.coordinates(body.translation[:, :2])[:, 0]
@@ -132,8 +132,8 @@ def reverse(motion: Motion) -> Motion:
         >>> torch.equal(stmc.reverse(motion).joints[0], motion.joints[-1])
         True
     """
-    values = (motion.rotations, motion.translation, motion.joints)
-    return Motion(*(value.flip(0) for value in values), motion.fps, motion.overlap)
+    rotations, translation, joints = (value.flip(0) for value in (motion.rotations, motion.translation, motion.joints))
+    return Motion(rotations, translation, joints, motion.fps, motion.overlap)
 
 
 def shift_sideways(motion: Motion, distance: float | int, forward: float | int = 1.0) -> Motion:

@@ -56,8 +56,10 @@ def follow(motion: Motion, following: Motion) -> Motion:
     feet, ankles = _plant_feet(first, second)
     posed = Motion.posed(rotations, translation, first.fps, skeleton)
     after = reach_with_legs(posed, ankles[1:], feet[1:], skeleton)
-    pairs = [(getattr(first, name), getattr(after, name)) for name in ("rotations", "translation", "joints")]
-    return like(Motion(*(torch.cat(pair) for pair in pairs), first.fps), motion)
+    rotations, translation, joints = (
+        torch.cat([getattr(first, name), getattr(after, name)]) for name in ("rotations", "translation", "joints")
+    )
+    return like(Motion(rotations, translation, joints, first.fps), motion)
 
 
 def add_rest(motion: Motion, rest: Motion, before: float | int = 0.0, after: float | int = 0.0) -> Motion:

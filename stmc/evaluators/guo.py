@@ -37,7 +37,7 @@ class MovementEncoder(nn.Module):
         return self.out_net(rearrange(movements, "batch width movements -> batch movements width"))
 
 
-class SequenceReader(nn.Module):
+class _RecurrentReader(nn.Module):
     """A bidirectional recurrent network; its two last states become one vector."""
 
     def __init__(self, features: int, hidden: int, width: int = 512) -> None:
@@ -49,17 +49,27 @@ class SequenceReader(nn.Module):
         )
         self.hidden = nn.Parameter(torch.randn(2, 1, hidden))
 
-    def forward(
+    def read(
         self, sequence: Float[Tensor, "batch words features"], lengths: Int[Tensor, " batch"]
     ) -> Float[Tensor, "batch width"]:
+        """Return the vector of each padded sequence."""
         start = repeat(self.hidden, "ends 1 hidden -> ends batch hidden", batch=len(sequence)).contiguous()
         packed = pack_padded_sequence(self.input_emb(sequence), lengths.cpu(), batch_first=True, enforce_sorted=False)
         _, last = self.gru(packed, start)
         return self.output_net(rearrange(last, "ends batch hidden -> batch (ends hidden)"))
 
 
-class TextReader(SequenceReader):
-    """A `SequenceReader` of word vectors, with an embedding of the part of speech (one-hot) added to each."""
+class SequenceReader(_RecurrentReader):
+    """A recurrent reader of padded sequences of the given lengths."""
+
+    def forward(
+        self, sequence: Float[Tensor, "batch words features"], lengths: Int[Tensor, " batch"]
+    ) -> Float[Tensor, "batch width"]:
+        return self.read(sequence, lengths)
+
+
+class TextReader(_RecurrentReader):
+    """A recurrent reader of word vectors, with an embedding of the part of speech (one-hot) added to each."""
 
     def __init__(self, words: int = 300, parts_of_speech: int = 15, hidden: int = 512, width: int = 512) -> None:
         super().__init__(words, hidden, width)
@@ -71,7 +81,7 @@ class TextReader(SequenceReader):
         parts_of_speech: Float[Tensor, "batch words kinds"],
         lengths: Int[Tensor, " batch"],
     ) -> Float[Tensor, "batch _"]:
-        return super().forward(words + self.pos_emb(parts_of_speech), lengths)
+        return self.read(words + self.pos_emb(parts_of_speech), lengths)
 
 
 class GuoEvaluator(nn.Module):

@@ -28,7 +28,7 @@ class Posterior(NamedTuple):
 
     def float(self) -> Posterior:
         """Convert to float32, because variances are exponentials."""
-        return Posterior(*(None if value is None else value.float() for value in self))
+        return Posterior(self.mean.float(), None if self.log_variance is None else self.log_variance.float())
 
     def rsample(self, generator: torch.Generator | None = None) -> Float[Tensor, "batch width"]:
         """Draw a point from each distribution; without a variance, return the mean."""
@@ -53,6 +53,8 @@ class SequenceEncoder(nn.Module):
         variational: Whether there are two tokens, mean and log variance, instead of one.
     """
 
+    positions: Tensor
+
     def __init__(
         self,
         features: int,
@@ -75,8 +77,8 @@ class SequenceEncoder(nn.Module):
         self, sequence: Float[Tensor, "batch frames features"], mask: Bool[Tensor, "batch frames"] | None = None
     ) -> Posterior:
         """Compute the posterior of each sequence; `mask` is True at existing frames, and None without padding."""
-        tokens = repeat(self.tokens, "tokens width -> batch tokens width", batch=len(sequence))
-        tokens = torch.cat([tokens, self.projection(sequence)], dim=1)
+        learned = repeat(self.tokens, "tokens width -> batch tokens width", batch=len(sequence))
+        tokens = torch.cat([learned, self.projection(sequence)], dim=1)
         tokens = self.dropout(tokens + _first(self.positions, tokens.shape[1]))
         padded = None if mask is None else ~torch.cat([mask.new_ones(len(mask), len(self.tokens)), mask], dim=1)
         outputs = self.seqTransEncoder(tokens, src_key_padding_mask=padded)
@@ -85,6 +87,8 @@ class SequenceEncoder(nn.Module):
 
 class SequenceDecoder(nn.Module):
     """A transformer from positions to a sequence of `features` numbers, with one latent as its memory."""
+
+    positions: Tensor
 
     def __init__(
         self,

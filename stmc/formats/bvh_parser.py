@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -28,6 +29,8 @@ LONGEST_HIERARCHY = 2**22
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 _MOST_WORDS = 9
 """Words in a line of the hierarchy: a joint has at most three position and three rotation channels."""
+
+Number = TypeVar("Number", int, float)
 
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -53,7 +56,8 @@ class Bvh:
 
     def world(self) -> tuple[Float[Tensor, "frames joints 3 3"], Float[Tensor, "frames joints 3"]]:
         """Compute rotations and positions of all joints in the file's world frame, by forward kinematics."""
-        rotations, positions = [], []
+        rotations: list[Tensor] = []
+        positions: list[Tensor] = []
         for joint, parent in enumerate(self.parents):
             rotation, position = self.rotations[:, joint], self.positions[:, joint]
             if parent >= 0:
@@ -108,7 +112,8 @@ def parse_bvh(text: str) -> Bvh:
 
 def _hierarchy(lines: Sequence[str]) -> list[_Joint]:
     joints: list[_Joint] = []
-    path, opening = [], _Joint("", -1, -1)
+    path: list[_Joint] = []
+    opening = _Joint("", -1, -1)
     for number, line in enumerate(lines, start=1):
         try:
             match line.split(maxsplit=_MOST_WORDS):
@@ -167,7 +172,8 @@ def _motion(joints: Sequence[_Joint], values: np.ndarray, fps: float | int) -> B
     column = 0
     for index, joint in enumerate(joints):
         positions[:, index] = joint.offset
-        order, angles = "", []
+        order = ""
+        angles: list[np.ndarray] = []
         for channel in joint.channels:
             axis, kind = channel[:1], channel[1:]
             if axis not in _AXES or kind not in ("position", "rotation"):
@@ -175,7 +181,8 @@ def _motion(joints: Sequence[_Joint], values: np.ndarray, fps: float | int) -> B
             if kind == "position":
                 positions[:, index, _AXES[axis]] = values[:, column]
             else:
-                order, angles = order + axis, [*angles, values[:, column]]
+                order += axis
+                angles.append(values[:, column])
             column += 1
         rotations[:, index] = _rotations(order, angles, joint) if order else np.eye(3)
     return Bvh(
@@ -198,7 +205,7 @@ def _rotations(order: str, angles: Sequence[np.ndarray], joint: _Joint) -> np.nd
         raise BvhError(f"{channels}: {cut(str(error), 100)}") from error
 
 
-def _number(word: str, kind: type) -> float | int:
+def _number(word: str, kind: type[Number]) -> Number:
     try:
         return kind(word)
     except ValueError as error:

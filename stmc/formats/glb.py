@@ -116,7 +116,8 @@ class _Binary:
         rows = np.ascontiguousarray(array.swapaxes(1, 2) if array.ndim == 3 else array)
         view = {"buffer": 0, "byteOffset": self.size, "byteLength": rows.nbytes}
         self.views.append(view if target is None else view | {"target": target})
-        accessor = {"bufferView": len(self.views) - 1, "componentType": _TYPES[array.dtype.name], "count": len(array)}
+        view_index, kind = len(self.views) - 1, _TYPES[array.dtype.name]
+        accessor: dict[str, Any] = {"bufferView": view_index, "componentType": kind, "count": len(array)}
         accessor["type"] = _SHAPES[array.shape[1:]]
         if normalized:
             accessor["normalized"] = True

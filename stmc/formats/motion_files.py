@@ -148,6 +148,7 @@ def read(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     """
     path = Path(path)
     load = format_of(path, READABLE, "read").read
+    assert load is not None
     return load(path, Skeleton.default() if skeleton is None else skeleton)
 
 

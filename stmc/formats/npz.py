@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import torch
@@ -44,7 +44,7 @@ def save_npz(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Time
     body = rearrange(
         matrix_to_axis_angle(motion.rotations.double().cpu()), "frames joints axes -> frames (joints axes)"
     )
-    extra = {} if timeline is None else {"timeline": np.array(timeline.to_json())}
+    extra: dict[str, Any] = {} if timeline is None else {"timeline": np.array(timeline.to_json())}
     np.savez_compressed(
         file,
         poses=np.pad(body.numpy(), ((0, 0), (0, 3 * _FINGERS))),

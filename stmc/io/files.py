@@ -14,12 +14,13 @@ import re
 import secrets
 import shutil
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-if os.name == "nt":
+if sys.platform == "win32":
     import _winapi
 
 logger = logging.getLogger(__name__)
@@ -201,14 +202,14 @@ def _is_alive(process: int, token: str) -> bool:
 def _exists(process: int) -> bool:
     """Tell whether a process of this machine is running."""
     try:
-        if os.name != "nt":
-            os.kill(process, 0)
-            return True
-        handle = _winapi.OpenProcess(_SYNCHRONIZE, False, process)  # os.kill would end the process here
-        try:
-            return _winapi.WaitForSingleObject(handle, 0) == _RUNS
-        finally:
-            _winapi.CloseHandle(handle)
+        if sys.platform == "win32":
+            handle = _winapi.OpenProcess(_SYNCHRONIZE, False, process)  # os.kill would end the process here
+            try:
+                return _winapi.WaitForSingleObject(handle, 0) == _RUNS
+            finally:
+                _winapi.CloseHandle(handle)
+        os.kill(process, 0)
+        return True
     except PermissionError:  # a process of another user
         return True
     except (OSError, OverflowError):

@@ -187,7 +187,8 @@ class Motion:
                 f"cannot trim {self.frames} frames to [{start}, {end}); choose 0 <= start < end <= {self.frames}"
             )
         values = (self.rotations, self.translation, self.joints)
-        return Motion(*(value[start:end] for value in values), self.fps, self.overlap)
+        rotations, translation, joints = (value[start:end] for value in values)
+        return Motion(rotations, translation, joints, self.fps, self.overlap)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Motion:
         """Return the motion on another device or in another floating-point dtype.
@@ -198,7 +199,8 @@ class Motion:
             torch.float64
         """
         values = (self.rotations, self.translation, self.joints)
-        return Motion(*(value.to(device=device, dtype=dtype) for value in values), self.fps, self.overlap)
+        rotations, translation, joints = (value.to(device=device, dtype=dtype) for value in values)
+        return Motion(rotations, translation, joints, self.fps, self.overlap)
 
 
 def _check(rotations: Tensor, translation: Tensor, joints: Tensor, fps: float | int) -> None:

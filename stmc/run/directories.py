@@ -115,10 +115,10 @@ def load(
     config = _config(folder, PARTS)
     settings = settings_of(ModelSettings, config, folder / CONFIG)
     sampling = settings_of(Sampling, config, folder / CONFIG)
-    parts, statistics, offsets = _restore(folder, config, PARTS, trusted)
+    parts, offsets = _restore(folder, config, PARTS, trusted)
+    assert offsets is not None
     model = Model(
         **parts,
-        **statistics,
         **vars(settings),
         skeleton=Skeleton(offsets),
         config=config,
@@ -147,8 +147,8 @@ def load_evaluator(
     folder = _run_directory(folder, BUNDLED_EVALUATOR)
     config = _config(folder, EVALUATOR_PARTS)
     settings = settings_of(EvaluatorSettings, config, folder / CONFIG)
-    parts, statistics, _ = _restore(folder, config, EVALUATOR_PARTS, trusted)
-    return Evaluator(**parts, **statistics, config=config, **vars(settings)).to(resolved_device)
+    parts, _ = _restore(folder, config, EVALUATOR_PARTS, trusted)
+    return Evaluator(**parts, config=config, **vars(settings)).to(resolved_device)
 
 
 def save(
@@ -241,7 +241,8 @@ def check(record: Model | Evaluator, trusted: Sequence[str] = ()) -> dict[str, A
     return config | vars(settings_of(kind, settings, "the model")) | dict(sampling)
 
 
-def _network(record: Model | Evaluator) -> torch.nn.Module:
+def _network(record: Model | Evaluator) -> Any:
+    """Return the part with the weights: a module, or the function that takes its place in a model."""
     return record.denoiser if isinstance(record, Model) else record.network
 
 
@@ -341,8 +342,8 @@ def _config(folder: Path, parts: Mapping[str, Part]) -> dict[str, Any]:
 
 def _restore(
     folder: Path, config: Mapping[str, Any], parts: Mapping[str, Part], trusted: Sequence[str]
-) -> tuple[dict[str, Any], dict[str, Statistics], torch.Tensor | None]:
-    """Return the parts with their weights, the statistics, and the offsets of a model's skeleton."""
+) -> tuple[dict[str, Any], torch.Tensor | None]:
+    """Return the parts with their weights, with the statistics, and the offsets of a model's skeleton."""
     try:
         built = build_fitting(config, read_specs(folder / WEIGHTS), str(folder / WEIGHTS), parts, trusted)
     except RunError as error:
@@ -353,7 +354,7 @@ def _restore(
     statistics = {
         f"{side}_statistics": Statistics(numbers[f"{side}_mean"], numbers[f"{side}_std"]) for side in ("motion", "text")
     }
-    return built, statistics, numbers.get("skeleton")
+    return built | statistics, numbers.get("skeleton")
 
 
 def _read_numbers(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:

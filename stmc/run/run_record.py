@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from stmc.diffusion import Prediction
 from stmc.run.configs import RunError
-from stmc.settings.records import SettingError, check, record_of, setting
+from stmc.settings.records import SettingError, check, defaults, record_of, setting
 
 Record = TypeVar("Record")
 
@@ -44,11 +44,11 @@ def settings_of(kind: type[Record], config: Mapping[str, Any], place: str | Path
     Raises:
         RunError: If a setting without a default is missing, or a value is invalid.
     """
-    fields = dataclasses.fields(kind)
-    absent = [field.name for field in fields if field.default is dataclasses.MISSING and field.name not in config]
+    names = defaults(kind)
+    absent = [name for name, default in names.items() if default is dataclasses.MISSING and name not in config]
     if absent:
         raise RunError(f"{place}: {', '.join(absent)} missing")
     try:
-        return record_of(kind, {field.name: config[field.name] for field in fields if field.name in config})
+        return record_of(kind, {name: config[name] for name in names if name in config})
     except SettingError as error:
         raise RunError(f"{place}: {error}") from error

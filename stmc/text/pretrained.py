@@ -82,7 +82,7 @@ def load(
     sha256: str | None = None,
     revision: str | None = None,
     **settings: bool,
-) -> tuple[Any, torch.nn.Module]:
+) -> tuple[Any, Any]:
     """Load the tokenizer and the float32 model from a folder or from the hub (its local cache first).
 
     Weights come from safetensors or, if there are none, from a checkpoint that holds nothing but tensors.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float, Int
@@ -29,6 +29,10 @@ class TextEncoder(Protocol):
         Every text, even "", has at least one word. Raises `ValueError` if there is no text.
         """
         ...
+
+
+Encode = Callable[[Sequence[str]], tuple[Tensor, Tensor]]
+"""A function like `TextEncoder.encode`: texts → their words and the number of words of each text."""
 
 
 def check(texts: Sequence[str]) -> None:

@@ -8,27 +8,31 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
+from typing import TypeVar
 
 from stmc.motion.body import BodyPart
 
-Interval = tuple[int | float, int | float, list[int], list[int]]
+Time = TypeVar("Time", int, float)
+"""Frames or seconds."""
+
+Interval = tuple[Time, Time, list[int], list[int]]
 """Start and end, in seconds or frames; the indices of the spans that end and that start at its start."""
 
 
-def sweep(spans: Iterable[tuple[int | float, int | float]]) -> Iterator[Interval]:
+def sweep(spans: Iterable[tuple[Time, Time]]) -> Iterator[Interval[Time]]:
     """Cut time at every start and end (Appendix B, Figure A.1 left), including gaps; empty spans are ignored."""
-    events: dict[int | float, tuple[list[int], list[int]]] = {}
+    events: dict[Time, tuple[list[int], list[int]]] = {}
     for index, (start, end) in enumerate(spans):
         if start < end:
             events.setdefault(start, ([], []))[1].append(index)
             events.setdefault(end, ([], []))[0].append(index)
-    for left, right in pairwise(sorted(events)):
-        yield left, right, *events[left]
+    times: list[Time] = sorted(events)
+    for left, right in pairwise(times):
+        ended, started = events[left]
+        yield left, right, ended, started
 
 
-def elementary(
-    spans: Iterable[tuple[int | float, int | float]],
-) -> Iterator[tuple[int | float, int | float, tuple[int, ...]]]:
+def elementary(spans: Iterable[tuple[Time, Time]]) -> Iterator[tuple[Time, Time, tuple[int, ...]]]:
     """Yield the intervals of `sweep`, each with the indices of all spans that hold throughout."""
     active: set[int] = set()
     for start, end, ended, started in sweep(spans):

@@ -16,6 +16,7 @@ def draw(draft: Draft) -> str:
     title = f"{draft.name or 'timeline'}: {duration:g} s, {count} prompt{'s' if count > 1 else ''}"
     tracks: dict[int, list[tuple[int, Entry]]] = {}
     for number, entry in enumerate(draft.entries, start=1):
+        assert entry.track is not None
         tracks.setdefault(entry.track, []).append((number, entry))
     rows = [_row(tracks[track], duration) for track in sorted(tracks)]
     return "\n".join([title, _ruler(duration), *rows, *_list(draft.entries)])

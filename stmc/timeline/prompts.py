@@ -12,6 +12,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stmc.io.bounds import MOST_SECONDS
 from stmc.io.untrusted import shown
@@ -58,7 +59,13 @@ class Prompt:
     text: str
     start: int | float
     end: int | float
-    parts: Collection[str] = frozenset()
+    if TYPE_CHECKING:  # the constructor converts `parts`
+        parts: frozenset[BodyPart]
+
+        def __init__(self, text: str, start: int | float, end: int | float, parts: Collection[str] = frozenset()): ...
+
+    else:
+        parts: Collection[str] = frozenset()
 
     def __post_init__(self) -> None:
         if not isinstance(self.text, str) or not isinstance(self.parts, Collection):
@@ -75,12 +82,13 @@ class Prompt:
             raise TimelineError(f"end {self.end:g} must be later than start {self.start:g} (seconds)")
         if self.end > LATEST:
             raise TimelineError(f"end {self.end:g} is later than {LATEST} seconds, the limit")
-        listed = (self.parts,) if isinstance(self.parts, str) else self.parts
-        try:
-            object.__setattr__(self, "parts", frozenset(BodyPart.parse(part) for part in listed))
-        except ValueError:
-            unknown = next(part for part in listed if not _is_part(part))
-            raise TimelineError(f"unknown body part {shown(unknown)}; choose from {', '.join(BodyPart)}") from None
+        parts = []
+        for part in (self.parts,) if isinstance(self.parts, str) else self.parts:
+            try:
+                parts.append(BodyPart.parse(part))
+            except ValueError:
+                raise TimelineError(f"unknown body part {shown(part)}; choose from {', '.join(BodyPart)}") from None
+        object.__setattr__(self, "parts", frozenset(parts))
 
     def __repr__(self) -> str:
         return typed(self.text, self.start, self.end, [str(part) for part in BodyPart if part in self.parts])
@@ -332,8 +340,9 @@ def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
     for start, _, ended, started in sweep((prompt.start, prompt.end) for prompt in prompts):
         precedence.update(ended, started)
         for part in BodyPart:
-            for rival in precedence.rivals(part):
-                shared.setdefault((rival, precedence.owner(part)), (start, set()))[1].add(part)
+            if (owner := precedence.owner(part)) is not None:
+                for rival in precedence.rivals(part):
+                    shared.setdefault((rival, owner), (start, set()))[1].add(part)
         if len(shared) > MAX_PAIRS_COUNTED:
             break
     names = [f"{shown(prompt.text)} ({place})" for prompt, place in zip(prompts, places, strict=True)]
@@ -356,13 +365,6 @@ def _crowded_track(timeline: Timeline, later: int, earlier: int) -> str:
         f"{timeline.places[later]} {one} is in the same track as {timeline.places[earlier]} {other} at the same time; "
         "the prompts of a track follow each other: move one in time or to another track"
     )
-
-
-def _is_part(text: str) -> bool:
-    try:
-        return bool(BodyPart.parse(text))
-    except ValueError:
-        return False
 
 
 def _listed(parts: Collection[BodyPart]) -> str:

@@ -85,7 +85,8 @@ def _entry_of_line(line: str, place: str) -> Entry:
             times.append(float(field))
         except ValueError:
             raise TimelineError(f"{place}: {name} {shown(field)} is not a number of seconds; write {LINE}") from None
-    return Entry(place, None, text, *times, tuple(rest[2:]))
+    start, end = times
+    return Entry(place, None, text, start, end, tuple(rest[2:]))
 
 
 def _check_prompt_count(count: int, place: str) -> None:
@@ -215,7 +216,7 @@ def _json(data: Any) -> str:
 
 
 def _tracks(entries: Sequence[Entry]) -> list[list[dict[str, Any]]]:
-    rows = [entry.track for entry in entries]
+    rows = [entry.track for entry in entries if entry.track is not None]
     if rows != sorted(rows):  # the order breaks ties, so it takes precedence over the tracks, which serve drawing only
         rows = _rows_in_order(entries)
     tracks: list[list[dict[str, Any]]] = [[] for _ in set(rows)]

@@ -139,9 +139,9 @@ def part_colours(
     for index, part in enumerate(BodyPart):
         for owner, start, end in owned[part]:
             result[start:end, index] = neutral if owner is None else colours[owner]
-        for start, end in transitions(owned[part], fps, overlap):
-            centre, half = (start + end) / 2, max((end - start) / 2, 1e-9)
-            near = slice(int(start), math.ceil(end))
+        for left, right in transitions(owned[part], fps, overlap):
+            centre, half = (left + right) / 2, max((right - left) / 2, 1e-9)
+            near = slice(int(left), math.ceil(right))
             share = np.clip(1.0 - np.abs(middle[near] - centre) / half, 0.0, 1.0)[:, None]
             result[near, index] = (1 - share) * result[near, index] + share * neutral
     return result

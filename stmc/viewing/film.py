@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -96,8 +97,8 @@ def _texts(figure: Figure, timeline: Timeline | None, time: float) -> None:
     for line, (text, colour) in enumerate(holding):
         label = text if len(text) <= 60 else f"{text[:59]}…"
         box = {"facecolor": colour, "edgecolor": "none", "boxstyle": "round,pad=0.25"}
-        place = {"ha": "center", "va": "center", "fontsize": 9, "color": ink(colour), "bbox": box, "parse_math": False}
-        figure.text(0.5, (line + 0.6) * _LINE, label, **place)
+        style: dict[str, Any] = {"fontsize": 9, "color": ink(colour), "bbox": box, "parse_math": False}
+        figure.text(0.5, (line + 0.6) * _LINE, label, ha="center", va="center", **style)
 
 
 def _animation(motion: Motion, pictures: Iterator[np.ndarray], path: Path) -> Callable[[Path], None]:

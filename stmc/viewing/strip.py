@@ -144,7 +144,8 @@ def _floor(axes: Axes, centre: Float[np.ndarray, " 3"], camera: Float[np.ndarray
     """Draw a round floor with half-metre tiles fixed in the world."""
     turn = np.linspace(0, 2 * np.pi, 60)
     rim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1) * reach
-    ground = axes.add_patch(Polygon((rim @ camera.T)[:, :2], facecolor=_FLOOR, linewidth=0, zorder=0))
+    ground = Polygon((rim @ camera.T)[:, :2], facecolor=_FLOOR, linewidth=0, zorder=0)
+    axes.add_patch(ground)
     lines = []
     for axis in (0, 1):
         first, last = math.ceil((centre[axis] - reach) * 2), math.floor((centre[axis] + reach) * 2)
@@ -154,7 +155,7 @@ def _floor(axes: Axes, centre: Float[np.ndarray, " 3"], camera: Float[np.ndarray
         ends[:, :, axis] = at[:, None]
         ends[:, 0, 1 - axis], ends[:, 1, 1 - axis] = -half, half
         lines.append((ends @ camera.T)[..., :2])
-    axes.add_collection(LineCollection(np.concatenate(lines), colors=_LINE, linewidths=0.6, zorder=1))
+    axes.add_collection(LineCollection(list(np.concatenate(lines)), colors=_LINE, linewidths=0.6, zorder=1))
     return ground
 
 
@@ -164,7 +165,9 @@ def _path(
     """Draw a line on the floor; its colours are mixed with that of the floor, keeping `share`."""
     segments = np.stack([points[:-1, :2], points[1:, :2]], axis=1)
     thinned = mix(as_rgb(_FLOOR), share, colours[:-1])
-    return axes.add_collection(LineCollection(segments, colors=thinned, linewidths=width, zorder=2))
+    line = LineCollection(list(segments), colors=thinned, linewidths=width, zorder=2)
+    axes.add_collection(line)
+    return line
 
 
 def _arrow(axes: Axes, facing: Float[np.ndarray, " 3"], camera: Float[np.ndarray, "3 3"]) -> None:
@@ -183,9 +186,10 @@ def _figure(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     lit = normals @ _SUN > 0
     fallen = corners[lit] - corners[lit][..., 2:] / _SUN[2] * _SUN
-    shadow = axes.add_collection(
-        PolyCollection((fallen @ camera.T)[..., :2], facecolors=_SHADOW, edgecolors=_SHADOW, linewidths=0.3, zorder=1.5)
+    shadow = PolyCollection(
+        (fallen @ camera.T)[..., :2], facecolors=_SHADOW, edgecolors=_SHADOW, linewidths=0.3, zorder=1.5
     )
+    axes.add_collection(shadow)
     seen = corners @ camera.T
     nearest = np.argsort(seen[..., 2].mean(axis=1))
     nearest = nearest[(normals @ camera[2])[nearest] > 0]

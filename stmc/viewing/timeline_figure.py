@@ -73,7 +73,7 @@ def draw_tracks(axes: Axes, timeline: Timeline, fps: int | float, overlap: int |
 
 
 def _prompts(axes: Axes, timeline: Timeline) -> None:
-    inches = axes.figure.get_figwidth() * 0.86 / timeline.duration
+    inches = axes.figure.bbox.width / axes.figure.dpi * 0.86 / timeline.duration
     for row, prompt, colour in zip(timeline.rows, timeline.prompts, palette(len(timeline.prompts)), strict=True):
         left, wide = prompt.start, prompt.end - prompt.start
         _bar(axes, left, row * _TRACK + 0.08, wide, _TRACK - 0.16, colour, inches)
@@ -93,10 +93,10 @@ def _parts(axes: Axes, timeline: Timeline, fps: int | float, overlap: int | floa
             colour = NEUTRAL if owner is None else colours[owner]
             width = (end - start) / fps
             axes.add_patch(Rectangle((start / fps, low), width, tall, facecolor=colour, linewidth=0, alpha=0.9))
-        for start, end in transitions(spans, fps, overlap):
+        for left, right in transitions(spans, fps, overlap):
             axes.add_patch(
                 Rectangle(
-                    (start / fps, low), (end - start) / fps, tall, facecolor=NEUTRAL, edgecolor="white", hatch="//////",
+                    (left / fps, low), (right - left) / fps, tall, facecolor=NEUTRAL, edgecolor="white", hatch="//////",
                     linewidth=0,
                 )
             )  # fmt: skip

@@ -142,6 +142,7 @@ def _in_notebook() -> bool:
 def _data(motion: Motion, timeline: Timeline | None, overlap: int | float, skin: Skin) -> dict[str, Any]:
     """Return the data of the page's script, without marks."""
     figure = glb_of(skin, {"motion": Animation(motion)}, compact=True)
+    owned: dict[str, dict[str, list]]
     if timeline is None:
         owned = {"owners": {part: [[0, 0.0, motion.duration]] for part in BodyPart}, "transitions": {}}
     else:

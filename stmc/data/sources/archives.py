@@ -5,6 +5,7 @@ Reads regular files of bounded size, whatever the headers of an archive claim; i
 
 from __future__ import annotations
 
+import io
 import lzma
 import tarfile
 from collections.abc import Collection, Iterator
@@ -46,7 +47,8 @@ def _archive(path: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath
                     if number >= MOST_MEMBERS or left < 0:
                         limits = f"{MOST_MEMBERS:,} members or {MOST_ARCHIVE / 2**30:g} GiB"
                         raise ValueError(f"{path} unpacks to more than {limits} (read up to {name})")
-                    archive.members.clear()  # tarfile would keep all members
+                    # tarfile would keep all members; typeshed does not declare the attribute
+                    archive.members.clear()  # type: ignore[attr-defined]
                     unpacked.left = member.size + _HEADERS
                     inner = PurePosixPath(member.name)
                     if inner.suffix in kinds:
@@ -64,21 +66,24 @@ def _member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> str | Unreadab
         return UnreadableError("a member of the archive that is not a regular file")
     if member.size > MOST_BYTES:
         return UnreadableError(f"{member.size:,} bytes, more than {MOST_BYTES / 2**20:g} MiB")
-    return archive.extractfile(member).read().decode("ascii", errors="replace")
+    content = archive.extractfile(member)
+    assert content is not None  # it is a regular file
+    return content.read().decode("ascii", errors="replace")
 
 
 _HEADERS = 2**20
 """Maximum number of bytes between two members, which tarfile reads at once."""
 
 
-class _Metered:
+class _Metered(io.RawIOBase):
     """A file with a limited number of bytes `left` to read, whatever its headers claim."""
 
     def __init__(self, file: lzma.LZMAFile) -> None:
+        super().__init__()
         self._file = file
         self.left = _HEADERS
 
-    def read(self, size: int) -> bytes:
+    def read(self, size: int = -1, /) -> bytes:
         data = self._file.read(size)
         self.left -= len(data)
         if self.left < 0:

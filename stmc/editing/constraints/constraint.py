@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 from jaxtyping import Float
 from torch import Tensor
@@ -150,13 +150,13 @@ class Constraint(ABC):
         return {"name": self.name, "error": float(errors.max()) * scale if len(errors) else 0.0, "unit": unit}
 
     @classmethod
-    def from_json(cls, find: Callable[[str], Motion], /, **values: Any) -> Constraint:
+    def from_json(cls, find: Callable[[str], Motion], /, *items: Any, **values: Any) -> Constraint:
         """Make a constraint from the values of its JSON object; `find` returns a motion by its name."""
-        return cls(**values)
+        return cls(*items, **values)
 
     def to_json(self, save: Callable[[Motion], str]) -> dict[str, dict[str, Any]]:
         """Return the JSON object for `constraint_of`, without defaults; `save` stores a motion and returns its name."""
-        fields = dataclasses.fields(self)
+        fields = dataclasses.fields(cast(Any, self))  # each kind is a dataclass
         values = {field.name: getattr(self, field.name) for field in fields}
         return {self.name: {field.name: values[field.name] for field in fields if values[field.name] != field.default}}
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 from stmc.evaluation.benchmarks.questions import Question
 from stmc.evaluation.metrics.action_measures import mean_speed, waves
@@ -82,8 +83,8 @@ def abilities() -> tuple[Ability, ...]:
     sides = {"left": ("left",), "right": ("right",), "both": ("left", "right")}
     return (
         *(
-            _ability(raised[side], 3, arms[side], lambda motion, up=both[side]: raises(motion, *up), 0.9)
-            for side in both
+            _ability(raised[side], 3, arms[side], partial(raises, left=left, right=right), 0.9)
+            for side, (left, right) in both.items()
         ),
         _ability("walk forwards", 6, "legs", lambda motion: 0.5 <= mean_speed(motion) <= 2, 0.95),
         _ability("run", 4, "legs", lambda motion: mean_speed(motion) > 1.5, 0.9),
@@ -94,10 +95,7 @@ def abilities() -> tuple[Ability, ...]:
         _ability("walk backwards", 6, "legs", lambda motion: mean_speed(motion) < -0.2, 0.9),
         _ability("turn left", 5, "legs", lambda motion: turn(motion) > math.pi / 4, 0.9),
         _ability("turn right", 5, "legs", lambda motion: turn(motion) < -math.pi / 4, 0.9),
-        *(
-            _ability(waved[side], 6, arms[side], lambda motion, which=sides[side]: waves(motion, which), 0.9)
-            for side in sides
-        ),
+        *(_ability(waved[name], 6, arms[name], partial(waves, sides=wavers), 0.9) for name, wavers in sides.items()),
         Ability(
             "walk and raise the right arm meanwhile",
             Timeline.parse(

@@ -150,9 +150,9 @@ def _parse_row(row: dict, place: str) -> AtomicPrompt:
 def _atomic_prompt(text: str, parts: Sequence[str], *motion: str | float, place: str) -> AtomicPrompt:
     if len(motion) != 3:
         raise TimelineError(f"{place}: a motion is written clip # start # end (seconds)")
-    clip, *span = motion
+    clip, start, end = motion
     try:
-        prompt = Prompt(text, *map(float, span), parts)
+        prompt = Prompt(text, float(start), float(end), parts)
     except (TypeError, ValueError) as error:
         raise TimelineError(f"{place}: {error}") from None
     return AtomicPrompt(prompt.text, prompt.claims, str(clip), prompt.start, prompt.end)
@@ -211,8 +211,8 @@ def _draw(
     third = free[rng.integers(len(free))]
     bounds = [0, durations[0], sum(durations)]
     span = _place(_hundredths(third, length), bounds, overlapped, rng)
-    consecutive = [_to_prompt(prompt, *edges) for prompt, edges in zip(pair, pairwise(bounds), strict=True)]
-    return None if span is None else (*consecutive, _to_prompt(third, *span))
+    before, after = (_to_prompt(prompt, *edges) for prompt, edges in zip(pair, pairwise(bounds), strict=True))
+    return None if span is None else (before, after, _to_prompt(third, *span))
 
 
 def _place(

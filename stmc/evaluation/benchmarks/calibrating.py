@@ -100,7 +100,8 @@ def threshold_between(known: Sequence[float], unknown: Sequence[float]) -> float
         lost, caught = (sum(score < threshold for score in several) / len(several) for several in (known, unknown))
         return (caught - lost if lost <= MOST_LOST else -1.0, -threshold)
 
-    return round(max(candidates, key=gain), 3)
+    best = max(candidates, key=gain)
+    return round(best, 3)
 
 
 def rates_of_warnings(

@@ -231,11 +231,11 @@ class Compositions:
     ) -> Measurements:
         distinct = {text: row for row, text in enumerate(dict.fromkeys(segment.text for segment in segments))}
         texts = self.evaluator.texts(list(distinct))[[distinct[segment.text] for segment in segments]]
-        latents = (
+        of_texts, of_crops, of_windows = (
             F.normalize(embeddings, dim=-1)
             for embeddings in (texts, self.evaluator.motions(crops), self.evaluator.motions(windows))
         )
-        return Measurements(segments, *latents, torch.stack(list(jerks)))
+        return Measurements(segments, of_texts, of_crops, of_windows, torch.stack(list(jerks)))
 
     def _scores(self, measurements: Measurements, seed: int) -> Scores:
         true, everything = self._describes(measurements.segments), np.arange(len(self.compositions))

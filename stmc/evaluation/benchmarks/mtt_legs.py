@@ -158,7 +158,7 @@ def jumps_to(motion: Motion, direction: str) -> bool:
 def jumping_jacks(motion: Motion) -> bool:
     """Return whether hands go up and down and feet apart and together, at least twice, with stretched arms."""
     apart = (joint(motion, "left_ankle") - joint(motion, "right_ankle")).norm(dim=-1)
-    hands = sum(joint(motion, f"{side}_wrist")[:, 2] for side in ("left", "right")) / 2
+    hands = (joint(motion, "left_wrist")[:, 2] + joint(motion, "right_wrist")[:, 2]) / 2
     return cycles(hands, 0.5) >= 2 and cycles(apart, 0.2) >= 2 and float(hands.max()) > 1.4
 
 

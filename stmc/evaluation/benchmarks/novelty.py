@@ -27,12 +27,12 @@ class Bin(NamedTuple):
 
     Args:
         name: Range of cosines to the nearest training sentence.
-        count: Number of sentences.
+        size: Number of sentences.
         success: Their mean success, or None without sentences.
     """
 
     name: str
-    count: int
+    size: int
     success: float | None
 
 

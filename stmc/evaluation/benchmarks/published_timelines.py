@@ -76,7 +76,10 @@ def _draw(atomic_prompts: Sequence[AtomicPrompt], weights: Sequence[int], rng: r
     start = round((durations[0] if beside == "second" else 0.0) + rng.uniform(0, room - third), 2)
     times = ((0.0, durations[0]), (durations[0], sum(durations)), (start, start + third))
     spans = zip((first, second, fitting), times, strict=True)
-    return tuple(Prompt(atomic_prompts[n].text, *map(_hundredths, span), atomic_prompts[n].parts) for n, span in spans)
+    return tuple(
+        Prompt(atomic_prompts[n].text, _hundredths(first), _hundredths(last), atomic_prompts[n].parts)
+        for n, (first, last) in spans
+    )
 
 
 def _hundredths(seconds: float) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 
 import torch
@@ -141,7 +142,7 @@ def _hops(motion: Motion) -> bool:
 
 def _jumping_jacks(motion: Motion) -> bool:
     apart = (joint(motion, "left_ankle") - joint(motion, "right_ankle")).norm(dim=-1)
-    hands = sum(joint(motion, f"{side}_wrist")[:, 2] for side in ("left", "right")) / 2
+    hands = (joint(motion, "left_wrist")[:, 2] + joint(motion, "right_wrist")[:, 2]) / 2
     return cycles(hands, 0.5) >= 2 and cycles(apart, 0.2) >= 2
 
 
@@ -233,8 +234,8 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     "dash": lambda motion: mean_speed(motion) > 1.5,
     "walk-turn-left": lambda motion: turn(motion) > math.pi / 4,
     "walk-turn-right": lambda motion: turn(motion) < -math.pi / 4,
-    **{f"raise-up-{hands}": lambda motion, of=sides: lifts(motion, of) for hands, sides in _SIDES.items()},
-    **{f"wave-{hands}": lambda motion, of=sides: waves(motion, of) for hands, sides in _SIDES.items()},
+    **{f"raise-up-{hands}": partial(lifts, sides=sides) for hands, sides in _SIDES.items()},
+    **{f"wave-{hands}": partial(waves, sides=sides) for hands, sides in _SIDES.items()},
 })  # fmt: skip
 """Questions by the name of an action, for actions that geometry can show; others (a salsa, a laugh) need eyes or an
 evaluator. A wrist near shoulder height counts as raised, because some of Bandai's actors raise it no higher."""

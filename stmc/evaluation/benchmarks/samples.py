@@ -50,7 +50,9 @@ class Samples:
         """Read a motion and the duration of its computation."""
         tensors = load_file(self._path(number))
         seconds = tensors.pop(_SECONDS, None)
-        return Motion(*(tensors[name] for name in _TENSORS), self.fps), None if seconds is None else float(seconds)
+        rotations, translation, joints = (tensors[name] for name in _TENSORS)
+        motion = Motion(rotations, translation, joints, self.fps)
+        return motion, None if seconds is None else float(seconds)
 
     def remove(self) -> None:
         """Delete the folder, if it exists, after the motions are measured."""

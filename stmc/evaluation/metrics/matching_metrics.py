@@ -125,4 +125,5 @@ def _pairs(count: int, pairs: int, seed: int) -> tuple[Tensor, Tensor]:
     if count < pairs:
         raise ValueError(f"{pairs} pairs without replacement need at least {pairs} embeddings; got {count}")
     rng = np.random.RandomState(seed)  # the generator of the published numbers
-    return tuple(torch.from_numpy(rng.choice(count, pairs, replace=False)) for _ in range(2))
+    first, second = (torch.from_numpy(rng.choice(count, pairs, replace=False)) for _ in range(2))
+    return first, second

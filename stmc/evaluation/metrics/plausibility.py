@@ -101,10 +101,10 @@ def _check_sides(joints: Tensor) -> None:
     across = joints[:, JOINTS.index("left_hip")] - joints[:, JOINTS.index("right_hip")]
     up = across.new_tensor([0.0, 0.0, 1.0]).expand_as(across)
     forward = F.normalize(torch.linalg.cross(across, up), dim=-1)
-    toes = sum(
+    left, right = (
         joints[:, JOINTS.index(f"{side}_foot")] - joints[:, JOINTS.index(f"{side}_ankle")] for side in ("left", "right")
     )
-    if float((F.normalize(toes, dim=-1) * forward).sum(dim=-1).mean()) < 0:
+    if float((F.normalize(left + right, dim=-1) * forward).sum(dim=-1).mean()) < 0:
         raise ImplausibleMotion(
             "toes point backwards: left and right are exchanged, or the motion is mirrored (an axis negated or two "
             "exchanged without negating one)"

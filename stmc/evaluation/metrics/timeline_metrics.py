@@ -116,8 +116,8 @@ def semantics(crops: Float[Tensor, "crops width"], numbers: Sequence[int], truth
         scores(torch.nn.functional.cosine_similarity(crops, latents[indices], dim=-1)).double().mean()
         for latents in (truth.texts, truth.motions)
     )
-    recalls = [100 * float((positions < count).double().mean()) for count in (1, 3)]
-    return Semantics(*recalls, float(to_text), float(to_motion))
+    recall_1, recall_3 = (100 * float((positions < count).double().mean()) for count in (1, 3))
+    return Semantics(recall_1, recall_3, float(to_text), float(to_motion))
 
 
 def measured_points(spans: Sequence[Span], frames: int) -> tuple[int, ...]:

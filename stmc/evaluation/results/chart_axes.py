@@ -5,9 +5,11 @@ This module knows records and matplotlib's axes; it knows no particular figure.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
 from stmc.evaluation.results.intervals import Estimate, estimates
@@ -18,7 +20,7 @@ from stmc.viewing.figure import Figure
 from stmc.viewing.timeline_figure import FAINT, INK
 
 GRID = "#e6e8ec"
-DASHED = {"color": INK, "linewidth": 1, "linestyle": (0, (4, 3))}
+DASHED: Mapping[str, Any] = {"color": INK, "linewidth": 1, "linestyle": (0, (4, 3))}
 
 Groups = dict[Setting, list[Result]]
 Point = tuple[float | int, Estimate]
@@ -87,7 +89,7 @@ def grid(count: int, wide: float, tall: float) -> tuple[Figure, list[Axes]]:
     return plot, found[:count]
 
 
-def dress(axes: Axes, along: str) -> None:
+def dress(axes: Axes, along: Literal["x", "y", "both"]) -> None:
     """Style axes plainly: without a frame, with grey grid lines `along` "x", "y" or "both"."""
     axes.grid(axis=along, color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
@@ -101,14 +103,14 @@ def legend(plot: Figure, panels: Iterable[Axes]) -> None:
 
     The legend is no wider than the figure, whose height grows by that of the legend.
     """
-    named = {}
+    named: dict[str, Artist] = {}
     for axes in panels:
         named |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     if len(named) < 2:
         return
     for columns in range(len(named), 0, -1):
         shown = plot.legend(
-            named.values(), named.keys(), loc="outside lower center", ncols=columns, frameon=False, fontsize=9
+            list(named.values()), list(named), loc="outside lower center", ncols=columns, frameon=False, fontsize=9
         )
         extent = shown.get_window_extent()
         if columns == 1 or extent.width <= plot.bbox.width:

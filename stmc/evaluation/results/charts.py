@@ -55,11 +55,11 @@ def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("reca
     plot = Figure(figsize=(4.4 * (1 + timed), 2.9 * len(columns)), layout="constrained")
     rows = plot.subplots(len(columns), 1 + timed, squeeze=False, sharey="row")
     for row, measure in zip(rows, columns, strict=True):
-        lines(row[0], measure, groups, _sampler, lambda setting, runs: setting.sampling.steps, "steps")
+        lines(row[0], measure, groups, _sampler, _steps, "steps")
         if timed:
             lines(row[1], measure, groups, _sampler, _mean_seconds, "seconds per motion")
             row[1].set_ylabel("")
-    steps = sorted({setting.sampling.steps for setting in groups})
+    steps = sorted({_steps(setting, runs) for setting, runs in groups.items()})
     for axes in rows.flat:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -117,11 +117,16 @@ def _bar_panel(axes: Axes, measure: Measure, groups: Groups, colours: dict[str, 
     dress(axes, "y")
 
 
+def _steps(setting: Setting, runs: list[Result]) -> int:
+    assert setting.sampling.steps is not None
+    return setting.sampling.steps
+
+
 def _mean_seconds(setting: Setting, runs: list[Result]) -> float:
     return estimate([run.metrics[SECONDS] for run in runs]).mean
 
 
 def _sampler(setting: Setting) -> str:
-    sampler, scale = setting.sampling.sampler or "–", setting.sampling.noise_scale
+    sampler, scale = str(setting.sampling.sampler or "–"), setting.sampling.noise_scale
     name = _SAMPLERS.get(sampler, sampler)
     return f"{name}, {scale}" if scale else name

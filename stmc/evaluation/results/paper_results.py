@@ -67,7 +67,7 @@ def repetition_table(results: Iterable[Result], title: str) -> Table:
     rows = []
     for setting, runs in groups.items():
         share = setting.sampling.ape_steps
-        labels = (setting.denoiser or "–", variant(setting))
+        labels: tuple[str, ...] = (setting.denoiser or "–", variant(setting))
         labels += ("–" if share is None else f"{share:.1%}",) if blended else ()
         order = (setting.method != REAL, place(setting), setting.denoiser, -1 if share is None else share)
         rows.append((order, Row(labels, _estimates(runs), competes=setting.method != REAL)))

@@ -122,7 +122,7 @@ def analyse(key: Key, answers: Sequence[Answers]) -> Analysis:
     votes of the three wins, and a tie for the most is "no preference". A rater who sees a pair in two surveys has one
     vote, that of the first file.
     """
-    failures = {each.rater: [] for each in answers}
+    failures: dict[str, list[tuple[Answers, str]]] = {each.rater: [] for each in answers}
     for each in answers:
         failures[each.rater] += [(each, reason) for reason in _failures(key, each)]
     kept = tuple(each for each in answers if not failures[each.rater])

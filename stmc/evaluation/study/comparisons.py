@@ -40,14 +40,14 @@ def read_pairs(first: str | Path, second: str | Path, timelines: Sequence[Timeli
     found = [_motions(folder) for folder in folders]
     pairs = []
     for timeline in {_content(timeline): timeline for timeline in timelines}.values():
-        paths = [motions.get(_content(timeline)) for motions in found]
-        if paths == [None, None]:
+        one, other = (motions.get(_content(timeline)) for motions in found)
+        if one is None and other is None:
             continue
-        if None in paths:
-            has, lacks = (folders[0], folders[1]) if paths[1] is None else (folders[1], folders[0])
+        if one is None or other is None:
+            has, lacks = (folders[0], folders[1]) if other is None else (folders[1], folders[0])
             texts = ", ".join(repr(prompt.text) for prompt in timeline.prompts)
             raise StudyError(f"timeline {timeline.name!r} ({texts}): {has} has a motion of it, {lacks} has none")
-        pairs.append(Pair(paths[0].stem, timeline, read(paths[0]), read(paths[1])))
+        pairs.append(Pair(one.stem, timeline, read(one), read(other)))
     if not pairs:
         raise StudyError(f"neither {folders[0]} nor {folders[1]} has a motion of any of the {len(timelines)} timelines")
     return pairs

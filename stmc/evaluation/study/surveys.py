@@ -123,8 +123,8 @@ def _question(
     rng: random.Random,
 ) -> tuple[Question, Entry]:
     ids = (_id(rng), _id(rng))
-    sides = tuple(zip(ids, clips, strict=True))
-    question = Question(_id(rng), pair.timeline, sides if first_left else sides[::-1])
+    first, second = zip(ids, clips, strict=True)
+    question = Question(_id(rng), pair.timeline, (first, second) if first_left else (second, first))
     return question, Entry(kind, pair.name, dict(sorted(zip(ids, behind, strict=True))))
 
 

@@ -108,7 +108,8 @@ def _depth_first(parents: Sequence[int], top: int) -> list[int]:
 
 def _lines(body: BvhRig, order: Sequence[int], top: int, pelvis: int) -> list[str]:
     """Return the lines of the hierarchy: offset and channels of each joint, and an end site for each leaf."""
-    lines, open_nodes = [], []
+    lines: list[str] = []
+    open_nodes: list[int] = []
     for node in order:
         while open_nodes and open_nodes[-1] != body.parents[node]:
             open_nodes.pop()

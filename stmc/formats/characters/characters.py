@@ -130,6 +130,7 @@ class CharacterMotion:
         if suffix == ".bvh":
             bones = body if isinstance(body, BvhRig) else BvhRig(body.names, body.parents, body.places)
             return bvh_text(bones, self.motion, standing)
+        assert isinstance(body, GltfRig)
         return body.glb(self.motion, standing)
 
 

@@ -201,7 +201,7 @@ def parents_of(nodes: Sequence[Mapping[str, Any]]) -> list[int]:
             parents[child] = number
     rooted = [parent < 0 for parent in parents]
     for number in range(len(nodes)):
-        line = []
+        line: list[int] = []
         while not rooted[number] and len(line) <= len(nodes):
             line.append(number)
             number = parents[number]
@@ -251,7 +251,7 @@ def with_animation(
     inside = gltf.binary is not None and bool(buffers) and "uri" not in buffers[0]
     binary, start = gltf.binary, 0
     if inside or not buffers:
-        kept = b"" if not inside else gltf.binary[: buffers[0]["byteLength"]]
+        kept = binary[: buffers[0]["byteLength"]] if inside and binary is not None else b""
         kept += b"\0" * (-len(kept) % 4)
         start, binary, number = len(kept), kept + content, 0
         size = {"byteLength": len(binary)}

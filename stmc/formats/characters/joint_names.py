@@ -71,8 +71,8 @@ def joints_by_name(names: Sequence[str], nodes: Iterable[int]) -> dict[str, int]
             joints = {joint: node for joint, node in found.items() if node is not None}
             middle = {"head": ("head",), "pelvis": ("pelvis", "hips", "hip")}
             for joint, words in middle.items():
-                node = next((places[None, word] for word in words if (None, word) in places), None)
-                joints |= {} if node is None else {joint: node}
+                single = next((places[None, word] for word in words if (None, word) in places), None)
+                joints |= {} if single is None else {joint: single}
             return joints
     return {}
 

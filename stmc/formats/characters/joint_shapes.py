@@ -41,6 +41,7 @@ def joints_by_shape(
     if arms is None:
         return {}
     chest = _above(parents, arms)
+    assert chest is not None  # both arms are above the pelvis
     heads = [leaf for leaf in upper if chest in ancestors(parents, leaf) and not _shared(parents, leaf, arms, chest)]
     if not heads:
         return {}

@@ -11,10 +11,10 @@ import io
 import pickle
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from stmc.io.arrays.numpy_files import LARGEST, ArraysError
-from stmc.io.arrays.pickles import SafeUnpickler, StandIn
+from stmc.io.arrays.pickles import Dispatch, SafeUnpickler, StandIn
 
 _LEGACY = 5
 """Number of pickles at the beginning of a file of PyTorch before 1.6: magic number, version, system, content, names of
@@ -63,4 +63,4 @@ class _Inert(SafeUnpickler):
         """Discard a state."""
         self.stack.pop()
 
-    dispatch = SafeUnpickler.dispatch | {pickle.BUILD[0]: load_build}
+    dispatch: ClassVar[Dispatch] = SafeUnpickler.dispatch | {pickle.BUILD[0]: load_build}

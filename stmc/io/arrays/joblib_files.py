@@ -13,12 +13,12 @@ import pickle
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from stmc.io.arrays.numpy_files import LARGEST, ArraysError
-from stmc.io.arrays.pickles import SafeUnpickler, StandIn, array_of, as_array, byte_count
+from stmc.io.arrays.pickles import Dispatch, SafeUnpickler, StandIn, array_of, as_array, byte_count
 
 _UNSUPPORTED_COMPRESSIONS = {
     b"BZ": "bz2",
@@ -127,7 +127,7 @@ class _Unpickler(SafeUnpickler):
         if isinstance(self.stack[-1], _Wrapped):
             self.stack[-1] = self._array(self.stack[-1].state)
 
-    dispatch = SafeUnpickler.dispatch | {pickle.BUILD[0]: load_build}
+    dispatch: ClassVar[Dispatch] = SafeUnpickler.dispatch | {pickle.BUILD[0]: load_build}
 
     def _array(self, state: dict) -> StandIn:
         """Read an array from the stream, and advance the stream past it."""

@@ -12,7 +12,7 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 
@@ -44,9 +44,9 @@ def npz_headers(path: Path) -> dict[str, Header]:
 
     Raises `ArraysError` if the file is not an `.npz`, or is damaged.
     """
-    with _open_npz(path) as archive:
-        names = [info.filename for info in archive.zip.infolist() if info.filename.endswith(".npy")]
-        return {name.removesuffix(".npy"): _read_header(archive.zip, name, path) for name in names}
+    with _open_npz(path) as (_, archive):
+        names = [info.filename for info in archive.infolist() if info.filename.endswith(".npy")]
+        return {name.removesuffix(".npy"): _read_header(archive, name, path) for name in names}
 
 
 def read_npz(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
@@ -63,14 +63,14 @@ def read_npz(path: Path, required: Sequence[str], optional: Sequence[str] = ()) 
         ArraysError: If an array is missing, damaged, pickled or larger than `LARGEST`, or if a name would leave its
             folder on extraction.
     """
-    with _open_npz(path) as archive:
-        if missing := [name for name in required if name not in archive.files]:
-            has = cut(", ".join(archive.files), _SHOWN) or "none"
+    with _open_npz(path) as (arrays, archive):
+        if missing := [name for name in required if name not in arrays.files]:
+            has = cut(", ".join(arrays.files), _SHOWN) or "none"
             raise ArraysError(f"{path} has no array {', '.join(missing)}; it has {has}")
-        names = [*required, *(name for name in optional if name in archive.files)]
+        names = [*required, *(name for name in optional if name in arrays.files)]
         for name in names:
-            _read_header(archive.zip, f"{name}.npy", path)
-        return {name: archive[name] for name in names}
+            _read_header(archive, f"{name}.npy", path)
+        return {name: arrays[name] for name in names}
 
 
 def read_npy(path: Path) -> np.ndarray:
@@ -96,19 +96,21 @@ def read_npy(path: Path) -> np.ndarray:
 
 
 @contextmanager
-def _open_npz(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
+def _open_npz(path: Path) -> Iterator[tuple[np.lib.npyio.NpzFile, zipfile.ZipFile]]:
+    """Open an `.npz` as NumPy's reader and as the zip below it."""
     try:
         with path.open("rb") as file:
             if file.read(6) == np.lib.format.MAGIC_PREFIX:
                 raise ArraysError(f"{path} is one array (.npy), not a zip of arrays (.npz)")
-        with np.load(path, allow_pickle=False) as archive:
-            names = archive.zip.namelist()
+        with np.load(path, allow_pickle=False) as arrays:
+            archive = arrays.zip
+            names = archive.namelist()
             if len(names) > MOST_ARRAYS:
                 raise ArraysError(f"{path} has {len(names)} arrays; at most {MOST_ARRAYS} are read")
             if unsafe := [name for name in names if "/" in name or "\\" in name or ".." in name]:
                 place = f"it names {cut(unsafe[0], _SHOWN)!r}, a path outside of the archive"
                 raise ArraysError(f"{path} is not safe to read: {place}")
-            yield archive
+            yield arrays, archive
     except ArraysError:
         raise
     except Exception as error:  # a damaged file can raise any exception
@@ -124,7 +126,7 @@ def _read_header(archive: zipfile.ZipFile, name: str, path: Path) -> Header:
         return _check_header(file, size, place)
 
 
-def _check_header(file: io.BufferedIOBase, size: int, place: str) -> Header:
+def _check_header(file: IO[bytes] | io.BufferedIOBase, size: int, place: str) -> Header:
     """Read the header of an array, and check that the array fits in a file of `size` bytes."""
     version = np.lib.format.read_magic(file)
     reader = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)

@@ -14,9 +14,9 @@ import math
 import mmap
 import pickle
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -87,6 +87,8 @@ class StandIn:
     """A stand-in for an object of a foreign class: the name of the class and the state. No code of the class runs."""
 
     kind = ""
+    state: Any
+    dense: np.ndarray | None
 
     def __new__(cls, *_: object) -> StandIn:
         stand_in = object.__new__(cls)
@@ -144,7 +146,8 @@ class _Array(StandIn):
         _, shape, type_, fortran, content = self.state
         if isinstance(content, list):
             raise ArraysError(_OBJECTS)
-        raw, order = content.encode("latin1") if isinstance(content, str) else content, "F" if fortran else "C"
+        raw = content.encode("latin1") if isinstance(content, str) else content
+        order: Literal["F", "C"] = "F" if fortran else "C"
         size = byte_count(shape, type_)
         if not isinstance(raw, (bytes, bytearray, memoryview)) or size != len(raw):
             raise ArraysError(f"an array of shape {shape!s:.40} with the wrong number of bytes")
@@ -158,10 +161,9 @@ _OBJECTS = "Python objects, not numbers"
 
 def byte_count(shape: object, type_: object) -> int:
     """Compute the size in bytes of an array. Raises `ArraysError` if the shape or type is invalid."""
-    is_shape = isinstance(shape, tuple) and len(shape) <= _MOST_AXES and all(map(_is_size, shape))
-    if not isinstance(type_, _Type) or not is_shape:
-        raise ArraysError("an array without a shape or a type")
-    return math.prod(shape) * type_.dtype.itemsize
+    if isinstance(type_, _Type) and isinstance(shape, tuple) and len(shape) <= _MOST_AXES and all(map(_is_size, shape)):
+        return math.prod(shape) * type_.dtype.itemsize
+    raise ArraysError("an array without a shape or a type")
 
 
 def array_of(content: object, type_: object, shape: object, order: object) -> StandIn:
@@ -175,6 +177,10 @@ def _is_size(size: object) -> bool:
     return isinstance(size, int) and not isinstance(size, bool) and 0 <= size <= LARGEST
 
 
+Dispatch = dict[int, Callable[[Any], None]]
+"""The method of an unpickler for each opcode."""
+
+
 class SafeUnpickler(pickle._Unpickler):
     """An unpickler whose `find_class` is the only access to Python; a file can change none of the returned objects.
 
@@ -184,6 +190,11 @@ class SafeUnpickler(pickle._Unpickler):
     that holds itself twice, 34 levels deep, takes 76 bytes of a file and 2**34 steps of `hash` and `repr`. Copies are
     counted, so that a file uses no more memory than its own size.
     """
+
+    stack: list[Any]  # attributes of the base class that typeshed does not declare
+    read: Callable[[int], bytes]
+    append: Callable[[object], None]
+    pop_mark: Callable[[], list[Any]]
 
     def __init__(self, stream: io.BytesIO | mmap.mmap, size: int) -> None:
         super().__init__(stream, encoding="latin1")  # bytes of Python 2, as in SMPL's files
@@ -256,7 +267,7 @@ class SafeUnpickler(pickle._Unpickler):
         items = self.pop_mark()
         self.append(frozenset(map(_key, items)))
 
-    dispatch = pickle._Unpickler.dispatch | {
+    dispatch: ClassVar[Dispatch] = pickle._Unpickler.dispatch | {
         pickle.BUILD[0]: load_build,
         pickle.BYTEARRAY8[0]: load_bytearray8,
         pickle.SETITEM[0]: load_setitem,
@@ -368,7 +379,7 @@ def _unfold(value: StandIn, name: str, level: int) -> np.ndarray:
 def _matrix(state: dict, layout: str, name: str, level: int) -> np.ndarray:
     from scipy import sparse  # imported late: it is slow to import
 
-    rows, columns = state.get("_shape", state.get("shape"))
+    rows, columns = state["_shape" if "_shape" in state else "shape"]
     if not (_is_size(rows) and _is_size(columns)) or rows * columns * 8 > _LARGEST_MATRIX:
         sizes = " x ".join(shown(size) if isinstance(size, int) else type(size).__name__ for size in (rows, columns))
         raise ArraysError(f"{name} is a damaged matrix of {sizes} numbers")

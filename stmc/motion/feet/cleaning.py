@@ -92,8 +92,10 @@ def _where(changed: Bool[Tensor, " frames"], new: Motion, old: Motion) -> Motion
     """Select `new` in the frames that are changed, and `old` elsewhere."""
     changed = changed.to(old.joints.device)
     pairs = [(getattr(new, name).to(getattr(old, name)), getattr(old, name)) for name in _VALUES]
-    values = [torch.where(changed.reshape(-1, *[1] * (first.ndim - 1)), first, second) for first, second in pairs]
-    return Motion(*values, old.fps, old.overlap)
+    rotations, translation, joints = (
+        torch.where(changed.reshape(-1, *[1] * (first.ndim - 1)), first, second) for first, second in pairs
+    )
+    return Motion(rotations, translation, joints, old.fps, old.overlap)
 
 
 _VALUES = ("rotations", "translation", "joints")

@@ -82,9 +82,10 @@ def held_steps(
     height = _height(points, floor)
     score = points.diff(dim=0).norm(dim=-1) * fps / _SPEED + height / _HEIGHT
     held = torch.zeros_like(score, dtype=torch.bool)
-    for column, *values in zip(*(tensor.flatten(start_dim=1).T for tensor in (held, score, height)), strict=True):
-        for start, end in _contacts(*values, fps):
-            column[start:end] = True
+    columns = (tensor.flatten(start_dim=1).T for tensor in (held, score, height))
+    for point_held, point_score, point_height in zip(*columns, strict=True):
+        for start, end in _contacts(point_score, point_height, fps):
+            point_held[start:end] = True
     return held
 
 

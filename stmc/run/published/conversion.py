@@ -41,8 +41,7 @@ def convert(
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise CheckpointError(f"{output} already exists; choose another output or remove it first")
     imported = read(source, statistics, text_model)
-    save = run.save_evaluator if isinstance(imported.model, Evaluator) else run.save
-    write_whole_folder(output, lambda unfinished: save(imported.model, unfinished, _card(imported)))
+    write_whole_folder(output, lambda unfinished: _save(imported, unfinished))
     return output
 
 
@@ -83,6 +82,13 @@ def read(source: str | Path, statistics: str | Path | None = None, text_model: s
 def _above(source: Path, levels: int) -> Path:
     """Return the folder of a format's settings: `source` itself, or some levels above the file of the weights."""
     return source if source.is_dir() else source.absolute().parents[min(levels, len(source.absolute().parents)) - 1]
+
+
+def _save(imported: Imported, folder: Path) -> None:
+    if isinstance(imported.model, Evaluator):
+        run.save_evaluator(imported.model, folder, _card(imported))
+    else:
+        run.save(imported.model, folder, _card(imported))
 
 
 def _card(imported: Imported) -> str:

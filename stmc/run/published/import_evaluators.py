@@ -77,7 +77,7 @@ def read_tmr(folder: Path, statistics: Path | None = None, text_model: str | Non
     evaluator = Evaluator(
         **parts,
         motion_statistics=read_tensor_statistics(moments / "mean.pt", moments / "std.pt", representation.width),
-        text_statistics=identity_statistics(text["width"]),
+        text_statistics=identity_statistics(sizes["text_width"]),
         fps=FPS,
         config=config,
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
+from stmc.diffusion import Prediction
 from stmc.diffusion.statistics import Statistics
 from stmc.model import Model
 from stmc.run.published.torch_checkpoint import (
@@ -28,7 +29,14 @@ CHECKPOINT = Path("logs/checkpoints/last.ckpt")
 LONGEST = 10.0
 """Duration in seconds of the longest training clips."""
 REPRESENTATIONS = {"smplrifke": "SmplRepresentation", "guoh3dfeats": "HumanML3DRepresentation"}
-PREDICTIONS = {"x": "x0", "x0": "x0", "eps": "eps", "epsilon": "eps", "v": "v", "score": "score"}
+PREDICTIONS: Mapping[str, Prediction] = {
+    "x": "x0",
+    "x0": "x0",
+    "eps": "eps",
+    "epsilon": "eps",
+    "v": "v",
+    "score": "score",
+}
 CLIP = ("ViT-B/32", "clip", "openai/clip-vit-base-patch32")
 
 
@@ -143,7 +151,7 @@ def _text_encoder(settings: Mapping[str, Any], path: Path, width: int, text_mode
     return {"_target_": "stmc.text.Tokens", "source": text_model or name, "width": width}
 
 
-def _prediction(settings: Mapping[str, Any], path: Path) -> str:
+def _prediction(settings: Mapping[str, Any], path: Path) -> Prediction:
     prediction = _setting(settings, "diffusion.prediction", path)
     if not isinstance(prediction, str) or prediction not in PREDICTIONS:
         raise CheckpointError(f"{path}: prediction must be one of {', '.join(PREDICTIONS)}, not {shown(prediction)}")
@@ -157,7 +165,8 @@ def _statistics(weights: Mapping[str, Tensor], side: str, width: int, path: Path
         if size_of(weights, name, 0, str(path)) != width or weights[name].ndim != 1:
             raise CheckpointError(f"{path}: {name} must hold {width} numbers, not {list(weights[name].shape)}")
         values.append(weights[name])
-    return nudged_statistics(*values, f"{path}: {side}_normalizer")
+    mean, std = values
+    return nudged_statistics(mean, std, f"{path}: {side}_normalizer")
 
 
 def _setting(settings: Mapping[str, Any], name: str, path: Path) -> Any:

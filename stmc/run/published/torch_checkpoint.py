@@ -217,11 +217,11 @@ def read_tensor_statistics(mean: Path, std: Path, width: int) -> Statistics:
     Raises:
         CheckpointError: If a file is missing or invalid.
     """
-    values = [read_tensor(path) for path in (mean, std)]
-    for path, value in zip((mean, std), values, strict=True):
+    means, stds = (read_tensor(path) for path in (mean, std))
+    for path, value in ((mean, means), (std, stds)):
         if value.shape != (width,):
             raise CheckpointError(f"{path} must hold {width} numbers, not {list(value.shape)}")
-    return nudged_statistics(*values, f"{mean} and {std}: statistics")
+    return nudged_statistics(means, stds, f"{mean} and {std}: statistics")
 
 
 def nudged_statistics(mean: Tensor, std: Tensor, place: str) -> Statistics:

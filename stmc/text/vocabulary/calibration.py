@@ -65,14 +65,14 @@ class Calibration:
 
         If geometry judged any of them, only those count.
         """
-        judged = [trial for trial in self.trials.values() if trial.rate is not None]
-        by_geometry = {trial.action for trial in judged if trial.geometry is not None}
+        judged = [(trial, trial.rate) for trial in self.trials.values() if trial.rate is not None]
+        by_geometry = {trial.action for trial, _ in judged if trial.geometry is not None}
         samples: dict[str, int] = {}
         passed: dict[str, float] = {}
-        for trial in judged:
+        for trial, rate in judged:
             if trial.geometry is not None or trial.action not in by_geometry:
                 samples[trial.action] = samples.get(trial.action, 0) + trial.samples
-                passed[trial.action] = passed.get(trial.action, 0.0) + trial.samples * trial.rate
+                passed[trial.action] = passed.get(trial.action, 0.0) + trial.samples * rate
         return {action: passed[action] / samples[action] for action in samples}
 
     def rate(self, text: str, action: str) -> float | int | None:

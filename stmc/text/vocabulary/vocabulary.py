@@ -84,7 +84,7 @@ class Recognition:
         """A line that explains why the prompt may fail; "" if it works."""
         if self.works:
             return ""
-        if self.known:
+        if self.known and self.rate is not None:
             return f"{shown(self.text)} rarely works: {100 * self.rate:.0f} % of samples show it"
         texts = ", ".join(shown(sentence.text) for sentence in self.near)
         near = f"the nearest it knows: {texts}" if texts else "it knows nothing near"
@@ -160,7 +160,9 @@ class Vocabulary:
             >>> prompt.known, prompt.nearest[0].content.name
             (True, 'cartwheel')
         """
-        rows = self.cosines(texts, encoder) if texts else []
+        if not texts:
+            return []
+        rows = self.cosines(texts, encoder)
         return [self._recognise(text, row, count) for text, row in zip(texts, rows, strict=True)]
 
     def cosines(self, texts: Sequence[str], encoder: TextEncoder) -> Float[Tensor, "texts sentences"]:

@@ -151,7 +151,8 @@ def plan(
     texts = [_text(timeline, piece, spans, once) for piece in pieces]
     crops = [Crop(text, *window.widen(piece.start, piece.end)) for text, piece in zip(texts, pieces, strict=True)]
     crops += [Crop(None, *window.widen(frame, frame)) for frame in changes]
-    rows: dict[_Piece | int, int] = {key: row for row, key in enumerate([*pieces, *changes])}
+    keys: list[_Piece | int] = [*pieces, *changes]
+    rows = {key: row for row, key in enumerate(keys)}
     tiles = []
     for part in BodyPart:
         tiles += [Tile(rows[run.piece], part, *window.widen(run.start, run.end), 1) for run in runs[part]]

@@ -123,7 +123,8 @@ def second_take(plan: Plan, longest: int | None = None) -> Plan:
     spans = transition_spans(plan)
     edges = [0, *((end + start) // 2 for (_, end), (start, _) in pairwise(spans)), plan.frames]
     ends, starts = [0, *(end for _, end in spans)], [*(start for start, _ in spans[1:]), plan.frames]
-    crops, tiles = [], []
+    crops: list[Crop] = []
+    tiles: list[Tile] = []
     for transition, before, after, edge in zip(
         spans or [(0, plan.frames)], ends, starts, pairwise(edges), strict=False
     ):

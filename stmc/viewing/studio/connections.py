@@ -18,7 +18,7 @@ class Impatient(H11Protocol):
 
     deadline: asyncio.TimerHandle | None = None
 
-    def connection_made(self, transport: asyncio.Transport) -> None:
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn's class
         """Start the timer for the first request."""
         super().connection_made(transport)
         self._await_head()

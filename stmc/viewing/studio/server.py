@@ -34,7 +34,7 @@ from stmc.io.untrusted import shown
 from stmc.model import Model
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.run.suggestions import suggester, with_suggestions
-from stmc.text import Cached
+from stmc.text import Cached, TextEncoder
 from stmc.text.vocabulary import Content, Sentence, sentence_encoder
 from stmc.timeline import Timeline
 from stmc.viewing.exports import EXPORTS
@@ -93,7 +93,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
     """
     folder = private_folder(Path(folder).expanduser())
     encoder = model.text_encoder
-    if not isinstance(encoder, Cached) and hasattr(encoder, "encode"):
+    if isinstance(encoder, TextEncoder) and not isinstance(encoder, Cached):
         model = dataclasses.replace(model, text_encoder=Cached(encoder, private_folder(folder / "texts")))
     documents = Documents(folder / "documents")
     answers = Answers(model, Motions(folder / "motions", documents.texts), documents, sessions, steps)

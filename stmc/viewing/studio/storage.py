@@ -94,12 +94,12 @@ class Motions:
     _added: int = field(default=0, repr=False)
 
     def __post_init__(self) -> None:
-        self.folder = _own_folder(self.folder)
+        self._folder = _own_folder(self.folder)
 
     def add(self, motion: Motion) -> str:
         """Store a motion and return its name; regularly remove old ones."""
         name = secrets.token_urlsafe(9)
-        path = self.folder / f"{name}.npz"
+        path = self._folder / f"{name}.npz"
         write(motion, path)
         path.chmod(0o600)
         self._hold(name, motion)
@@ -114,7 +114,7 @@ class Motions:
             if name in self._held:
                 self._held.move_to_end(name)
                 return self._held[name]
-        path = self.folder / f"{_named(name)}.npz"
+        path = self._folder / f"{_named(name)}.npz"
         if not path.exists():
             raise RequestError(404, "that motion is no longer stored; generate it again")
         try:
@@ -202,7 +202,7 @@ class Motions:
 
         The folder belongs to one server at a time, so no other server shows a removed motion.
         """
-        files = [(path.stat(), path) for path in self.folder.glob("*.npz") if path.is_file()]
+        files = [(path.stat(), path) for path in self._folder.glob("*.npz") if path.is_file()]
         old, total = [], 0
         for number, (status, path) in enumerate(sorted(files, key=lambda each: each[0].st_mtime, reverse=True)):
             total += status.st_size
@@ -263,12 +263,12 @@ class Documents:
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     def __post_init__(self) -> None:
-        self.folder = _own_folder(self.folder)
+        self._folder = _own_folder(self.folder)
 
     def all(self) -> list[dict[str, Any]]:
         """List name, version and time of readable documents, the last changed first."""
         found = []
-        for path in self.folder.glob("*.json"):
+        for path in self._folder.glob("*.json"):
             try:
                 document = self.get(path.stem)
                 name, changed = str(document["content"].get("name", "")), path.stat().st_mtime
@@ -304,12 +304,12 @@ class Documents:
         text = json.dumps(content, ensure_ascii=False, allow_nan=False)
         if len(text.encode()) > MOST_DOCUMENT:
             raise RequestError(413, f"the document is larger than {MOST_DOCUMENT / 2**20:g} MiB")
-        with self._lock, locked(self.folder, PATIENCE):  # threads, and other processes
+        with self._lock, locked(self._folder, PATIENCE):  # threads, and other processes
             path = self._path(name)
-            now = self.get(name) if path.exists() else {"version": 0, "content": None}
+            now: dict[str, Any] = self.get(name) if path.exists() else {"version": 0, "content": None}
             if now["version"] != base and now["content"] is not None:
                 raise RequestError(409, "the document was changed elsewhere meanwhile", **now)
-            if not path.exists() and sum(1 for _ in self.folder.glob("*.json")) >= MOST_DOCUMENTS:
+            if not path.exists() and sum(1 for _ in self._folder.glob("*.json")) >= MOST_DOCUMENTS:
                 raise RequestError(507, f"there are {MOST_DOCUMENTS} documents; delete some")
             version = max(base, now["version"]) + 1
             write_text(path, json.dumps({"version": version, "content": content}, ensure_ascii=False))
@@ -323,7 +323,7 @@ class Documents:
     def texts(self) -> str:
         """Return the texts of all readable documents, to search for names."""
         found = []
-        for path in self.folder.glob("*.json"):
+        for path in self._folder.glob("*.json"):
             try:
                 found.append(read_text(path, 2 * MOST_DOCUMENT))
             except (UnreadableError, OSError):
@@ -331,4 +331,4 @@ class Documents:
         return "\n".join(found)
 
     def _path(self, name: str) -> Path:
-        return self.folder / f"{_named(name)}.json"
+        return self._folder / f"{_named(name)}.json"

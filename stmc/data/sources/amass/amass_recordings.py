@@ -177,7 +177,7 @@ def unmirrored(path: str) -> tuple[str, bool]:
 class SmplRecording(ABC):
     """Common parts of all recordings on AMASS's bodies; see `annotated_amass.Recording`."""
 
-    split: None = None
+    split: str | None = None
 
     @abstractmethod
     def recorded(self, skeleton: Skeleton) -> Motion:

@@ -200,7 +200,7 @@ def _path(value: Any) -> tuple[str, bool]:
 def _segment(value: Any, text: str, times: tuple[str, str]) -> Segment:
     if not isinstance(value, dict) or not isinstance(value.get(text), str) or not value[text].strip():
         raise ValueError(f"malformed annotation: no {text} in {value!r}")
-    start, end = (value.get(name) for name in times)
+    start, end = list[Any](map(value.get, times))
     for moment in (start, end):
         if not isinstance(moment, (int, float)) or isinstance(moment, bool) or not math.isfinite(moment):
             raise ValueError(f"malformed annotation: {times[0]} {start!r} and {times[1]} {end!r} must be seconds")

@@ -106,13 +106,15 @@ class RowConversion:
 
     def _labels(self, entry: Annotated, frames: int) -> dict[Span, str]:
         """Return the actions within the recording by their frames; the later of two with the same frames wins."""
+
+        def span_of(segment: Segment) -> Span:
+            return int(segment.start * self.fps), frames if segment.end is None else int(segment.end * self.fps)
+
         spans = {}
-        for segment in sorted(
-            entry.segments, key=lambda segment: (int(segment.start * self.fps), int(segment.end * self.fps))
-        ):
-            span = int(segment.start * self.fps), min(frames, int(segment.end * self.fps))
-            if span[0] < span[1]:
-                spans[span] = segment.text
+        for segment in sorted(entry.segments, key=span_of):
+            start, end = span_of(segment)
+            if start < min(frames, end):
+                spans[start, min(frames, end)] = segment.text
         return spans
 
     def _rows(self, labels: Mapping[Span, str], split: str) -> Iterator[tuple[list[int], list[str]]]:

@@ -70,7 +70,7 @@ class TeachRecordings:
     def check(self, paths: Collection[str], representation: Representation) -> None:
         """Raise `LayoutError` if none of `paths` exists, or a file has another format."""
         if not any(recording_key(path) in self._entries for path in paths):
-            examples = [entry["fname"] for entry in list(self._entries.values())[-3:]]
+            examples = [str(entry["fname"]) for entry in list(self._entries.values())[-3:]]
             raise LayoutError(
                 f"source={self._folder} has none of the {len(paths)} annotated recordings; expected, for instance, "
                 f"{next(iter(paths))}, found {', '.join(examples) or 'nothing'}"

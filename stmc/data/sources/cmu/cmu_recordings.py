@@ -82,14 +82,14 @@ class CmuRecordings:
         """Yield every path with its recording, in the source's order, or the reason for its absence."""
         waiting = {name: path for path in paths if (name := _recording(path))}
         for path in paths:
-            if waiting.get(_recording(path)) != path:
+            if waiting.get(_recording(path) or "") != path:
                 yield path, f"not CMU's: {path}"
         reasons = dict[str, str]()
         for source in cmu.read_sources(self._source):
             if isinstance(source, tuple):
                 reasons[source[0]] = source[1]
-            elif path := waiting.pop(source.name, None):
-                yield path, CmuRecording(source)
+            elif requested := waiting.pop(source.name, None):
+                yield requested, CmuRecording(source)
         for name, path in waiting.items():
             yield path, reasons.get(name, f"no file: {name}.amc or .bvh")
 

@@ -60,7 +60,7 @@ class _Gesture:
         script = self.script(rng)
         if script.seconds > LONGEST:
             raise Unusable(f"a script of {script.seconds:.1f} s")
-        kind: Kind = str(rng.choice(list(self.kinds), p=list(self.kinds.values())))
+        kind = list(self.kinds)[rng.choice(len(self.kinds), p=list(self.kinds.values()))]
         base = draw_base(bases, rng, max(SHORTEST, script.seconds), kind)
         return Draft(script.perform(base.motion, rng), base.recording)
 
@@ -150,7 +150,8 @@ def point(rng: np.random.Generator) -> Script:
     length, there = 0.466 * rng.uniform(0.955, 0.985), begins + takes
     x, y = length * np.sin(azimuth) * np.cos(elevation), length * np.sin(elevation)
     goal = (float(x), float(y), float(length * np.cos(azimuth) * np.cos(elevation)))
-    spot = Spot(goal, goal, "shoulder", ((0.5, -1, -0.2), (0.5, -1, -0.2)), tuple([rng.uniform(0, 6)] * 2))
+    shrug = rng.uniform(0, 6)
+    spot = Spot(goal, goal, "shoulder", ((0.5, -1, -0.2), (0.5, -1, -0.2)), (shrug, shrug))
     back, seconds = _ended(rng, there + stays, 0.6)
     share = rng.uniform(0.3, 0.9) * np.degrees(azimuth)
     look = [turned(there - rng.uniform(0.0, 0.2), takes * 0.8, float(share), -float(np.degrees(elevation)) * 0.4)]

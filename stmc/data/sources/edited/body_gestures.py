@@ -103,7 +103,7 @@ def pick_up(rng: np.random.Generator) -> Script:
     trunk = (turned(low, takes, -yaw, spine, 5), turned(stands, up))
     head = (turned(low - 0.15 * takes, takes * 0.8, 4, rng.uniform(-4, 8)), turned(stands, up))
     carried = BELLY.drawn(rng).key(stands, up, 1.1)
-    left = (FLOOR.drawn(rng).key(low, takes * 0.9, 1.1), carried, WristKey(ends, 0.7))
+    left: tuple[WristKey, ...] = (FLOOR.drawn(rng).key(low, takes * 0.9, 1.1), carried, WristKey(ends, 0.7))
     other = (THIGH if rng.uniform() < 0.6 else ASIDE).drawn(rng)
     right = (other.key(low, takes, 1.1), WristKey(stands, up, skew=1.1))
     if rng.uniform() < 0.4:
@@ -188,9 +188,10 @@ def dodge(rng: np.random.Generator) -> Script:
     hips = (shifted(away, out + 0.04, aside, 0, 0.3 * pitch, side * 0.15 * lean, 1.3), shifted(ends, back))
     trunk = (turned(away, out, yaw, pitch, side * lean, 1.3), turned(ends, back))
     head = (turned(away - 0.03, out, 0.5 * yaw, 0.2 * pitch, side * rng.uniform(2, 12), 1.3), turned(ends, back))
-    arms: list[tuple[WristKey, ...]] = [(), ()]
+    left: tuple[WristKey, ...] = ()
+    right: tuple[WristKey, ...] = ()
     if rng.uniform() < 0.6:
-        hands = [SHIELD.drawn(rng).near(rng, 0.03) for _ in arms]
-        arms = [(hand.key(away + 0.05, out, 1.4), WristKey(ends + 0.1, back)) for hand in hands]
+        hands = [SHIELD.drawn(rng).near(rng, 0.03) for _ in range(2)]
+        left, right = ((hand.key(away + 0.05, out, 1.4), WristKey(ends + 0.1, back)) for hand in hands)
     seconds = max(3.0, ends + rng.uniform(0.6, 1.2))
-    return Script(seconds, *arms, head, trunk, hips, gaze=rng.uniform(0.1, 0.5))
+    return Script(seconds, left, right, head, trunk, hips, gaze=rng.uniform(0.1, 0.5))

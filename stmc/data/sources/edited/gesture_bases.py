@@ -64,7 +64,7 @@ def draw_base(bases: Bases, rng: np.random.Generator, seconds: float, kind: Kind
     weights = np.array([weight for weight, _ in actions.values()])
     for _ in range(_TRIES if actions else 0):
         action = list(actions)[rng.choice(len(actions), p=weights / weights.sum())]
-        base = bases[action][rng.integers(len(bases[action]))]
+        base = bases[action][int(rng.integers(len(bases[action])))]
         motion = _window(base.motion, seconds, rng, kind != "walk")
         if motion is not None and _is_calm(motion, kind, actions[action][1]):
             return Base(base.name, base.recording, base.style, _rest_arm(motion, actions[action][1]))

@@ -25,7 +25,7 @@ from stmc.motion.motion import Motion
 def _draw(bases: Bases, rng: np.random.Generator, shortest: float, longest: float) -> Base:
     """Draw a recorded forward jump of a length (in metres) in a range, mirrored half of the time."""
     candidates = bases["jump-forward"]
-    base = candidates[rng.integers(len(candidates))]
+    base = candidates[int(rng.integers(len(candidates)))]
     if not shortest < distance(base.motion) < longest:
         raise Unusable(f"{base.name} goes {distance(base.motion):.2f} m")
     return Base(base.name, base.recording, base.style, base.motion.mirrored() if rng.random() < 0.5 else base.motion)
@@ -114,7 +114,7 @@ class Rested:
     def __call__(self, bases: Bases, rng: np.random.Generator) -> Draft:
         """Draw a jump."""
         candidates = bases[self.action]
-        base = candidates[rng.integers(len(candidates))]
+        base = candidates[int(rng.integers(len(candidates)))]
         return Draft(rested(base.motion.mirrored() if rng.random() < 0.5 else base.motion, bases, rng), base.recording)
 
 

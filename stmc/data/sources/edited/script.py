@@ -81,7 +81,8 @@ class Spot:
 
     def near(self, rng: np.random.Generator, metres: float | int) -> Spot:
         """Draw a goal near this one, at the precision of a hand that returns to it."""
-        goal = tuple(float(value + rng.uniform(-metres, metres)) for value in self.low)
+        x, y, z = (float(value + rng.uniform(-metres, metres)) for value in self.low)
+        goal = (x, y, z)
         return Spot(goal, goal, self.frame, self.pole, self.shrug, self.arc)
 
     def key(
@@ -102,8 +103,18 @@ class Spot:
             roundness: Roundness of the path.
         """
         shrug = math.radians(self.shrug[0])
-        settings = {"skew": skew, "arc": self.arc, "shrug": shrug, "roundness": roundness, "oscillation": oscillation}
-        return WristKey(time, takes, self.low, self.frame, self.pole[0], **settings)
+        return WristKey(
+            time,
+            takes,
+            self.low,
+            self.frame,
+            self.pole[0],
+            skew=skew,
+            arc=self.arc,
+            shrug=shrug,
+            roundness=roundness,
+            oscillation=oscillation,
+        )
 
 
 def turned(

@@ -93,7 +93,7 @@ def _part(bases: Bases, action: str, rng: np.random.Generator, seconds: float) -
     candidates = bases.get(action, ())
     if not candidates:
         raise Unusable(f"no recording of {action}")
-    base = candidates[rng.integers(len(candidates))]
+    base = candidates[int(rng.integers(len(candidates)))]
     frames = round(seconds * base.motion.fps)
     spare = base.motion.frames - frames
     if spare < 0:

@@ -70,8 +70,8 @@ def read_captions(path: Path) -> list[Caption | str]:
 
 def _caption(line: str, number: int) -> Caption | str:
     text, *others = line.split("#")
-    times = [_seconds(value) for value in others[1:]]
-    if len(others) != 3 or None in times or not text.strip():
+    times = [seconds for value in others[1:] if (seconds := _seconds(value)) is not None]
+    if len(others) != 3 or len(times) != 2 or not text.strip():
         return f"malformed caption: line {number} must be caption#tagged words#start#end, not {shown(line, 80)}"
     start, end = times
     if (start, end) != WHOLE and not 0 <= start < end < math.inf:
