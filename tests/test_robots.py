@@ -223,7 +223,7 @@ def test_our_own_skeleton_as_a_model_follows_our_motion(tmp_path, motion):
     rig = moved.motion.rig
     for joint in ("left_ankle", "right_knee", "left_elbow", "right_wrist"):
         away = moved.motion.places[:, rig.place(joint)] - motion.joints[:, JOINTS.index(joint)]
-        assert (away - away.mean(dim=0)).norm(dim=-1).max() < 0.02, joint
+        assert (away - away.mean(dim=0)).norm(dim=-1).max() < 0.04, joint
         assert away.mean(dim=0).numpy() == pytest.approx([0, 0, 0.035], abs=0.01), "its capsules stand on the floor"
 
 

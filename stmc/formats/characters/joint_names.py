@@ -115,7 +115,7 @@ def _glued(word: str) -> tuple[str | None, str]:
 
 
 def robot_words(name: str) -> tuple[str | None, tuple[str, ...]]:
-    """The side of a robot's joint or link, and its words put together, with and without "leg" or "arm".
+    """Split the name of a robot's joint or link into a side and its words, joined with and without "leg" or "arm".
 
     "left_hip_yaw_joint" is ("left", ("hip",)), "RLEG_HIP_R" is ("right", ("hip", "leghip")), "LKneePitch" is
     ("left", ("knee",)), "lfemurrx" is ("left", ("femur",)).
@@ -133,7 +133,7 @@ def robot_words(name: str) -> tuple[str | None, tuple[str, ...]]:
 
 
 def _glued_limb(word: str) -> tuple[str | None, str]:
-    """The side that a word begins with, where the rest is a limb or the name of its joint."""
+    """Split a word into the side that it begins with and the name of a limb or joint."""
     if word[:1] in _SIDES and word[1:] in (*_WORDS, "leg", "arm"):
         return _SIDES[word[0]], word[1:]
     return None, word
