@@ -18,9 +18,9 @@ from stmc.formats.characters.gltf_rig import GltfRig
 from stmc.formats.characters.joint_names import joints_by_name
 from stmc.formats.characters.joint_shapes import joints_by_shape
 from stmc.formats.characters.mjcf import read_mjcf
-from stmc.formats.characters.robot_joints import robot_joints
+from stmc.formats.characters.robot_joints import identify_joints
 from stmc.formats.characters.robot_pieces import Pieces
-from stmc.formats.characters.robot_rig import RobotRig, robot_rig
+from stmc.formats.characters.robot_rig import RobotRig, rig_robot
 from stmc.formats.characters.upright import Standing, stand
 from stmc.formats.characters.urdf import read_urdf
 from stmc.io.files import write_whole
@@ -206,10 +206,10 @@ def _from_bvh(path: Path, corrections: _Corrections) -> Character:
 
 def _from_robot(path: Path, corrections: _Corrections) -> Character:
     pieces = Pieces.of(read_urdf(path) if path.suffix.lower() == ".urdf" else read_mjcf(path))
-    found_by, joints = robot_joints(pieces)
+    found_by, joints = identify_joints(pieces)
     if corrections:
         found_by, joints = f"{found_by}, corrected by the joint map", _corrected(joints, pieces.names, corrections)
-    body, rig, standing = robot_rig(pieces, joints)
+    body, rig, standing = rig_robot(pieces, joints)
     return Character(rig, found_by, body, standing)
 
 

@@ -27,7 +27,7 @@ _WRIST = 0.05
 """The distance of a hinge that turns the hand from the elbow that its axis meets, as a share of the robot's size."""
 
 
-def robot_joints(pieces: Pieces) -> tuple[str, dict[str, int]]:
+def identify_joints(pieces: Pieces) -> tuple[str, dict[str, int]]:
     """Return the way in which joints were found, and the nodes that are joints of ours."""
     joints = _by_name(pieces)
     if all(f"{side}_{joint}" in joints for side in SIDES for joint in _NEEDED):

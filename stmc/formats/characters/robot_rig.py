@@ -107,7 +107,7 @@ def _plain(name: str) -> str:
     return "".join(letter if letter.isprintable() and letter not in ',"' else "_" for letter in name)
 
 
-def robot_rig(pieces: Pieces, joints: Mapping[str, int]) -> tuple[RobotRig, Rig, Standing]:
+def rig_robot(pieces: Pieces, joints: Mapping[str, int]) -> tuple[RobotRig, Rig, Standing]:
     """Return a robot with these joints of ours as a character's body, its rig, and how it stands.
 
     Raises `CharacterError` if a joint is missing or does not hang where a person's does.

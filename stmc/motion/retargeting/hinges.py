@@ -195,11 +195,11 @@ def _bend(rig: Rig, linkage: Linkage, places: np.ndarray, side: str) -> tuple[np
     node, hinge = rig.joints[f"{side}_elbow"], linkage.turners[rig.joints[f"{side}_elbow"]]
     while hinge >= 0 and linkage.parents[hinge] != linkage.movers[node]:
         hinge = linkage.parents[hinge]
-    limits = linkage.lower[hinge] + linkage.upper[hinge]
-    if hinge < 0 or not np.isfinite(limits):
+    limits = np.array([linkage.lower[hinge], linkage.upper[hinge]])
+    if hinge < 0 or not np.isfinite(limits).all():
         return 0 * bend, np.zeros(3)
     rest = [rig.at(f"{side}_{joint}").numpy() for joint in LIMBS[1]]
-    turned = Rotation.from_rotvec(linkage.axes[hinge] * limits / 2).apply(rest[2] - rest[1])
+    turned = Rotation.from_rotvec(linkage.axes[hinge] * limits.mean()).apply(rest[2] - rest[1])
     return bend, _unit(np.cross(rest[1] - rest[0], turned))
 
 
