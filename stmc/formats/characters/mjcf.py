@@ -18,8 +18,8 @@ from stmc.formats.characters.robot import (
     Link,
     Robot,
     box_bounds,
+    enclose,
     inertia_box,
-    joined,
     speed_limit,
 )
 from stmc.formats.characters.robot_xml import number, numbers, unit
@@ -88,7 +88,7 @@ class _Reader:
             if parent >= 0:
                 raise CharacterError(f"body {shown(name)} moves freely, but hangs from another")
             self.resting[self.bases[own] : self.bases[own] + 3] = pose.place.tolist()
-        shape = joined(parts.shapes)
+        shape = enclose(parts.shapes)
         self.links.append(Link(name, parent, pose.turn, pose.place, tuple(parts.hinges), shape, parts.mass_shape))
         self.bodies(body, pose, own, around)
 

@@ -96,7 +96,7 @@ def box_bounds(
     return np.stack([place - reach, place + reach])
 
 
-def joined(bounds: list[Float[np.ndarray, "2 3"]]) -> Float[np.ndarray, "2 3"] | None:
+def enclose(bounds: list[Float[np.ndarray, "2 3"]]) -> Float[np.ndarray, "2 3"] | None:
     """Return the bounds of several shapes together, None for none."""
     if not bounds:
         return None

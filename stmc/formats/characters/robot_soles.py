@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from stmc.formats.characters.robot import Link, joined
+from stmc.formats.characters.robot import Link, enclose
 from stmc.formats.characters.robot_pieces import Pieces
 from stmc.formats.characters.robot_tree import RobotTree
 from stmc.motion.retargeting.rig import SIDES
@@ -50,7 +50,7 @@ def soles_of(tree: RobotTree, turn: Float[np.ndarray, "3 3"]) -> Soles:
 def _bounds(tree: RobotTree, side: str, joint: str, turn: np.ndarray) -> Float[np.ndarray, "2 3"] | None:
     """Return the least and greatest coordinates of a foot, or of toes of their own; None for toes without a shape."""
     links = _rigid(tree.pieces, tree.origins[tree.joints[f"{side}_{joint}"]])
-    shape = joined([link.shape for link in links if link.shape is not None])
+    shape = enclose([link.shape for link in links if link.shape is not None])
     if shape is not None:
         return _turned(shape, turn)
     if joint == "foot":
@@ -60,7 +60,7 @@ def _bounds(tree: RobotTree, side: str, joint: str, turn: np.ndarray) -> Float[n
         float(np.linalg.norm(tree.at(f"{side}_{above}") - tree.at(f"{side}_{below}")))
         for above, below in (("hip", "knee"), ("knee", "ankle"))
     )
-    mass = joined([link.mass_shape for link in links if link.mass_shape is not None])
+    mass = enclose([link.mass_shape for link in links if link.mass_shape is not None])
     bounds = np.empty((2, 3))
     bounds[:, :2], bounds[:, 2] = ankle[:2] + _LENGTHS * leg, ankle[2] - _HEEL * leg
     bounds = bounds if mass is None else _turned(mass, turn)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from stmc.formats.characters.gltf_file import CharacterError
-from stmc.formats.characters.robot import joined
+from stmc.formats.characters.robot import enclose
 from stmc.formats.characters.robot_pieces import Pieces
 from stmc.motion.retargeting.rig import LIMBS, NEEDED, SIDES, ancestors
 
@@ -111,7 +111,7 @@ class RobotTree:
         if self.joints.get(f"{side}_wrist", elbow) != elbow:
             return
         link = self.pieces.link(elbow)
-        shape = joined([each for each in (link.shape, link.mass_shape) if each is not None][:1])
+        shape = enclose([each for each in (link.shape, link.mass_shape) if each is not None][:1])
         if shape is None:
             raise CharacterError(
                 f"no joint is known for {side}_wrist, and its forearm has no shape: name it in a joint map"

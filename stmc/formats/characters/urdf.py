@@ -20,8 +20,8 @@ from stmc.formats.characters.robot import (
     Mimic,
     Robot,
     box_bounds,
+    enclose,
     inertia_box,
-    joined,
     speed_limit,
 )
 from stmc.formats.characters.robot_xml import number, numbers, read_xml, unit
@@ -183,7 +183,7 @@ def _shape(link: Element, place: np.ndarray, turn: np.ndarray, said: str) -> Flo
             half = _half(element.find("geometry"), said)
             bounds += [] if half is None else [box_bounds(at, turned, half)]
         if bounds:
-            return joined(bounds)
+            return enclose(bounds)
     return None
 
 
