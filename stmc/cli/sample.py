@@ -74,10 +74,15 @@ class Settings(Sampling, OnModel, Sharded):
     samples: int = setting(1, "motions of each timeline; their seeds count up from `seed`", at_least=1, at_most=100_000)
     seed: int = as_in(GenerateRequest, "seeds", 0)
     formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=CHOICES)
-    character: str | None = setting(None, "your .glb, .gltf, .vrm or .bvh: it moves in files of formats=glb, vrm, bvh")
+    character: str | None = setting(
+        None,
+        "your .glb, .gltf, .vrm or .bvh, or a robot's .xml (MJCF) or .urdf: it moves in formats=glb, vrm, bvh, csv",
+    )
     joint_map: str | None = setting(None, ".yaml that corrects which joint of the character is which")
     clean_feet: bool = as_in(GenerateRequest, "clean_feet")
-    fps: float | int | None = setting(None, "frame rate of the files; null: the model's", above=0, at_most=1000)
+    fps: float | int | None = setting(
+        None, "frame rate of the files; null: the model's, and 50 for robots", above=0, at_most=1000
+    )
     precision: str = setting("fp32", "of the denoiser; bf16 is faster on some processors", choices=get_args(Precision))
     batch: int | None = setting(None, "timelines at a time; null: 8 on a CPU, 64 on a GPU", at_least=1)
     trusted: tuple[str, ...] = setting((), "your own packages that hold classes of the model, or the `method`")

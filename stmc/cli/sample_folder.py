@@ -99,7 +99,7 @@ class MotionFolder:
 
     def _write(self, motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
         if self.character is not None and path.suffix in self.character.formats:
-            stmc.retarget(motion, self.character).write(path)
+            stmc.retarget(motion, self.character, self.fps).write(path)
         else:
             marks = job.request.constraints
             export(motion, path, job.timeline, title=job.name, unknown=unknown, constraints=marks)

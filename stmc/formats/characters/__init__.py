@@ -1,4 +1,4 @@
-"""Users' characters, and motions on them: reads glTF, VRM and BVH, and writes the same files with an animation.
+"""Users' characters and robots, and motions on them: glTF, VRM and BVH files, MuJoCo's models and URDF.
 
 Depends on files and rigs; the kinematics are in `motion.retargeting`.
 """

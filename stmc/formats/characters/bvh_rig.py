@@ -17,6 +17,7 @@ from stmc.formats.bvh_parser import Bvh
 from stmc.formats.bvh_writer import euler_curves
 from stmc.formats.characters.gltf_file import CharacterError
 from stmc.formats.characters.upright import Standing
+from stmc.formats.characters.vrm_animation import vrma_bytes
 from stmc.motion.retargeting import RigMotion
 
 _TURN = "Zrotation Xrotation Yrotation"
@@ -34,6 +35,9 @@ class BvhRig:
     ends: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     """Offsets of the tips of joints without children."""
 
+    formats = (".vrma", ".bvh")
+    fps = None
+
     @classmethod
     def of(cls, bvh: Bvh) -> BvhRig:
         """Build the rig without rotations, from the offsets or from the positions of the first frame."""
@@ -44,6 +48,10 @@ class BvhRig:
         if not np.abs(places).max() <= 1e6:
             raise CharacterError("its joints are more than a million units from the first")
         return cls(bvh.names, bvh.parents, places, bvh.ends)
+
+    def content(self, suffix: str, motion: RigMotion, standing: Standing) -> bytes:
+        """Return the bytes of a file of this suffix, one of `formats`."""
+        return vrma_bytes(motion) if suffix == ".vrma" else bvh_text(self, motion, standing)
 
 
 def bvh_text(body: BvhRig, motion: RigMotion, standing: Standing) -> bytes:

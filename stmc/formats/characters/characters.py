@@ -12,13 +12,17 @@ from pathlib import Path
 import yaml
 
 from stmc.formats.bvh_parser import parse_bvh
-from stmc.formats.characters.bvh_rig import BvhRig, bvh_text
+from stmc.formats.characters.bvh_rig import BvhRig
 from stmc.formats.characters.gltf_file import CharacterError, read_gltf
 from stmc.formats.characters.gltf_rig import GltfRig
 from stmc.formats.characters.joint_names import joints_by_name
 from stmc.formats.characters.joint_shapes import joints_by_shape
+from stmc.formats.characters.mjcf import read_mjcf
+from stmc.formats.characters.robot_joints import identify_joints
+from stmc.formats.characters.robot_pieces import Pieces
+from stmc.formats.characters.robot_rig import RobotRig, rig_robot
 from stmc.formats.characters.upright import Standing, stand
-from stmc.formats.characters.vrm_animation import vrma_bytes
+from stmc.formats.characters.urdf import read_urdf
 from stmc.io.files import write_whole
 from stmc.io.untrusted import cut, read_text, shown
 from stmc.motion.motion import Motion
@@ -47,7 +51,7 @@ class Character:
     """Joints at rest."""
     found_by: str
     """How the joints were identified."""
-    body: GltfRig | BvhRig
+    body: GltfRig | BvhRig | RobotRig
     """Nodes in the coordinate system of the file."""
     standing: Standing
     """Rotation and floor height that convert the coordinate system of the file to ours."""
@@ -74,9 +78,7 @@ class Character:
             >>> stmc.read_character("hero.bvh").formats
             ('.vrma', '.bvh')
         """
-        if isinstance(self.body, BvhRig):
-            return (".vrma", ".bvh")
-        return (".glb", *((".vrm",) if self.body.is_vrm else ()), ".vrma", ".bvh")
+        return self.body.formats
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,8 @@ class CharacterMotion:
 
         `.glb`, and `.vrm` for a VRM file, are the character's file with an additional animation, which comes first;
         meshes, materials, textures and nodes are unchanged. `.vrma` is VRM Animation. `.bvh` is the character's own
-        skeleton, in its unit. An existing file is replaced once the new one is complete.
+        skeleton, in its unit. `.csv` of a robot is MuJoCo's `qpos`, or the joints of a URDF, in each frame. An existing
+        file is replaced once the new one is complete.
 
         Raises:
             ValueError: For another suffix.
@@ -124,22 +127,15 @@ class CharacterMotion:
             >>> stmc.retarget(motion, "hero.glb").content(".glb")[:4]
             b'glTF'
         """
-        body, standing = self.character.body, self.character.standing
-        if suffix == ".vrma":
-            return vrma_bytes(self.motion)
-        if suffix == ".bvh":
-            bones = body if isinstance(body, BvhRig) else BvhRig(body.names, body.parents, body.places)
-            return bvh_text(bones, self.motion, standing)
-        assert isinstance(body, GltfRig)
-        return body.glb(self.motion, standing)
+        return self.character.body.content(suffix, self.motion, self.character.standing)
 
 
 def read_character(path: str | Path, joint_map: str | Path | Mapping[str, str | None] | None = None) -> Character:
-    """Read the character of a `.glb`, `.gltf` or `.vrm` file, or the skeleton of a `.bvh`.
+    """Read the character of a `.glb`, `.gltf` or `.vrm` file, the skeleton of a `.bvh`, or a robot's `.xml` or `.urdf`.
 
     Joints are identified by VRM's humanoid map, by their names (Mixamo, Unreal, Unity, Rigify, MakeHuman, Daz, Biped,
     CMU, SMPL), or by the shape of the rig. The rest pose must be upright, a T-pose or an A-pose. The trunk may have any
-    number of joints.
+    number of joints. A robot is a humanoid in MJCF or URDF, without its meshes; it may lack head and hands.
 
     Args:
         path: The file.
@@ -169,13 +165,19 @@ def read_character(path: str | Path, joint_map: str | Path | Mapping[str, str | 
         raise CharacterError(f"{path}: {error}") from None
 
 
-def retarget(motion: Motion, character: Character | str | Path) -> CharacterMotion:
+def retarget(motion: Motion, character: Character | str | Path, fps: float | int | None = None) -> CharacterMotion:
     """Transfer a motion to a character.
 
     Arms and legs point in the directions of the motion, independent of the rest pose and the roll of bones. Rotations
     of the trunk are spread over the character's own spine. Translations scale with the length of the legs. Standing
     feet keep their contacts. Hands near the head or near each other keep their relative positions, in arm lengths.
-    Joints without a counterpart keep the rest pose.
+    Joints without a counterpart keep the rest pose. The hinges of a robot follow this by least squares, within their
+    limits of angle and speed.
+
+    Args:
+        motion: Motion to transfer.
+        character: Character, or its file.
+        fps: Frame rate of the result. None means 50 for a robot, and that of the motion for another character.
 
     Raises:
         ValueError: As `read_character`.
@@ -188,7 +190,8 @@ def retarget(motion: Motion, character: Character | str | Path) -> CharacterMoti
         20
     """
     character = character if isinstance(character, Character) else read_character(character)
-    return CharacterMotion(character, transfer(motion, character.rig))
+    fps = character.body.fps if fps is None else fps
+    return CharacterMotion(character, transfer(motion if fps is None else motion.resampled(fps), character.rig))
 
 
 def _from_gltf(path: Path, corrections: _Corrections) -> Character:
@@ -201,11 +204,22 @@ def _from_bvh(path: Path, corrections: _Corrections) -> Character:
     return _character(body, list(range(len(body.names))), {}, corrections, y_up=False)
 
 
+def _from_robot(path: Path, corrections: _Corrections) -> Character:
+    pieces = Pieces.of(read_urdf(path) if path.suffix.lower() == ".urdf" else read_mjcf(path))
+    found_by, joints = identify_joints(pieces)
+    if corrections:
+        found_by, joints = f"{found_by}, corrected by the joint map", _corrected(joints, pieces.names, corrections)
+    body, rig, standing = rig_robot(pieces, joints)
+    return Character(rig, found_by, body, standing)
+
+
 _READERS: dict[str, Callable[[Path, _Corrections], Character]] = {
     ".glb": _from_gltf,
     ".gltf": _from_gltf,
     ".vrm": _from_gltf,
     ".bvh": _from_bvh,
+    ".xml": _from_robot,
+    ".urdf": _from_robot,
 }
 
 

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from stmc.formats.glb_container import BIN, JSON, pack_glb
 from stmc.io.untrusted import UnreadableError, load_json, read_bytes, shown
 
@@ -272,3 +275,30 @@ def with_animation(
     animations = [{**animation, "samplers": samplers}, *objects(document, "animations")]
     document |= {"accessors": known, "bufferViews": views, "buffers": buffers, "animations": animations}
     return Gltf(document, binary)
+
+
+def animation_of(
+    times: Float[np.ndarray, " frames"],
+    targets: Sequence[tuple[int, str]],
+    values: Sequence[Float[np.ndarray, "frames _"]],
+    fps: float | int,
+) -> tuple[list[bytes], list[dict[str, Any]], dict[str, Any]]:
+    """Return the chunks, accessors and animation of some tracks, in the form of `with_animation`.
+
+    Args:
+        times: Time of each frame in seconds.
+        targets: Node and property of each track.
+        values: Values of each track.
+        fps: Frame rate, which is stored as an extra.
+    """
+    chunks = [times.astype("<f4").tobytes()]
+    accessors = [{"componentType": 5126, "count": len(times), "type": "SCALAR"}]
+    accessors[0] |= {"min": [float(times[0])], "max": [float(times[-1])]}
+    for each in values:
+        chunks.append(np.ascontiguousarray(each.astype("<f4")).tobytes())
+        accessors.append({"componentType": 5126, "count": len(each), "type": f"VEC{each.shape[1]}"})
+    samplers = [{"input": 0, "output": track + 1, "interpolation": "LINEAR"} for track in range(len(values))]
+    channels = [
+        {"sampler": track, "target": {"node": node, "path": path}} for track, (node, path) in enumerate(targets)
+    ]
+    return chunks, accessors, {"name": "motion", "samplers": samplers, "channels": channels, "extras": {"fps": fps}}

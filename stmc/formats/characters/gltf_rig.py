@@ -15,9 +15,11 @@ import torch
 from jaxtyping import Float
 
 from stmc.formats.axes import continued
+from stmc.formats.characters.bvh_rig import BvhRig, bvh_text
 from stmc.formats.characters.gltf_file import (
     CharacterError,
     Gltf,
+    animation_of,
     index,
     numbers,
     objects,
@@ -27,6 +29,7 @@ from stmc.formats.characters.gltf_file import (
 )
 from stmc.formats.characters.joint_names import VRM_BONES
 from stmc.formats.characters.upright import Standing
+from stmc.formats.characters.vrm_animation import vrma_bytes
 from stmc.io.untrusted import shown
 from stmc.motion.geometry import matrix_to_quaternion
 from stmc.motion.retargeting import RigMotion
@@ -89,6 +92,19 @@ class GltfRig:
         """Whether the file has VRM's humanoid map."""
         return bool(vrm_joints(self.gltf))
 
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """The endings of the files that it can be written as."""
+        return (".glb", *((".vrm",) if self.is_vrm else ()), ".vrma", ".bvh")
+
+    fps = None
+
+    def content(self, suffix: str, motion: RigMotion, standing: Standing) -> bytes:
+        """Return the bytes of a file of this suffix, one of `formats`."""
+        if suffix == ".bvh":
+            return bvh_text(BvhRig(self.names, self.parents, self.places), motion, standing)
+        return vrma_bytes(motion) if suffix == ".vrma" else self.glb(motion, standing)
+
     def glb(self, motion: RigMotion, standing: Standing) -> bytes:
         """Return the bytes of a `.glb` file with the motion as its first animation.
 
@@ -128,33 +144,6 @@ class GltfRig:
         if parent >= 0:
             places = (places - self.places[parent]) @ self.turns[parent] / self.scales[parent]
         return rotations, places
-
-
-def animation_of(
-    times: Float[np.ndarray, " frames"],
-    targets: Sequence[tuple[int, str]],
-    values: Sequence[Float[np.ndarray, "frames _"]],
-    fps: float | int,
-) -> tuple[list[bytes], list[dict[str, Any]], dict[str, Any]]:
-    """Return the chunks, accessors and animation of some tracks, in the form of `with_animation`.
-
-    Args:
-        times: Time of each frame in seconds.
-        targets: Node and property of each track.
-        values: Values of each track.
-        fps: Frame rate, which is stored as an extra.
-    """
-    chunks = [times.astype("<f4").tobytes()]
-    accessors = [{"componentType": 5126, "count": len(times), "type": "SCALAR"}]
-    accessors[0] |= {"min": [float(times[0])], "max": [float(times[-1])]}
-    for each in values:
-        chunks.append(np.ascontiguousarray(each.astype("<f4")).tobytes())
-        accessors.append({"componentType": 5126, "count": len(each), "type": f"VEC{each.shape[1]}"})
-    samplers = [{"input": 0, "output": track + 1, "interpolation": "LINEAR"} for track in range(len(values))]
-    channels = [
-        {"sampler": track, "target": {"node": node, "path": path}} for track, (node, path) in enumerate(targets)
-    ]
-    return chunks, accessors, {"name": "motion", "samplers": samplers, "channels": channels, "extras": {"fps": fps}}
 
 
 def vrm_joints(gltf: Gltf) -> dict[str, int]:

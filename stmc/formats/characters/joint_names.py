@@ -18,6 +18,12 @@ _NOISE = {
 """Prefixes and suffixes without information about the joint."""
 _SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
+_AXES = {
+    "pitch", "roll", "yaw", "x", "y", "z", "rx", "ry", "rz", "p", "s", "sag", "lat", "link", "frame", "body", "joint",
+    "jnt", "flexion", "extension", "abduction", "adduction", "rotation",
+}  # fmt: skip
+"""Words of robots' names that say the axis of a hinge, or nothing."""
+
 _BY_BONES = {
     "collar": "clavicle collar shoulder01 shoulder",
     "shoulder": "upperarm upperarm01 uparm arm humerus shldr shldrbend",
@@ -105,4 +111,29 @@ def _glued(word: str) -> tuple[str | None, str]:
             return side, word[len(start) :]
         if word.endswith(f"{start}") and word[: -len(start)] in _WORDS:
             return side, word[: -len(start)]
+    return None, word
+
+
+def robot_words(name: str) -> tuple[str | None, tuple[str, ...]]:
+    """Split the name of a robot's joint or link into a side and its words, joined with and without "leg" or "arm".
+
+    "left_hip_yaw_joint" is ("left", ("hip",)), "RLEG_HIP_R" is ("right", ("hip", "leghip")), "LKneePitch" is
+    ("left", ("knee",)), "lfemurrx" is ("left", ("femur",)).
+    """
+    words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name[:200])]
+    side, kept = None, []
+    for word in words:
+        before = re.sub(r"(?<=[a-z]{3})r[xyz]$", "", word)
+        found, rest = (_SIDES[before], "") if before in _SIDES else _glued_limb(before)
+        side = side or found
+        if rest and rest not in _AXES:
+            kept.append(rest)
+    short = [word for word in kept if word not in ("leg", "arm")]
+    return side, tuple(dict.fromkeys("".join(each) for each in (short, kept) if each))
+
+
+def _glued_limb(word: str) -> tuple[str | None, str]:
+    """Split a word into the side that it begins with and the name of a limb or joint."""
+    if word[:1] in _SIDES and word[1:] in (*_WORDS, "leg", "arm"):
+        return _SIDES[word[0]], word[1:]
     return None, word

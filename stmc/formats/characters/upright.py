@@ -59,7 +59,9 @@ def stand(
     missing = [joint for joint in NEEDED if joint not in joints]
     if missing:
         raise CharacterError(f"no joint is known for {', '.join(missing)}; name them in a joint map")
-    turn = _turn(places, joints, y_up)
+    turn = upright_turn(places, joints)
+    if y_up and not (turn[2] == [0.0, 1.0, 0.0]).all():
+        raise CharacterError("it does not stand along the y axis, which is up in glTF: turn it and apply the rotation")
     rest = places @ turn.T
     try:
         rig = Rig.mapped(names, parents, torch.from_numpy(rest), joints)
@@ -70,15 +72,14 @@ def stand(
         raise CharacterError(str(error)) from None
 
 
-def _turn(places: np.ndarray, joints: Mapping[str, int], y_up: bool) -> Float[np.ndarray, "3 3"]:
+def upright_turn(places: Float[np.ndarray, "nodes 3"], joints: Mapping[str, int]) -> Float[np.ndarray, "3 3"]:
+    """Return the turn from the file's axes to a rig's. Raise `CharacterError` unless the rest pose stands upright."""
     ankles, hips = ((places[joints[f"left_{end}"]] + places[joints[f"right_{end}"]]) / 2 for end in ("ankle", "hip"))
     rise, legs = places[joints["head"]] - ankles, hips - ankles
     axis = int(np.abs(rise).argmax())
     up = np.eye(3)[axis] * np.sign(rise[axis])
     if not all(way @ up > _UPRIGHT * np.linalg.norm(way) for way in (rise, legs)):
         raise CharacterError("its rest pose does not stand upright: pose it as a T or an A and make that the rest pose")
-    if y_up and not (axis == 1 and rise[1] > 0):
-        raise CharacterError("it does not stand along the y axis, which is up in glTF: turn it and apply the rotation")
     left = sum(places[joints[f"left_{each}"]] - places[joints[f"right_{each}"]] for each in ("hip", "shoulder"))
     left = left - up * (left @ up)
     if not np.linalg.norm(left) > 1e-3 * np.linalg.norm(rise):

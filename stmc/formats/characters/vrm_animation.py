@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 
 from stmc.formats.axes import Z_UP_TO_Y_UP, continued
-from stmc.formats.characters.gltf_file import CharacterError, Gltf, with_animation
-from stmc.formats.characters.gltf_rig import animation_of
+from stmc.formats.characters.gltf_file import CharacterError, Gltf, animation_of, with_animation
 from stmc.formats.characters.joint_names import VRM_BONES
 from stmc.motion.geometry import matrix_to_quaternion
 from stmc.motion.retargeting import Rig, RigMotion

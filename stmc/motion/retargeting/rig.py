@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.io.untrusted import shown
+from stmc.motion.retargeting.linkage import Linkage
 
 SIDES = ("left", "right")
 LIMBS = (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"))
@@ -48,6 +49,8 @@ class Rig:
     """The nodes from above the pelvis up to the chest, which carries arms and head."""
     necks: tuple[int, ...]
     """The nodes between chest and head."""
+    linkage: Linkage | None = None
+    """The hinges of a robot; None if every node turns freely."""
 
     @classmethod
     def mapped(

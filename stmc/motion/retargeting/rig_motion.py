@@ -5,7 +5,7 @@ Knows our joints and rest pose; knows no contacts, which `keeping` restores afte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from stmc.motion.body import JOINTS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
 from stmc.motion.motion import Motion
+from stmc.motion.retargeting.hinges import HingeCurves, follow, followed
 from stmc.motion.retargeting.keeping import keep_feet, keep_hands
 from stmc.motion.retargeting.performer import Performer
 from stmc.motion.retargeting.rig import LIMBS, SIDES, Rig
@@ -43,6 +44,8 @@ class RigMotion:
     spread: Float[Tensor, "driven 3 3"]
     """The turns that bring the rest pose to our T-pose."""
     fps: float | int
+    curves: HingeCurves | None = None
+    """The angles of a robot's hinges, which turns and places follow; None if the rig has no hinges."""
 
     def direction(self, above: str, below: str) -> Float[Tensor, "frames 3"]:
         """Return unit vectors from one joint of ours to another, in each frame."""
@@ -56,7 +59,8 @@ def transfer(motion: Motion, rig: Rig) -> RigMotion:
     Bones of arms and legs point where ours do, whatever the rest pose; the spine's turns spread over the rig's own
     joints; feet and hands are turned as ours from where they are flat. Everything is scaled by the length of the legs.
     Then feet move over the floor as ours do (`keep_feet`), and hands that are near the head or one another are where
-    ours are, in units of the arm (`keep_hands`). On a rig with our own bones the motion is the same.
+    ours are, in units of the arm (`keep_hands`). On a rig with our own bones the motion is the same. The hinges of a
+    robot then follow the result (`follow`).
     """
     source = _performer(motion)
     scale = rig.length(LIMBS[0]) / source.length(LIMBS[0])
@@ -64,7 +68,15 @@ def transfer(motion: Motion, rig: Rig) -> RigMotion:
     target, spread = _turned(sized, source)
     target = keep_feet(source, target, sized, spread, motion.fps)
     target = keep_hands(source, target, sized, spread)
-    return RigMotion(rig, target.turns, target.places * scale, spread, motion.fps)
+    moved = RigMotion(rig, target.turns, target.places * scale, spread, motion.fps)
+    return moved if rig.linkage is None else _hinged(moved)
+
+
+def _hinged(motion: RigMotion) -> RigMotion:
+    """Return the motion that comes nearest to one with the hinges of its rig."""
+    curves = follow(motion.rig, motion.turns.numpy(), motion.places.numpy(), motion.fps)
+    turns, places = (torch.from_numpy(values) for values in followed(motion.rig, curves))
+    return replace(motion, turns=turns, places=places, curves=curves)
 
 
 def _performer(motion: Motion) -> Performer:

@@ -1,0 +1,289 @@
+"""Motions of robots: hinges follow a motion of their rig in the least squares' sense, frame by frame.
+
+Angles stay within their limits, and so does their change from frame to frame. Knows no balance and no collisions.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import lsq_linear
+from scipy.spatial.transform import Rotation
+
+from stmc.motion.retargeting.linkage import Base, Linkage, Pose
+from stmc.motion.retargeting.rig import LIMBS, SIDES, Rig
+
+_SOLE, _LIFTED = 4.0, 0.5
+"""Weights of the soles' corners on the floor and well above it. Positions count in lengths of the leg."""
+_LOW, _HIGH = 0.05, 0.3
+"""Heights of a corner, in lengths of the leg, up to which it is on the floor, and from which it is well above."""
+_PELVIS, _LEG, _SHOULDER, _ARM = 0.5, 0.3, 0.3, 0.7
+"""Weights of the pelvis' position, of bones of legs, of the ways from the chest to the shoulders, of bones of arms."""
+_BEND = 0.3
+"""The weight of the normal of an arm's plane."""
+_HAND = 1.5
+"""The weight of the way from the head, or from the other wrist, to a wrist that is there."""
+_TURNS = {"pelvis": 0.2, "chest": 0.2, "head": 0.1, "left_wrist": 0.02, "right_wrist": 0.02}
+"""Weights of turns, in radians."""
+_SINKING = 8.0
+"""The weight of a corner below the floor."""
+_REST, _STILL = 0.005, 0.01
+"""Weights of the angles' distances from rest and from the frame before, in radians."""
+_NEAR, _FAR = 0.45, 0.8
+"""Distances of a wrist from the head, in lengths of the arm, at which it is wholly led by it, and not at all."""
+_FIRST, _STEPS = 60, 4
+"""Most steps of the first frame, and of the others."""
+_SETTLED = 1e-4
+"""The greatest step, in radians and lengths of the leg, after which a frame is done."""
+_TRUST = 0.5
+"""The greatest turn of a step, in radians."""
+_MARGIN = 2e-6
+"""Radians that angles and their changes keep from their limits, so that rounded ones do not exceed them."""
+
+
+@dataclass(frozen=True, eq=False)
+class HingeCurves:
+    """The hinges of a rig's linkage over time."""
+
+    angles: Float[np.ndarray, "frames hinges"]
+    """Radians from rest."""
+    turns: Float[np.ndarray, "frames 3 3"]
+    places: Float[np.ndarray, "frames 3"]
+    """The base's turns and shifts from rest, as in `Base`."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Goals:
+    """The sums of points that should be somewhere, and the nodes that should be turned somehow."""
+
+    rest: Float[np.ndarray, "points 3"]
+    movers: np.ndarray
+    sums: Float[np.ndarray, "rows points"]
+    """The points' weights in each sum: one point, or the difference of two."""
+    targets: Float[np.ndarray, "frames rows 3"]
+    weights: Float[np.ndarray, "frames rows"]
+    turners: np.ndarray
+    turns: Float[np.ndarray, "frames turned 3 3"]
+    turn_weights: Float[np.ndarray, " turned"]
+    corners: int
+    """The number of soles' corners, which are the last points."""
+
+
+def follow(
+    rig: Rig,
+    turns: Float[np.ndarray, "frames driven 3 3"],
+    places: Float[np.ndarray, "frames driven 3"],
+    fps: float | int,
+) -> HingeCurves:
+    """Return the angles with which the rig's linkage comes nearest to its driven nodes' turns and places.
+
+    Each frame is a least-squares problem with bounds, solved by Gauss-Newton steps from the frame before: soles are
+    where the rig's are, arms and legs point as its do, trunk and head turn as its do. No corner of a sole is below the
+    floor: where the problem leaves one there, the base is lifted.
+    """
+    linkage, leg = _linkage(rig), rig.length(LIMBS[0])
+    goals = _goals(rig, linkage, turns, places, leg)
+    angles, base = linkage.resting, _start(rig, turns[0], places[0])
+    found: list[tuple[np.ndarray, Base]] = []
+    for frame in range(len(turns)):
+        near = np.full(len(angles), np.inf) if frame == 0 else linkage.speeds / fps - _MARGIN
+        lower = np.maximum(linkage.lower + _MARGIN, angles - near)
+        upper = np.minimum(linkage.upper - _MARGIN, angles + near)
+        angles, base = _frame(linkage, goals, frame, angles, base, (lower, np.maximum(lower, upper)), leg)
+        found.append((angles, base))
+    bases = [base for _, base in found]
+    return HingeCurves(
+        np.stack([each for each, _ in found]),
+        np.stack([base.turn for base in bases]),
+        np.stack([base.place for base in bases]),
+    )
+
+
+def followed(
+    rig: Rig, curves: HingeCurves
+) -> tuple[Float[np.ndarray, "frames driven 3 3"], Float[np.ndarray, "frames driven 3"]]:
+    """Return the turns and the places of a rig's driven nodes that its hinges give them."""
+    linkage, driven = _linkage(rig), list(rig.driven)
+    movers, turners, rest = linkage.movers[driven], linkage.turners[driven], rig.rest[driven].numpy()
+    turns, places = [], []
+    for angles, turn, place in zip(curves.angles, curves.turns, curves.places, strict=True):
+        pose = linkage.pose(angles, Base(turn, place))
+        turns.append(pose.turns[turners])
+        places.append(pose.points(rest, movers))
+    return np.stack(turns), np.stack(places)
+
+
+def _linkage(rig: Rig) -> Linkage:
+    assert rig.linkage is not None, "a rig without hinges"
+    return rig.linkage
+
+
+def _start(rig: Rig, turns: np.ndarray, places: np.ndarray) -> Base:
+    """Return the base as if it were rigid with the pelvis."""
+    place = rig.place("pelvis")
+    return Base(turns[place], places[place] - turns[place] @ rig.at("pelvis").numpy())
+
+
+def _goals(rig: Rig, linkage: Linkage, turns: np.ndarray, places: np.ndarray, leg: float) -> _Goals:
+    driven = list(rig.driven)
+    soles = np.array([driven.index(node) for node in linkage.sole_nodes], dtype=int)
+    arms = linkage.soles - rig.rest[driven].numpy()[soles]
+    corners = places[:, soles] + np.einsum("fcij,cj->fci", turns[:, soles], arms)
+    corners[..., 2] = np.maximum(corners[..., 2], 0.0)
+    bends = [_bend(rig, linkage, places, side) for side in SIDES]
+    tips = [
+        places[:, rig.place(f"{side}_elbow")] + _unit(bend) * leg for side, (bend, _) in zip(SIDES, bends, strict=True)
+    ]
+    points = np.concatenate([places, np.stack(tips, axis=1), corners], axis=1)
+    rows: list[tuple[dict[int, float], np.ndarray | float]] = []
+    for number in range(len(soles)):
+        height = corners[:, number, 2] / leg
+        rows.append(({len(driven) + 2 + number: 1.0}, _LIFTED + (_SOLE - _LIFTED) * _share(height, _LOW, _HIGH)))
+    rows += [({rig.place("pelvis"): 1.0}, _PELVIS), *_bones(rig), *_hands(rig, places)]
+    for number, (side, (bend, _)) in enumerate(zip(SIDES, bends, strict=True)):
+        tip = {len(driven) + number: 1.0, rig.place(f"{side}_elbow"): -1.0}
+        rows.append((tip, _BEND * np.linalg.norm(bend, axis=-1)))
+    sums = np.zeros((len(rows), points.shape[1]))
+    weights = np.empty((len(places), len(rows)))
+    for number, (row, weight) in enumerate(rows):
+        sums[number, list(row)] = list(row.values())
+        weights[:, number] = weight
+    turned = {"chest": _chest(rig)}
+    turned |= {joint: rig.place(joint) for joint in _TURNS if joint in rig.joints}
+    elbows = [rig.joints[f"{side}_elbow"] for side in SIDES]
+    movers = np.concatenate([linkage.movers[driven], linkage.movers[elbows], linkage.turners[linkage.sole_nodes]])
+    tips = rig.rest[elbows].numpy() + leg * np.stack([normal for _, normal in bends])
+    rest = np.concatenate([rig.rest[driven].numpy(), tips, linkage.soles])
+    nodes = list(turned.values())
+    return _Goals(
+        rest,
+        movers,
+        sums,
+        np.einsum("rp,fpk->frk", sums, points),
+        weights / leg,
+        linkage.turners[driven][nodes],
+        turns[:, nodes],
+        np.array([_TURNS[joint] for joint in turned]),
+        len(soles),
+    )
+
+
+def _bones(rig: Rig) -> list[tuple[dict[int, float], float]]:
+    """Return the bones of legs and arms and those to the shoulders, as differences of nodes, with their weights."""
+    pairs = [
+        (rig.place(f"{side}_{above}"), rig.place(f"{side}_{below}"), weight)
+        for limb, weight in zip(LIMBS, (_LEG, _ARM), strict=True)
+        for side in SIDES
+        for above, below in itertools.pairwise(limb)
+    ]
+    pairs += [(_chest(rig), rig.place(f"{side}_shoulder"), _SHOULDER) for side in SIDES]
+    return [({below: 1.0, above: -1.0}, weight) for above, below, weight in pairs]
+
+
+def _bend(rig: Rig, linkage: Linkage, places: np.ndarray, side: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normal of a bent arm's plane in each frame, as long as the sine of its bend, and that at rest of the
+    arm bent as far as is in the middle of its elbow's limits.
+
+    An arm that is straight cannot tell, without it, to which side its elbow has to be turned before it bends.
+    """
+    shoulder, elbow, wrist = (rig.place(f"{side}_{joint}") for joint in LIMBS[1])
+    upper, lower = places[:, elbow] - places[:, shoulder], places[:, wrist] - places[:, elbow]
+    bend = np.cross(_unit(upper), _unit(lower))
+    node, hinge = rig.joints[f"{side}_elbow"], linkage.turners[rig.joints[f"{side}_elbow"]]
+    while hinge >= 0 and linkage.parents[hinge] != linkage.movers[node]:
+        hinge = linkage.parents[hinge]
+    limits = np.array([linkage.lower[hinge], linkage.upper[hinge]])
+    if hinge < 0 or not np.isfinite(limits).all():
+        return 0 * bend, np.zeros(3)
+    rest = [rig.at(f"{side}_{joint}").numpy() for joint in LIMBS[1]]
+    turned = Rotation.from_rotvec(linkage.axes[hinge] * limits.mean()).apply(rest[2] - rest[1])
+    return bend, _unit(np.cross(rest[1] - rest[0], turned))
+
+
+def _unit(vectors: Float[np.ndarray, "*_ 3"]) -> Float[np.ndarray, "*_ 3"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
+def _chest(rig: Rig) -> int:
+    """Return the index among the driven nodes of what carries arms and head."""
+    return rig.driven.index(rig.spine[-1]) if rig.spine else rig.place("pelvis")
+
+
+def _hands(rig: Rig, places: np.ndarray) -> list[tuple[dict[int, float], np.ndarray]]:
+    """Return the ways from the head to the wrists and between these, with weights in each frame."""
+    left, right, head = (rig.place(joint) for joint in ("left_wrist", "right_wrist", "head"))
+    arm, found = rig.length(LIMBS[1]), []
+    for first, second in ((left, head), (right, head), (left, right)):
+        away = np.linalg.norm(places[:, first] - places[:, second], axis=-1) / arm
+        found.append(({first: 1.0, second: -1.0}, _HAND * _share(away, _NEAR, _FAR)))
+    return found
+
+
+def _share(values: Float[np.ndarray, " frames"], near: float, far: float) -> Float[np.ndarray, " frames"]:
+    """1 up to `near`, smoothly 0 from `far` on."""
+    share = np.clip((far - values) / (far - near), 0, 1)
+    return share**2 * (3 - 2 * share)
+
+
+def _frame(
+    linkage: Linkage,
+    goals: _Goals,
+    frame: int,
+    angles: np.ndarray,
+    base: Base,
+    bounds: tuple[np.ndarray, np.ndarray],
+    leg: float,
+) -> tuple[np.ndarray, Base]:
+    """Solve one frame, beginning at the angles and the base of the one before."""
+    before, angles = angles, np.clip(angles, *bounds)
+    for _ in range(_FIRST if frame == 0 else _STEPS):
+        pose = linkage.pose(angles, base)
+        step = _step(goals, frame, pose, angles, before, bounds, leg)
+        angles = np.clip(angles + step[6:], *bounds)
+        base = Base(Rotation.from_rotvec(step[3:6]).as_matrix() @ base.turn, base.place + step[:3])
+        if max(np.abs(step[3:]).max(), np.abs(step[:3]).max() / leg) < _SETTLED:
+            break
+    pose = linkage.pose(angles, base)
+    corners = pose.points(goals.rest, goals.movers)[len(goals.rest) - goals.corners :]
+    sunk = max(0.0, -float(corners[:, 2].min(initial=0.0)))
+    return angles, Base(base.turn, base.place + np.array([0.0, 0.0, sunk]))
+
+
+def _step(
+    goals: _Goals,
+    frame: int,
+    pose: Pose,
+    angles: np.ndarray,
+    before: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    leg: float,
+) -> Float[np.ndarray, " unknowns"]:
+    """Return the step of base and angles to the least squares of the problem that is linear around a pose."""
+    points = pose.points(goals.rest, goals.movers)
+    moves = pose.moves(points, goals.movers)
+    weights = goals.weights[frame][:, None]
+    lines = [(np.einsum("rp,pku->rku", goals.sums, moves) * weights[..., None]).reshape(-1, moves.shape[2])]
+    wanted = [((goals.targets[frame] - goals.sums @ points) * weights).ravel()]
+    low = np.flatnonzero(points[:, 2] < 0)
+    low = low[low >= len(points) - goals.corners]
+    lines.append(moves[low, 2] * (_SINKING / leg))
+    wanted.append(-points[low, 2] * (_SINKING / leg))
+    weights = goals.turn_weights[:, None]
+    lines.append((pose.spins(goals.turners) * weights[..., None]).reshape(-1, moves.shape[2]))
+    off = goals.turns[frame] @ pose.turns[goals.turners].swapaxes(1, 2)
+    wanted.append((Rotation.from_matrix(off).as_rotvec() * weights).ravel())
+    hinged = np.eye(len(angles), moves.shape[2], 6)
+    lines += [_REST * hinged, _STILL * hinged]
+    wanted += [_REST * (pose.linkage.resting - angles), _STILL * (before - angles)]
+    lower, upper = (
+        np.concatenate([np.full(6, sign * _TRUST), np.clip(bound - angles, -_TRUST, _TRUST)])
+        for sign, bound in zip((-1, 1), bounds, strict=True)
+    )
+    lower[:3], upper[:3] = -np.inf, np.inf
+    solved = lsq_linear(
+        np.concatenate(lines), np.concatenate(wanted), (lower, np.maximum(upper, lower + 1e-12)), method="bvls"
+    )
+    return solved.x
