@@ -179,7 +179,7 @@ def test_two_thousand_hostile_requests_are_answered_in_sentences_soon_and_in_lit
     frames = {"poses": np.zeros((40, 156)), "trans": np.zeros((40, 3)), "mocap_framerate": np.array(20.0)}
     file = io.BytesIO()
     np.savez(file, **frames)
-    headers = {"X-Stmc": key}
+    headers = {"Authorization": f"Bearer {key}"}
     status, content = sent(port, "POST", "/api/motions", file.getvalue(), headers)
     assert status == 201, content
     draw.motions = [json.loads(content)["motion"]["id"]]

@@ -28,11 +28,16 @@ def entered(client: TestClient, token: str):
     return client.post("/api/session", json={"token": token})
 
 
+def bearer(key: str | bytes) -> dict[str, bytes]:
+    """The header of somebody with a key."""
+    return {"Authorization": b"Bearer " + (key if isinstance(key, bytes) else key.encode())}
+
+
 @contextmanager
 def studio(model: stmc.Model, folder: Path) -> Iterator[TestClient]:
     """A client with a key, whose server's own errors are answers."""
     sessions = Sessions()
     app = application(model, folder, sessions, PORT, steps=4)
     with TestClient(app, base_url=ADDRESS, raise_server_exceptions=False) as client:
-        client.headers["X-Stmc"] = entered(client, sessions.invite()).json()["key"]
+        client.headers.update(bearer(entered(client, sessions.invite()).json()["key"]))
         yield client
