@@ -67,6 +67,11 @@ class Served:
     def remember(self) -> None:
         self.before = {path.stem for path in self.motions.glob("*.npz")}
 
+    def new_motion(self) -> stmc.Motion:
+        """The one motion that was made since `remember` was called."""
+        [path] = [path for path in self.motions.glob("*.npz") if path.stem not in self.before]
+        return stmc.read(path)
+
 
 @contextmanager
 def served(folder: Path, model: stmc.Model | None = None) -> Iterator[Served]:

@@ -62,7 +62,9 @@ class Studio:
         try:
             token = Path(token_file).expanduser().read_text().strip()
         except (OSError, ValueError):
-            raise StudioError(f"There is no token in {token_file}: start `stmc studio`, which says where it is") from None
+            raise StudioError(
+                f"There is no token in {token_file}: start `stmc studio`, which says where it is"
+            ) from None
         self.address, self.headers = address.strip().rstrip("/"), {"Authorization": f"Bearer {token}"}
         self.opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # no proxy gets the token
 
@@ -174,14 +176,22 @@ class Task:
 # ---- armatures -------------------------------------------------------------------------------------------------------
 
 
-def skeleton_of(armature) -> dict:
-    """Return the rest pose of an armature for the studio, in the armature's own axes and unit."""
+def upright(armature) -> Quaternion:
+    """Return the quarter or half turn from an armature's own axes to z up: which axis points up, the scene says."""
     up = armature.matrix_world.to_3x3().inverted_safe() @ Vector((0, 0, 1))
+    largest = max(range(3), key=lambda axis: abs(up[axis]))
+    axis = Vector([math.copysign(1.0, up[largest]) if each == largest else 0.0 for each in range(3)])
+    return axis.rotation_difference(Vector((0, 0, 1)))
+
+
+def skeleton_of(armature) -> dict:
+    """Return the rest pose of an armature for the studio, in the armature's own unit."""
+    turn = upright(armature)
     joints = [
-        {"name": bone.name, "parent": bone.parent and bone.parent.name, "place": list(bone.head_local)}
+        {"name": bone.name, "parent": bone.parent and bone.parent.name, "place": list(turn @ bone.head_local)}
         for bone in armature.data.bones
     ]
-    return {"up": "y" if abs(up.y) > abs(up.z) else "z", "joints": joints}
+    return {"up": "z", "joints": joints}
 
 
 def animate(armature, keys: dict, name: str, start: int):
@@ -190,23 +200,26 @@ def animate(armature, keys: dict, name: str, start: int):
     A generator that yields between frames, and writes only at its end. The bones above those that move are put at rest.
     """
     bones = [bone for bone in armature.data.bones if _carries(bone, keys["turns"])]  # parents before children
+    axes = upright(armature)
     curves = {bone.name: [] for bone in bones}
     for frame in range(keys["frames"]):
         pose = {}
         for bone in bones:
-            pose[bone.name], basis = _posed(bone, keys, frame, pose)
+            pose[bone.name], basis = _posed(bone, keys, frame, pose, axes)
             curves[bone.name].append(basis)
         yield
     action = _new_action(armature, name)
     for bone in bones:
         pose_bone = armature.pose.bones[bone.name]
+        pose_bone.matrix_basis = Matrix.Identity(4)  # a former pose may have moved or scaled it
         if bone.name not in keys["turns"]:
-            pose_bone.matrix_basis = Matrix.Identity(4)
             continue
         path, values = _rotations(pose_bone, curves[bone.name])
         _write(armature, action, pose_bone, path, values, start)
         if bone.name == keys["travelling"]:
-            _write(armature, action, pose_bone, "location", [list(each.translation) for each in curves[bone.name]], start)
+            _write(
+                armature, action, pose_bone, "location", [list(each.translation) for each in curves[bone.name]], start
+            )
         yield
 
 
@@ -215,15 +228,16 @@ def _carries(bone, turns: dict) -> bool:
     return bone.name in turns or any(child.name in turns for child in bone.children_recursive)
 
 
-def _posed(bone, keys: dict, frame: int, pose: dict):
+def _posed(bone, keys: dict, frame: int, pose: dict, axes: Quaternion):
     """Return the matrix of a bone in a frame, in the armature's axes, and the channels that bring it there."""
     above, rest = bone.parent, bone.matrix_local
     parent = {"parent_matrix": pose[above.name], "parent_matrix_local": above.matrix_local} if above else {}
     matrix = bone.convert_local_to_pose(Matrix.Identity(4), rest, **parent)
     if bone.name not in keys["turns"]:
         return matrix, Matrix.Identity(4)
-    place = Vector(keys["places"][frame]) if bone.name == keys["travelling"] else matrix.translation
-    turn = Quaternion(keys["turns"][bone.name][frame])
+    travels = bone.name == keys["travelling"]
+    place = axes.inverted() @ Vector(keys["places"][frame]) if travels else matrix.translation
+    turn = axes.inverted() @ Quaternion(keys["turns"][bone.name][frame]) @ axes
     matrix = Matrix.LocRotScale(place, turn @ rest.to_quaternion(), None)
     return matrix, bone.convert_local_to_pose(matrix, rest, invert=True, **parent)
 
@@ -327,7 +341,8 @@ def _finish(armature, keys: dict):
     held = [name for name in keys["turns"] if any(not each.mute for each in armature.pose.bones[name].constraints)]
     done = f"{keys['frames']} frames on {armature.name}; joints by {keys['found_by']}"
     if held:
-        done += f". Constraints may hold {len(held)} bones, such as {held[0]}: mute them"
+        others = f" and {len(held) - 1} more bones" if held[1:] else ""
+        done += f". Constraints may hold {held[0]}{others}: mute them"
     if not bpy.app.background:
         bpy.ops.ed.undo_push(message="stmc: generate")
     return _end(done)
@@ -352,9 +367,14 @@ class STMC_Preferences(bpy.types.AddonPreferences):
     """Where the studio is. They belong to the user: no .blend file holds or sets them."""
 
     bl_idname = __name__
-    address: StringProperty(name="Address", default="http://127.0.0.1:8686", description="Of the studio, on this machine")
+    address: StringProperty(
+        name="Address", default="http://127.0.0.1:8686", description="Of the studio, on this machine"
+    )
     token_file: StringProperty(
-        name="Token file", default="~/.stmc/studio/api_token", subtype="FILE_PATH", description="As `stmc studio` prints it"
+        name="Token file",
+        default="~/.stmc/studio/api_token",
+        subtype="FILE_PATH",
+        description="As `stmc studio` prints it",
     )
 
     def draw(self, context) -> None:
@@ -423,7 +443,11 @@ class STMC_OT_generate(bpy.types.Operator):
         job = {"timeline": "\n".join(lines), "seeds": [settings.seed], "steps": steps}
         joint_map = {joint: getattr(settings.joints, joint) for joint in JOINTS if getattr(settings.joints, joint)}
         connected = {bone.name for bone in armature.data.bones if bone.use_connect}
-        State.armature, State.title, State.start = armature.name, f"stmc: {lines[0].split('#')[0].strip()}", scene.frame_current
+        State.armature, State.title, State.start = (
+            armature.name,
+            f"stmc: {lines[0].split('#')[0].strip()}",
+            scene.frame_current,
+        )
         State.message, State.work = "", None
         State.task = Task(studio, job, skeleton_of(armature), joint_map, fps, connected)
         bpy.app.timers.register(tick, first_interval=PAUSE, persistent=True)
@@ -497,7 +521,9 @@ class STMC_PT_panel(bpy.types.Panel):
                 layout.label(text=text)
             layout.operator("stmc.cancel", icon="CANCEL")
         else:
-            layout.operator("stmc.generate", text=f"Generate onto {armature.name}" if armature else "Select an armature")
+            layout.operator(
+                "stmc.generate", text=f"Generate onto {armature.name}" if armature else "Select an armature"
+            )
         for number, part in enumerate(textwrap.wrap(State.message, 44)):
             layout.label(text=part, icon="NONE" if number else "ERROR" if State.failed else "INFO")
 

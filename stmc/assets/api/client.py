@@ -56,7 +56,9 @@ class Studio:
             **settings: Further settings of a job, such as `constraints`.
         """
         steps = "preview" if preview else "full"
-        job = self._json("POST", "/api/jobs", {"timeline": timeline, "seeds": [seed], "steps": steps, **settings})["job"]
+        job = self._json("POST", "/api/jobs", {"timeline": timeline, "seeds": [seed], "steps": steps, **settings})[
+            "job"
+        ]
         event = ""
         try:
             with self._open("GET", f"/api/jobs/{job}/events") as stream:

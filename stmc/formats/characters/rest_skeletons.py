@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -48,8 +48,6 @@ class RestSkeleton:
     def __post_init__(self) -> None:
         if not 0 < len(self.joints) <= MOST_JOINTS:
             raise CharacterError(f"a skeleton of {len(self.joints):,} joints; it must have 1 to {MOST_JOINTS:,}")
-        if self.up not in get_args(Up):
-            raise CharacterError(f"up={shown(self.up)}: choose from {', '.join(get_args(Up))}")
         names = set()
         for joint in self.joints:
             if joint.name in names:
@@ -113,6 +111,4 @@ def skeleton_keys(moved: CharacterMotion, up: Up) -> SkeletonKeys:
     turned = torch.from_numpy(turn.T @ motion.turns.numpy() @ turn)
     quaternions = continued(matrix_to_quaternion(turned))
     turns = {rig.names[node]: quaternions[:, place] for place, node in enumerate(rig.driven)}
-    return SkeletonKeys(
-        rig.names[rig.joints["pelvis"]], motion.places[:, rig.place("pelvis")].numpy() @ turn, turns
-    )
+    return SkeletonKeys(rig.names[rig.joints["pelvis"]], motion.places[:, rig.place("pelvis")].numpy() @ turn, turns)

@@ -191,7 +191,9 @@ def _read(field: dataclasses.Field, hint: Any, value: Any) -> Any:
 
 def _check_length(name: str, value: Any, least: int, most: int) -> None:
     if not least <= len(value) <= most:
-        raise RequestError(422, f"{name}: {least} to {most:,} {'letters' if isinstance(value, str) else 'items'} needed")
+        raise RequestError(
+            422, f"{name}: {least} to {most:,} {'letters' if isinstance(value, str) else 'items'} needed"
+        )
 
 
 def check_bounds(name: str, value: Any) -> None:

@@ -10,7 +10,7 @@ import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 from stmc.settings.records import FieldInfo
 
@@ -87,6 +87,8 @@ class Schemas:
         if origin is Annotated:
             schema = self._of(arguments[0], info)
             return None if schema is None else schema | {"description": arguments[1]}
+        if origin is NotRequired:
+            return self._of(arguments[0], info)
         if origin is Literal:
             return {"enum": list(arguments)}
         if origin in (Union, UnionType):
@@ -113,7 +115,7 @@ class Schemas:
     def _of_dictionary(self, hint: Any) -> Schema:
         hints = get_type_hints(hint, include_extras=True)
         properties = {name: self.of(each) for name, each in hints.items()}
-        required = [name for name in hints if name in hint.__required_keys__]
+        required = [name for name, each in hints.items() if get_origin(each) is not NotRequired]
         description = {"description": inspect.cleandoc(hint.__doc__)} if hint.__doc__ else {}
         return _object({name: schema for name, schema in properties.items() if schema}, required) | description
 

@@ -92,7 +92,9 @@ class JsonBody:
         for record in rest_of(self.record):
             for name, each in schemas.of_record(record)["properties"].items():
                 bound = {"maxItems": bodies.MOST_CONDITIONS} if each.get("type") == "array" else {}
-                schema["properties"] |= {name: each | bound} if name in names and name not in schema["properties"] else {}
+                schema["properties"] |= (
+                    {name: each | bound} if name in names and name not in schema["properties"] else {}
+                )
         return schema
 
 

@@ -112,7 +112,10 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
     routes = [
         Route("/", answers.page),
         Route("/api", answers.api_page),
-        *[Route(each.path, answered(each, getattr(answers, each.handler)), methods=[each.method]) for each in OPERATIONS],
+        *[
+            Route(each.path, answered(each, getattr(answers, each.handler)), methods=[each.method])
+            for each in OPERATIONS
+        ],
         Mount("/assets", StaticFiles(directory=ASSETS / "studio")),
     ]
     guard = Middleware(AccessControl, sessions=sessions, port=port, public=PUBLIC, uploads=UPLOADS)

@@ -32,7 +32,11 @@ SKELETON: Schema = {
     "type": "object",
     "required": ["joints"],
     "properties": {
-        "up": {"enum": list(get_args(Up)), "default": "y", "description": "the axis that points up, of right-handed axes"},
+        "up": {
+            "enum": list(get_args(Up)),
+            "default": "y",
+            "description": "the axis that points up, of right-handed axes",
+        },
         "joints": {
             "type": "array",
             "minItems": 1,
@@ -70,6 +74,8 @@ def skeleton_of(data: Mapping[str, Any]) -> RestSkeleton:
     up, listed = take(data, "up", str, "y"), take(data, "joints", list)
     if len(listed) > MOST_JOINTS:
         raise RequestError(422, f"{len(listed):,} joints: {MOST_JOINTS:,} at most")
+    if up not in get_args(Up):
+        raise RequestError(422, f"skeleton: up={shown(up)}: choose from {', '.join(get_args(Up))}")
     try:
         return RestSkeleton(tuple(_joint(number, each) for number, each in enumerate(listed)), up)
     except CharacterError as error:
