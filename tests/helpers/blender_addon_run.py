@@ -8,6 +8,7 @@ Blender has no event loop here, so that nothing calls its timers: this script ca
 import json
 import sys
 import time
+from pathlib import Path
 
 import bpy
 from mathutils import Matrix
@@ -15,7 +16,7 @@ from mathutils import Matrix
 import addon_utils  # isort: skip  # which bpy brings along
 
 source, target = sys.argv[sys.argv.index("--") + 1 :]
-request = json.load(open(source))
+request = json.loads(Path(source).read_text())
 told = {"version": bpy.app.version_string}
 
 bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -100,5 +101,5 @@ if action:
     ]
 told["attempts"] = [attempt(**each) for each in request.get("attempts", [])]
 bpy.ops.wm.save_as_mainfile(filepath=request["saved"], compress=False)
-json.dump(told, open(target, "w"))
+Path(target).write_text(json.dumps(told))
 addon_utils.disable("blender_addon", default_set=True)

@@ -29,11 +29,8 @@ bl_info = {
 }
 
 SIDES = ("left", "right")
-JOINTS = ("pelvis", "head") + tuple(
-    f"{side}_{joint}"
-    for joint in ("hip", "knee", "ankle", "foot", "collar", "shoulder", "elbow", "wrist")
-    for side in SIDES
-)
+_PAIRS = ("hip", "knee", "ankle", "foot", "collar", "shoulder", "elbow", "wrist")
+JOINTS = ("pelvis", "head", *(f"{side}_{joint}" for joint in _PAIRS for side in SIDES))
 """The joints that an armature is asked for; `foot` is where the toes begin."""
 
 SILENCE = 600

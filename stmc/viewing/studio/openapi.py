@@ -65,7 +65,7 @@ OWN = {
 """Schemas of the studio's own types."""
 
 
-def openapi(operations: Sequence[Operation], version: str) -> dict[str, Any]:
+def openapi_document(operations: Sequence[Operation], version: str) -> dict[str, Any]:
     """Return the OpenAPI 3.1 document of these operations.
 
     Args:

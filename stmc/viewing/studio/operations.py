@@ -205,7 +205,7 @@ _PERSON = {
         {"name": "spine", "parent": "hips", "place": [0, 1.15, 0]},
         {"name": "head", "parent": "spine", "place": [0, 1.55, 0]},
         *[
-            {"name": f"{side} {joint}", "parent": parent and f"{side} {parent}" or above, "place": [sign * x, y, 0]}
+            {"name": f"{side} {joint}", "parent": f"{side} {parent}" if parent else above, "place": [sign * x, y, 0]}
             for side, sign in (("left", 1), ("right", -1))
             for joint, parent, above, x, y in (
                 ("upper leg", "", "hips", 0.1, 0.9), ("lower leg", "upper leg", "", 0.1, 0.5),
@@ -255,8 +255,8 @@ OPERATIONS: tuple[Operation, ...] = (
     Operation(
         method="POST", path="/api/jobs", handler="add_job", topic="Jobs", status=201,
         summary="Sample a timeline",
-        about="Queues a job; its events tell the motions. `keep` names a stored motion to edit: only `change`, and what "
-        "lies behind its end, is made anew.",
+        about="Queues a job; its events tell the motions. `keep` names a stored motion to edit: only `change`, and "
+        "frames after its end, are generated.",
         takes=JsonBody(bodies.JobBody, {"timeline": _WAVE, "seeds": [0], "steps": "preview"}),
         gives=JsonOutput(responses.QueuedJob),
         refusals={404: "there is no such motion to keep", 429: "too many jobs are waiting"},
@@ -264,8 +264,8 @@ OPERATIONS: tuple[Operation, ...] = (
     Operation(
         method="GET", path="/api/jobs/{name}/events", handler="hear_job", topic="Jobs",
         summary="Follow a job",
-        about="Server-sent events, from the job's beginning: `event: NAME`, `data: JSON`, an empty line. The stream ends "
-        "after `done`, `failed` or `cancelled`.",
+        about="Server-sent events, from the job's beginning: `event: NAME`, `data: JSON`, an empty line. The stream "
+        "ends after `done`, `failed` or `cancelled`.",
         gives=EventOutput(_EVENTS), refusals=_NO_JOB,
     ),
     Operation(
@@ -277,7 +277,7 @@ OPERATIONS: tuple[Operation, ...] = (
     Operation(
         method="POST", path="/api/motions", handler="receive", topic="Motions", status=201,
         summary="Upload a motion",
-        takes=FileBody(f"a {' or a '.join(each.suffix for each in READABLE)} file of {MOST_UPLOAD // 2**20} MiB at most"),
+        takes=FileBody(f"a {' or a '.join(each.suffix for each in READABLE)} file, {MOST_UPLOAD // 2**20} MiB at most"),
         gives=JsonOutput(responses.StoredMotion),
     ),
     Operation(
@@ -298,7 +298,7 @@ OPERATIONS: tuple[Operation, ...] = (
     Operation(
         method="POST", path="/api/retarget", handler="retarget", topic="Skeletons",
         summary="Move a skeleton as a stored motion",
-        about="Arms and legs point where the motion's do, feet and hands keep their contacts, as `stmc.retarget` does it.",
+        about="Arms and legs point where the motion's do, feet and hands keep their contacts: see `stmc.retarget`.",
         takes=JsonBody(bodies.RetargetBody, {"motion": "ID", "skeleton": _PERSON, "fps": 30}),
         gives=JsonOutput(responses.SkeletonMotion), refusals=_NO_MOTION,
     ),

@@ -168,7 +168,7 @@ class SkeletonMotion(MappedSkeleton):
     places: Annotated[list[list[float]], "its position [x, y, z] in each frame"]
     turns: Annotated[
         dict[str, list[list[float]]],
-        "of each joint that moves: its turn from the rest pose, in the skeleton's axes and not in the parent's frame, as "
+        "of each joint that moves: its turn from the rest pose, along the skeleton's axes rather than its parent's, as "
         "a quaternion [w, x, y, z] in each frame; other joints follow the joints above them",
     ]
 

@@ -62,7 +62,7 @@ from stmc.viewing.studio.documents_json import (
     write_timeline,
 )
 from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
-from stmc.viewing.studio.openapi import openapi
+from stmc.viewing.studio.openapi import openapi_document
 from stmc.viewing.studio.operations import OPERATIONS, PUBLIC, UPLOADS, Operation
 from stmc.viewing.studio.request_errors import RequestError, request_error, take
 from stmc.viewing.studio.responses import ContentEntry, ModelData, SkeletonMotion
@@ -158,7 +158,7 @@ class Answers:
     ) -> None:
         self.model, self.motions, self.documents = model, motions, documents
         self.stages = stages_by_quality(model.sampling.steps, steps or model.sampling.steps or FULL_STEPS)
-        self.sessions, self.api = sessions, openapi(OPERATIONS, stmc.__version__)
+        self.sessions, self.api = sessions, openapi_document(OPERATIONS, stmc.__version__)
         self._retargeting = Lock()
         self.jobs = Jobs(model.sample, motions)
         self.suggest = suggester(sentence_encoder(model.text_encoder))
