@@ -191,7 +191,8 @@ def test_files_of_timelines_are_read_and_written_as_by_the_library(client):
 
 KEYS = [
     "timeline", "prompts", "text", "start", "end", "parts", "name", "seeds", "steps", "keep", "change", "base",
-    "constraints", "target", "keyframe", "path", "motion", "at", "content", "format", "clean_feet", "tab",
+    "constraints", "target", "keyframe", "path", "motion", "at", "content", "format", "clean_feet", "tab", "skeleton",
+    "joints", "parent", "place", "joint_map", "fps",
 ]  # fmt: skip
 ANY = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.just("walk"),
@@ -199,7 +200,8 @@ ANY = st.recursive(
     max_leaves=12,
 )
 ADDRESSES = [("POST", "/api/check"), ("POST", "/api/read"), ("POST", "/api/write"), ("POST", "/api/motions"),
-             ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs")]  # fmt: skip
+             ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs"), ("POST", "/api/map"),
+             ("POST", "/api/retarget")]  # fmt: skip
 
 
 @given(

@@ -39,7 +39,7 @@ class Schemas:
         schema = self._of(hint, info or FieldInfo(""))
         if schema is not None and info is not None:
             help = f"{info.help} ({info.unit})" if info.unit else info.help
-            schema |= {"description": help} if help else {}
+            schema = schema | ({"description": help} if help else {})
         return schema
 
     def named(self, name: str, make: Callable[[], Schema]) -> Schema:

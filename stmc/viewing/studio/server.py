@@ -229,7 +229,7 @@ class Answers:
 
     async def retarget(self, body: RetargetBody) -> Response:
         """Move a skeleton as a motion."""
-        return JSONResponse(await run_in_threadpool(self._retargeted, body))
+        return await run_in_threadpool(lambda: JSONResponse(self._retargeted(body)))  # megabytes: not in the loop
 
     def _retargeted(self, body: RetargetBody) -> SkeletonMotion:
         character, motion = mapped(body.skeleton, body.joint_map), self.motions.get(body.motion)
