@@ -1,14 +1,12 @@
 """Our .glb and .bvh in Blender itself: its own importers put every bone where the motion has the joint."""
 
-import importlib.util
 import json
-import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.blender import REASON, command
 from helpers.motions import walking
 
 from stmc.formats import write
@@ -16,15 +14,9 @@ from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 
-PROGRAM = shutil.which("blender")
-SCRIPT = Path(__file__).parent / "helpers" / "blender_import.py"
-MODULE = [sys.executable, str(SCRIPT)] if importlib.util.find_spec("bpy") else None
-COMMAND = [PROGRAM, "--background", "--factory-startup", "--python", str(SCRIPT)] if PROGRAM else MODULE
+COMMAND = command(Path(__file__).parent / "helpers" / "blender_import.py")
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(COMMAND is None, reason="no Blender (Debian: apt-get install blender; or pip install bpy)"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(COMMAND is None, reason=REASON)]
 
 DEEPEST = 9
 """Joints from the pelvis to a hand."""
@@ -48,7 +40,7 @@ def told(motion, tmp_path_factory) -> dict[str, dict]:
         write(motion, path)
     result = folder / "told.json"
     done = subprocess.run(
-        [*COMMAND, "--", str(result), f"{motion.fps:g}", *paths.values()], capture_output=True, text=True, timeout=600
+        [*COMMAND, str(result), f"{motion.fps:g}", *paths.values()], capture_output=True, text=True, timeout=600
     )
     assert result.exists(), done.stdout + done.stderr
     content = json.loads(result.read_text())

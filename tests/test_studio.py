@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.studio import PORT, WALK, entered, knowing, studio
+from helpers.studio import PORT, WALK, bearer, entered, knowing, studio
 from helpers.tiny_model import tiny
 from hypothesis import given
 from hypothesis import strategies as st
@@ -82,7 +82,7 @@ def test_an_address_opens_the_studio_once_and_leaves_no_cookie_that_other_ports_
         token = sessions.invite()
         opened = entered(browser, token)
         assert opened.status_code == 201 and not browser.cookies and "set-cookie" not in opened.headers
-        key = {"X-Stmc": opened.json()["key"]}
+        key = bearer(opened.json()["key"])
         assert browser.get("/api/documents", headers=key).status_code == 200
         assert entered(browser, token).status_code == 401 and "used before" in entered(browser, token).json()["error"]
 
@@ -95,7 +95,7 @@ def test_cookies_of_other_servers_on_this_machine_lock_nobody_out(client, cookie
 @pytest.mark.parametrize("path", ["/api/model", "/api/documents", "/api/motions/x.glb", "/api/jobs/x/events"])
 @pytest.mark.parametrize("key", [None, "", "1", "a guess", "é".encode()])
 def test_whoever_has_no_key_is_told_where_it_is_and_nothing_else(stranger, path, key):
-    answer = stranger.get(path, headers={} if key is None else {"X-Stmc": key})
+    answer = stranger.get(path, headers={} if key is None else bearer(key))
     assert answer.status_code == 401 and "stmc studio" in answer.json()["error"]
 
 
@@ -107,7 +107,7 @@ def test_whoever_has_no_key_is_told_where_it_is_and_nothing_else(stranger, path,
         {"Origin": "http://evil.example"},
         {"Origin": "null"},
         {"Origin": "http://127.0.0.1:9999"},
-        {"X-Stmc": ""},
+        {"Authorization": ""},
     ],
     ids=str,
 )
@@ -191,7 +191,8 @@ def test_files_of_timelines_are_read_and_written_as_by_the_library(client):
 
 KEYS = [
     "timeline", "prompts", "text", "start", "end", "parts", "name", "seeds", "steps", "keep", "change", "base",
-    "constraints", "target", "keyframe", "path", "motion", "at", "content", "format", "clean_feet", "tab",
+    "constraints", "target", "keyframe", "path", "motion", "at", "content", "format", "clean_feet", "tab", "skeleton",
+    "joints", "parent", "place", "joint_map", "fps",
 ]  # fmt: skip
 ANY = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.just("walk"),
@@ -199,7 +200,8 @@ ANY = st.recursive(
     max_leaves=12,
 )
 ADDRESSES = [("POST", "/api/check"), ("POST", "/api/read"), ("POST", "/api/write"), ("POST", "/api/motions"),
-             ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs")]  # fmt: skip
+             ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs"), ("POST", "/api/map"),
+             ("POST", "/api/retarget")]  # fmt: skip
 
 
 @given(

@@ -33,7 +33,7 @@ SESSIONS: dict[int, Sessions] = {}
 PICTURES = os.environ.get("STMC_PICTURES")
 """A folder for pictures of each step, to be looked at."""
 CONTROL, SHIFT = 2, 8
-KEY = "{ headers: { 'X-Stmc': localStorage.getItem('stmc-studio-key') } }"
+KEY = "{ headers: { Authorization: 'Bearer ' + localStorage.getItem('stmc-studio-key') } }"
 """Of a request that the test has the page make."""
 BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria-label').split('. ').slice(0, 2))"
 
@@ -500,7 +500,7 @@ def test_of_two_tabs_that_change_one_document_the_second_is_asked(tab):
     time.sleep(1)
     theirs = """(async () => {
       const place = "/api/documents/" + location.hash.slice(1);
-      const headers = { "X-Stmc": localStorage.getItem("stmc-studio-key") };
+      const headers = { Authorization: `Bearer ${localStorage.getItem("stmc-studio-key")}` };
       const { version, content } = await (await fetch(place, { headers })).json();
       const changed = { ...content, writer: "another", document: { ...content.document, name: "Theirs" } };
       const body = JSON.stringify({ base: version, content: changed });

@@ -18,6 +18,8 @@ import pytest
 from helpers.scripts import ROOT
 from helpers.studio import WALK
 
+from stmc.viewing.studio.operations import OPERATIONS
+
 pytestmark = pytest.mark.slow
 
 REQUESTS, SEED = 2000, 0
@@ -41,9 +43,11 @@ NUMBERS = [0, 1, -1, 2, 0.5, 1e-308, 1e308, 1e30, -0.0, 2**31, 2**53, 2**63, 10*
 KEYS = ["timeline", "prompts", "text", "start", "end", "parts", "name", "seeds", "steps", "keep", "change", "base",
         "constraints", "target", "keyframe", "path", "hold", "heading", "motion", "at", "points", "joint", "point",
         "angle", "content", "format", "clean_feet", "tab", "token", "version"]  # fmt: skip
+SKELETON = next(each.takes.example["skeleton"] for each in OPERATIONS if each.handler == "retarget")
 PATHS = [
     "/", "/api/model", "/api/check", "/api/read", "/api/write", "/api/motions", "/api/motions/a.glb", "/api/jobs",
-    "/api", "/api/jobs/a", "/api/jobs/a/events", "/api/documents", "/api/documents/", "/api/documents/fuzz",
+    "/api", "/api/map", "/api/retarget", "/api/openapi.json", "/api/jobs/a", "/api/jobs/a/events",
+    "/api/documents", "/api/documents/", "/api/documents/fuzz",
     "/api/session", "//", "/api/documents/%2e%2e%2f", "/assets/main.js", "/assets/%00", "/assets/../server.py", "/%ff",
 ]  # fmt: skip
 BROKEN = [b"", b"{", b"[]", b"null", b"\xff\xfe", b"[" * 5000, b'{"base": ' + b"9" * 4300 + b', "content": {}}',
@@ -142,6 +146,8 @@ class Draw:
         return self.chance.choice([
             ("POST", "/api/check", {"timeline": WALK}), ("POST", "/api/write", {"timeline": WALK, "format": "txt"}),
             ("POST", "/api/read", {"name": "a.txt", "text": "walk # 0 # 1"}), ("POST", "/api/jobs", self.job()),
+            ("POST", "/api/map", {"skeleton": SKELETON, "joint_map": {}}),
+            ("POST", "/api/retarget", {"skeleton": SKELETON, "motion": self.chance.choice(self.motions), "fps": 30}),
             ("PUT", "/api/documents/fuzz", {"base": 0, "content": WALK}), ("POST", "/api/session", {"token": "x"}),
         ])  # fmt: skip
 
@@ -179,7 +185,7 @@ def test_two_thousand_hostile_requests_are_answered_in_sentences_soon_and_in_lit
     frames = {"poses": np.zeros((40, 156)), "trans": np.zeros((40, 3)), "mocap_framerate": np.array(20.0)}
     file = io.BytesIO()
     np.savez(file, **frames)
-    headers = {"X-Stmc": key}
+    headers = {"Authorization": f"Bearer {key}"}
     status, content = sent(port, "POST", "/api/motions", file.getvalue(), headers)
     assert status == 201, content
     draw.motions = [json.loads(content)["motion"]["id"]]

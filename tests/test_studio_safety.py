@@ -24,7 +24,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import stmc
-from stmc.viewing.studio import Documents, Motions, Sessions, application, connections
+from stmc.viewing.studio import Documents, Motions, Sessions, application, auth, connections
 
 
 @pytest.fixture(scope="module")

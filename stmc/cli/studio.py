@@ -62,17 +62,19 @@ def main(settings: Settings) -> None:
 
 def serve(settings: Settings, folder: Path, listening: socket.socket) -> None:
     """Serve the studio until the user ends it."""
-    from stmc.viewing.studio import Sessions, application
+    from stmc.viewing.studio import Sessions, application, program_token
     from stmc.viewing.studio.connections import server_of
 
     console = Console(soft_wrap=True, highlight=False)
     sessions, port = Sessions(), listening.getsockname()[1]
+    sessions.allow(program_token(folder))
     with console.status("loading the model"):
         model = loaded(settings)
     app = application(model, folder, sessions, port, settings.steps)
     console.print(
         f"the studio is at http://127.0.0.1:{port}/#token={sessions.invite()}\n"
-        f"the address can be opened once; motions and documents are kept in {settings.folder}; Ctrl-C ends it",
+        f"the address can be opened once; motions and documents are kept in {settings.folder}; Ctrl-C ends it\n"
+        f"programs: http://127.0.0.1:{port}/api says how; their token is in {Path(settings.folder) / 'api_token'}",
         markup=False,
     )
     with opening(folder, f"http://127.0.0.1:{port}/#token={sessions.invite()}") as page:

@@ -25,7 +25,7 @@ export class ServerError extends Error {
 async function answered(path, options = {}) {
   let response;
   try {
-    response = await fetch(path, { cache: "no-store", ...options, headers: { "X-Stmc": key ?? "", ...options.headers } });
+    response = await fetch(path, { cache: "no-store", ...options, headers: { Authorization: `Bearer ${key ?? ""}`, ...options.headers } });
   } catch {
     throw new ServerError(0, { error: "the server does not answer" });
   }

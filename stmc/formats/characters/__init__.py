@@ -3,7 +3,24 @@
 Depends on files and rigs; the kinematics are in `motion.retargeting`.
 """
 
-from stmc.formats.characters.characters import Character, CharacterMotion, read_character, retarget
+from stmc.formats.characters.characters import (
+    Character,
+    CharacterMotion,
+    character_of_joints,
+    read_character,
+    retarget,
+)
 from stmc.formats.characters.gltf_file import CharacterError
+from stmc.formats.characters.rest_skeletons import RestSkeleton, SkeletonKeys, skeleton_keys
 
-__all__ = ["Character", "CharacterError", "CharacterMotion", "read_character", "retarget"]
+__all__ = [
+    "Character",
+    "CharacterError",
+    "CharacterMotion",
+    "RestSkeleton",
+    "SkeletonKeys",
+    "character_of_joints",
+    "read_character",
+    "retarget",
+    "skeleton_keys",
+]

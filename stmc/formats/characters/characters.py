@@ -5,11 +5,13 @@ Holds the table of formats, and the order in which joints are identified: VRM's 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import yaml
+from jaxtyping import Float
 
 from stmc.formats.bvh_parser import parse_bvh
 from stmc.formats.characters.bvh_rig import BvhRig
@@ -163,6 +165,33 @@ def read_character(path: str | Path, joint_map: str | Path | Mapping[str, str | 
         return read(path, corrections)
     except ValueError as error:
         raise CharacterError(f"{path}: {error}") from None
+
+
+def character_of_joints(
+    names: Sequence[str],
+    parents: Sequence[int],
+    places: Float[np.ndarray, "nodes 3"],
+    joint_map: Mapping[str, str | None] | None = None,
+) -> Character:
+    """Make the character of a skeleton that is in no file.
+
+    Raises `ValueError` as `read_character`.
+
+    Args:
+        names: Name of each joint.
+        parents: Parent of each joint, -1 for roots; parents stand before their children.
+        places: Positions of the joints at rest, y up, in any unit.
+        joint_map: As in `read_character`.
+
+    Examples:
+        >>> rest = stmc.motion.body_model.Skeleton.default().rest.double().numpy()
+        >>> body = stmc.motion.body
+        >>> hero = stmc.formats.characters.character_of_joints(body.JOINTS, body.PARENTS, rest)
+        >>> hero.found_by, hero.joint_map["left_knee"]
+        ("the joints' names", 'left_knee')
+    """
+    body = BvhRig(tuple(names), tuple(parents), places)
+    return _character(body, list(range(len(names))), {}, joint_map or {}, y_up=False)
 
 
 def retarget(motion: Motion, character: Character | str | Path, fps: float | int | None = None) -> CharacterMotion:

@@ -25,9 +25,10 @@ def joints_by_shape(
 ) -> dict[str, int]:
     """Identify our joints among `nodes` by their rest positions (y up); return an empty mapping for no person.
 
-    Toes point forward and so decide which side is left; without toes it is +x.
+    The person faces along z or along x. Toes point forward and so decide which side is left; without toes it is +x, or
+    -z for a person who faces along x.
     """
-    inside = set(nodes)
+    inside, places = set(nodes), _sideways(places, nodes)
     leaves = [node for node in nodes if not any(parents[other] == node for other in inside)]
     middle = float(np.median(places[list(nodes), 0]))
     legs = _pair(leaves, places, middle, lambda node: -places[node, 1])
@@ -58,6 +59,12 @@ def joints_by_shape(
             forward = float(places[found["foot"], 2] - places[found["ankle"], 2])
         joints |= {f"{side}_{joint}": node for joint, node in found.items()}
     return joints if forward > 0 else _swapped(joints)
+
+
+def _sideways(places: np.ndarray, nodes: Sequence[int]) -> np.ndarray:
+    """Turn a person by a quarter about y if it is wider along z than along x: arms and hips are wider than feet."""
+    width, depth = np.ptp(places[list(nodes)][:, [0, 2]], axis=0)
+    return places[:, [2, 1, 0]] * [-1, 1, 1] if depth > width else places
 
 
 def _pair(

@@ -6,7 +6,7 @@ The server checks timelines, samples them one after the other, stores motions an
 
 from stmc.viewing.studio.jobs import Job, Jobs, Stage
 from stmc.viewing.studio.server import application
-from stmc.viewing.studio.sessions import Sessions
+from stmc.viewing.studio.sessions import Sessions, program_token
 from stmc.viewing.studio.storage import Documents, Motions
 
-__all__ = ["Documents", "Job", "Jobs", "Motions", "Sessions", "Stage", "application"]
+__all__ = ["Documents", "Job", "Jobs", "Motions", "Sessions", "Stage", "application", "program_token"]

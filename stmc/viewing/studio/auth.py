@@ -1,4 +1,4 @@
-"""Access control: only the studio's own page in the user's browser may use the server.
+"""Access control: only the studio's own page in the user's browser, and the user's programs, may use the server.
 
 Other pages in the same browser, and other host names for this server, are rejected before a body is read.
 """
@@ -6,6 +6,7 @@ Other pages in the same browser, and other host names for this server, are rejec
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Collection, Mapping
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse, Response
@@ -15,15 +16,12 @@ from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.sessions import Sessions
 
 MOST_BYTES = 2**20 + 2**16
-"""Maximum size of a request."""
-
-MOST_UPLOAD = 32 * 2**20
-"""Maximum size of an uploaded motion."""
+"""Maximum size of a request that uploads no file."""
 
 BODY_SECONDS = 30.0
 """Maximum time between two parts of a request's body."""
 
-API, SESSION, UPLOADS = "/api/", "/api/session", "/api/motions"
+API = "/api/"
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "
@@ -36,13 +34,28 @@ HEADERS = {
 
 
 class AccessControl:
-    """ASGI middleware that requires our host and origin, the session's key, and requests of bounded size.
+    """ASGI middleware that requires our host and origin, a key, and requests of bounded size.
 
-    The key is in the header `X-Stmc`, and no other page can know it. The page itself holds no secret.
+    The key is in the header `Authorization: Bearer KEY`, which browsers never send by themselves, and no other page can
+    know it. The page itself holds no secret.
+
+    Args:
+        app: Application to protect.
+        sessions: Keys of pages and programs.
+        port: Port of the application.
+        public: Addresses below `API` that need no key.
+        uploads: Addresses that take larger requests, and their maximum size in bytes.
     """
 
-    def __init__(self, app: ASGIApp, sessions: Sessions, port: int) -> None:
-        self.app, self.sessions = app, sessions
+    def __init__(
+        self,
+        app: ASGIApp,
+        sessions: Sessions,
+        port: int,
+        public: Collection[str] = (),
+        uploads: Mapping[str, int] | None = None,
+    ) -> None:
+        self.app, self.sessions, self.public, self.uploads = app, sessions, public, uploads or {}
         self.hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -53,7 +66,7 @@ class AccessControl:
         elif (answer := self._refusal(scope)) is not None:
             await answer(scope, receive, _with_headers(scope, send))
         else:
-            await self.app(scope, _bounded(receive, _most(scope)), _with_headers(scope, send))
+            await self.app(scope, _bounded(receive, self._most(scope)), _with_headers(scope, send))
 
     def _refusal(self, scope: Scope) -> Response | None:
         """Return the answer to a rejected request, or None."""
@@ -63,12 +76,23 @@ class AccessControl:
         origin = headers.get("origin")
         if origin is not None and origin.removeprefix("http://") not in self.hosts:
             return error_response(403, "only the studio's own page may do that")
-        if path.startswith(API) and path != SESSION and not self.sessions.knows(headers.get("x-stmc", "")):
-            return error_response(401, "open the address that the terminal with `stmc studio` shows")
-        length = headers.get("content-length", "0")
-        if not (length.isascii() and length.isdecimal()) or len(length) > 12 or int(length) > _most(scope):
-            return error_response(413, f"the request is larger than {_most(scope) / 2**20:.0f} MiB")
+        if path.startswith(API) and path not in self.public and not self.sessions.knows(_bearer(headers)):
+            sentence = "open the address that the terminal with `stmc studio` shows; programs send its token: see /api"
+            return error_response(401, sentence)
+        length, most = headers.get("content-length", "0"), self._most(scope)
+        if not (length.isascii() and length.isdecimal()) or len(length) > 12 or int(length) > most:
+            return error_response(413, f"the request is larger than {most / 2**20:.0f} MiB")
         return None
+
+    def _most(self, scope: Scope) -> int:
+        """Return the maximum number of bytes of a request to this path."""
+        return self.uploads.get(scope["path"], MOST_BYTES)
+
+
+def _bearer(headers: Headers) -> str:
+    """Return the key of a request, empty without one."""
+    scheme, _, key = headers.get("authorization", "").partition(" ")
+    return key.strip() if scheme.lower() == "bearer" else ""
 
 
 def error_response(status: int, sentence: str, **others: object) -> Response:
@@ -79,8 +103,8 @@ def error_response(status: int, sentence: str, **others: object) -> Response:
         sentence: Message to the user.
         **others: Further fields of the JSON object.
     """
-    headers = {"Connection": "close"} if status in (408, 413) else None
-    return JSONResponse({"error": sentence, **others}, status, headers)
+    headers = {408: {"Connection": "close"}, 413: {"Connection": "close"}, 401: {"WWW-Authenticate": "Bearer"}}
+    return JSONResponse({"error": sentence, **others}, status, headers.get(status))
 
 
 async def _deny(scope: Scope, receive: Receive, send: Send) -> None:
@@ -89,11 +113,6 @@ async def _deny(scope: Scope, receive: Receive, send: Send) -> None:
         await error_response(403, "the studio has no WebSockets")(scope, receive, send)
     else:
         await send({"type": "websocket.close", "code": 1008, "reason": "the studio has no WebSockets"})
-
-
-def _most(scope: Scope) -> int:
-    """Return the maximum number of bytes of a request to this path."""
-    return MOST_UPLOAD if scope["path"] == UPLOADS else MOST_BYTES
 
 
 def _bounded(receive: Receive, most: int) -> Receive:

@@ -10,14 +10,15 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from stmc.io.untrusted import shown
 from stmc.model import Model
 from stmc.motion.body import BodyPart
 from stmc.run.suggestions import Suggest, with_suggestions
 from stmc.text.vocabulary import Recognition, Suggestion
 from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
 from stmc.viewing.colours import owned_seconds
+from stmc.viewing.studio.json_schemas import Schema
 from stmc.viewing.studio.request_errors import RequestError, take, take_texts
+from stmc.viewing.studio.responses import Advice, CheckedPrompt, CheckedTimeline, TimelineData
 
 MOST_SECONDS = 300
 """Maximum duration of a timeline in the studio: five minutes."""
@@ -30,22 +31,71 @@ MOST_LETTERS = 10_000
 MOST_FILE = 100_000
 """Maximum number of characters of a file of timelines."""
 
+TIMELINE_FILES = {"json": Timeline.to_json, "txt": Timeline.to_text}
+"""Kinds of files of timelines, and what writes them."""
 
-def timeline_of(data: Mapping[str, Any]) -> Timeline:
-    """Read the timeline of a page's JSON. Raises `RequestError`, with the index of the invalid prompt."""
-    name, listed = take(data, "name", str, ""), take(data, "prompts", list)
-    if len(listed) > MOST_PROMPTS:
-        raise RequestError(422, f"{len(listed)} prompts: {MOST_PROMPTS} at most in the studio", prompt=None)
-    _check_letters(listed)
-    timeline = _timeline(name, tuple(_prompt(number, each) for number, each in enumerate(listed)))
+PROMPT: Schema = {
+    "type": "object",
+    "required": ["text", "start", "end"],
+    "properties": {
+        "text": {"type": "string", "minLength": 1, "maxLength": MOST_LETTERS, "description": "the action"},
+        "start": {"type": "number", "minimum": 0, "description": "start (s)"},
+        "end": {"type": "number", "exclusiveMinimum": 0, "maximum": MOST_SECONDS, "description": "end (s)"},
+        "parts": {
+            "type": "array",
+            "items": {"type": "string", "enum": list(BodyPart)},
+            "description": "body parts that the text describes; none: likely ones are suggested",
+        },
+    },
+}
+"""JSON Schema of the prompts that `timeline_of` reads."""
+
+TIMELINE: Schema = {
+    "type": "object",
+    "required": ["prompts"],
+    "properties": {
+        "name": {"type": "string", "description": "name of the timeline"},
+        "prompts": {"type": "array", "minItems": 1, "maxItems": MOST_PROMPTS, "items": PROMPT},
+    },
+}
+"""JSON Schema of the objects that `timeline_of` reads."""
+
+TIMELINE_TEXT: Schema = {
+    "type": "string",
+    "maxLength": MOST_FILE,
+    "description": "a prompt a line: text # start # end # body part # body part (seconds)",
+}
+"""JSON Schema of the texts that `timeline_of` reads."""
+
+
+def timeline_of(data: Mapping[str, Any] | str) -> Timeline:
+    """Read a timeline from JSON: an object, or a text. Raises `RequestError`, with the index of the invalid prompt."""
+    if isinstance(data, str):
+        timeline = _timeline_of_text(data)
+    else:
+        name, listed = take(data, "name", str, ""), take(data, "prompts", list)
+        _check_prompts(listed)
+        timeline = _timeline(name, tuple(_prompt(number, each) for number, each in enumerate(listed)))
     if timeline.duration > MOST_SECONDS:
-        last = max(range(len(listed)), key=lambda number: timeline.prompts[number].end)
+        last = max(range(len(timeline.prompts)), key=lambda number: timeline.prompts[number].end)
         raise RequestError(422, f"{timeline.duration:g} s: {MOST_SECONDS} at most in the studio", prompt=last)
     return timeline
 
 
-def _check_letters(listed: list[Any]) -> None:
-    """Raise `RequestError` if texts, padded to the longest one, would take too long to embed."""
+def _timeline_of_text(text: str) -> Timeline:
+    try:
+        _check_file(text)
+        timeline = Timeline.parse(text)
+    except TimelineError as error:
+        raise RequestError(422, str(error), prompt=None) from None
+    _check_prompts([{"text": prompt.text} for prompt in timeline.prompts])
+    return timeline
+
+
+def _check_prompts(listed: list[Any]) -> None:
+    """Raise `RequestError` for too many prompts, or if their texts, padded to the longest, take too long to embed."""
+    if len(listed) > MOST_PROMPTS:
+        raise RequestError(422, f"{len(listed)} prompts: {MOST_PROMPTS} at most in the studio", prompt=None)
     texts = [entry.get("text") if isinstance(entry, dict) else None for entry in listed]
     lengths = [len(text) if isinstance(text, str) else 0 for text in texts]
     longest, different = max(lengths, default=0), len({text for text in texts if isinstance(text, str)})
@@ -71,7 +121,7 @@ def _timeline(name: str, prompts: tuple[Prompt, ...]) -> Timeline:
         raise RequestError(422, str(error), prompt=None) from None
 
 
-def as_data(timeline: Timeline) -> dict[str, Any]:
+def as_data(timeline: Timeline) -> TimelineData:
     """Return the JSON data that `timeline_of` reads."""
     prompts = [
         {"text": each.text, "start": each.start, "end": each.end, "parts": in_order(each.parts)}
@@ -90,23 +140,24 @@ def read_timelines(name: str, text: str) -> list[Timeline]:
 
     Raises `TimelineError` for invalid timelines, and `RequestError` for a file that is too long.
     """
-    if len(text) > MOST_FILE:
-        raise RequestError(422, f"{len(text):,} letters: the studio reads files of {MOST_FILE:,} at most")
+    _check_file(text)
     return Timeline.parse_all(text, Path(name).suffix)
 
 
+def _check_file(text: str) -> None:
+    if len(text) > MOST_FILE:
+        raise RequestError(422, f"{len(text):,} letters: the studio reads files of {MOST_FILE:,} at most")
+
+
 def write_timeline(timeline: Timeline, kind: str) -> str:
-    """Write a timeline as the text of a file, "json" or "txt".
+    """Write a timeline as the text of a file of a kind in `TIMELINE_FILES`.
 
-    Raises `RequestError` for another kind, and `TimelineError` for a timeline that "txt" cannot represent.
+    Raises `TimelineError` for a timeline that "txt" cannot represent.
     """
-    forms = {"json": Timeline.to_json, "txt": Timeline.to_text}
-    if kind not in forms:
-        raise RequestError(422, f"format={shown(kind)}: choose from {', '.join(forms)}")
-    return forms[kind](timeline)
+    return TIMELINE_FILES[kind](timeline)
 
 
-def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any]:
+def checked(timeline: Timeline, model: Model, suggest: Suggest) -> CheckedTimeline:
     """Check a timeline before sampling. Raises `RequestError` if it cannot be planned.
 
     The result has the body parts, advice and row of each prompt, and for every body part its prompts and transitions
@@ -139,7 +190,7 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> dict[str, Any
     }
 
 
-def _described(prompt: Prompt, row: int, suggestion: Suggestion | None, doubt: Recognition | None) -> dict[str, Any]:
+def _described(prompt: Prompt, row: int, suggestion: Suggestion | None, doubt: Recognition | None) -> CheckedPrompt:
     return {
         "parts": in_order(prompt.claims),
         "suggested": suggestion is not None,
@@ -149,7 +200,7 @@ def _described(prompt: Prompt, row: int, suggestion: Suggestion | None, doubt: R
     }
 
 
-def _advice(recognition: Recognition | None) -> dict[str, Any] | None:
+def _advice(recognition: Recognition | None) -> Advice | None:
     if recognition is None:
         return None
     near = [] if recognition.known else [sentence.text for sentence in recognition.near]

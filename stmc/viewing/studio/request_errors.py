@@ -47,13 +47,20 @@ def request_error(error: Exception) -> RequestError | None:
 def read_object(body: bytes) -> dict[str, Any]:
     """Read the JSON object of a request's body. Raises `RequestError` for anything else."""
     try:
-        data = load_json(body.decode("utf-8"))
+        data = read_value(body.decode("utf-8"), "the request")
     except UnicodeDecodeError:
         raise RequestError(400, "the request is not UTF-8") from None
-    except (UnreadableError, RecursionError) as error:
-        raise RequestError(400, f"the request is not JSON: {error}") from None
     if not isinstance(data, dict):
         raise RequestError(400, "the request should be a JSON object")
+    return data
+
+
+def read_value(text: str, name: str) -> Any:
+    """Read a JSON value of a request, called `name` in messages. Raises `RequestError` for anything else."""
+    try:
+        data = load_json(text)
+    except (UnreadableError, RecursionError) as error:
+        raise RequestError(400, f"{name} is not JSON: {error}") from None
     _check_portable(data)
     return data
 

@@ -8,20 +8,19 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from importlib.resources import files
 from pathlib import Path
+from threading import Lock
 from typing import Any
-from urllib.parse import unquote
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
@@ -30,7 +29,7 @@ from stmc.data.sources.contents import CONTENTS
 from stmc.editing.constraints import KINDS, Constraint, constraint_of
 from stmc.editing.generate_request import GenerateRequest
 from stmc.formats import READABLE
-from stmc.io.untrusted import shown
+from stmc.formats.characters import retarget
 from stmc.model import Model
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.run.suggestions import suggester, with_suggestions
@@ -38,7 +37,21 @@ from stmc.text import Cached, TextEncoder
 from stmc.text.vocabulary import Content, Sentence, sentence_encoder
 from stmc.timeline import Timeline
 from stmc.viewing.exports import EXPORTS
-from stmc.viewing.studio.auth import SESSION, AccessControl, error_response
+from stmc.viewing.studio.api_page import render_api
+from stmc.viewing.studio.auth import AccessControl, error_response
+from stmc.viewing.studio.bodies import (
+    MOST_SEEDS,
+    DocumentBody,
+    ExportQuery,
+    JobBody,
+    ReadBody,
+    RetargetBody,
+    SkeletonBody,
+    TimelineBody,
+    TokenBody,
+    WriteBody,
+    check_bounds,
+)
 from stmc.viewing.studio.documents_json import (
     MOST_PROMPTS,
     MOST_SECONDS,
@@ -46,33 +59,24 @@ from stmc.viewing.studio.documents_json import (
     checked,
     in_order,
     read_timelines,
-    timeline_of,
     write_timeline,
 )
 from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
-from stmc.viewing.studio.request_errors import RequestError, read_object, request_error, take
+from stmc.viewing.studio.openapi import openapi_document
+from stmc.viewing.studio.operations import OPERATIONS, PUBLIC, UPLOADS, Operation
+from stmc.viewing.studio.request_errors import RequestError, request_error, take
+from stmc.viewing.studio.responses import ContentEntry, ModelData, SkeletonMotion
 from stmc.viewing.studio.sessions import Sessions
+from stmc.viewing.studio.skeletons_json import MOST_KEY_FRAMES, describe_keys, describe_map, mapped
 from stmc.viewing.studio.storage import Documents, Motions, private_folder
 
 logger = logging.getLogger(__name__)
-
-OF_JOB = ("timeline", "seeds", "steps", "tab")
-"""Keys of a job's JSON that are no fields of the request, or that are checked separately."""
-
-MOST_SEEDS = 8
-"""Maximum number of samples of a job."""
-
-MOST_CONDITIONS = 100
-"""Maximum number of changes, and of constraints, of a job."""
-
-FARTHEST = 10_000
-"""The largest number in a constraint: metres, radians or seconds."""
 
 ASSETS = Path(str(files("stmc") / "assets"))
 
 TYPES = {each.name: each.media_type for each in EXPORTS}
 
-Handler = Callable[[Request], Awaitable[Response]]
+Handler = Callable[..., Awaitable[Response]]
 
 
 def application(model: Model, folder: str | Path, sessions: Sessions, port: int, steps: int | None = None) -> Starlette:
@@ -88,7 +92,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
 
     Examples:
         >>> app = stmc.viewing.studio.application(stmc.load(), "studio", stmc.viewing.studio.Sessions(), port=8686)
-        >>> sorted(route.path for route in app.routes if route.path.startswith("/api/m"))
+        >>> sorted(route.path for route in app.routes if route.path.startswith("/api/mo"))
         ['/api/model', '/api/motions', '/api/motions/{name}.{kind}']
     """
     folder = private_folder(Path(folder).expanduser())
@@ -107,35 +111,26 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
 
     routes = [
         Route("/", answers.page),
-        Route(SESSION, answered(answers.enter), methods=["POST"]),
-        Route("/api/model", answered(answers.describe)),
-        Route("/api/check", answered(answers.check), methods=["POST"]),
-        Route("/api/read", answered(answers.read), methods=["POST"]),
-        Route("/api/write", answered(answers.write), methods=["POST"]),
-        Route("/api/motions", answered(answers.receive), methods=["POST"]),
-        Route("/api/motions/{name}.{kind}", answered(answers.export)),
-        Route("/api/jobs", answered(answers.add_job), methods=["POST"]),
-        Route("/api/jobs/{name}", answered(answers.cancel_job), methods=["DELETE"]),
-        Route("/api/jobs/{name}/events", answered(answers.hear_job)),
-        Route("/api/documents", answered(answers.list_documents)),
-        Route("/api/documents/{name}", answered(answers.read_document)),
-        Route("/api/documents/{name}", answered(answers.write_document), methods=["PUT"]),
-        Route("/api/documents/{name}", answered(answers.delete_document), methods=["DELETE"]),
+        Route("/api", answers.api_page),
+        *[
+            Route(each.path, answered(each, getattr(answers, each.handler)), methods=[each.method])
+            for each in OPERATIONS
+        ],
         Mount("/assets", StaticFiles(directory=ASSETS / "studio")),
     ]
-    guard = Middleware(AccessControl, sessions=sessions, port=port)
+    guard = Middleware(AccessControl, sessions=sessions, port=port, public=PUBLIC, uploads=UPLOADS)
     app = Starlette(routes=routes, lifespan=lifespan, middleware=[guard], exception_handlers={HTTPException: unrouted})
     app.router.redirect_slashes = False
     app.state.folder, app.state.jobs = folder, answers.jobs
     return app
 
 
-def answered(handler: Handler) -> Handler:
-    """Wrap a handler so that errors become responses {"error": message}."""
+def answered(operation: Operation, handler: Handler) -> Handler:
+    """Wrap a handler so that it gets what the operation takes, and that errors become responses {"error": message}."""
 
     async def answer(request: Request) -> Response:
         try:
-            return await handler(request)
+            return await handler(*await operation.takes.read(request), **request.path_params)
         except ClientDisconnect:
             return error_response(400, "the request is incomplete")
         except Exception as error:
@@ -163,7 +158,8 @@ class Answers:
     ) -> None:
         self.model, self.motions, self.documents = model, motions, documents
         self.stages = stages_by_quality(model.sampling.steps, steps or model.sampling.steps or FULL_STEPS)
-        self.sessions = sessions
+        self.sessions, self.api = sessions, openapi_document(OPERATIONS, stmc.__version__)
+        self._retargeting = Lock()
         self.jobs = Jobs(model.sample, motions)
         self.suggest = suggester(sentence_encoder(model.text_encoder))
 
@@ -171,64 +167,88 @@ class Answers:
         """Send the page."""
         return FileResponse(ASSETS / "studio" / "index.html", headers={"Cache-Control": "no-cache"})
 
-    async def enter(self, request: Request) -> Response:
+    async def api_page(self, request: Request) -> Response:
+        """Send the page about the API."""
+        return HTMLResponse(render_api(self.api, str(request.base_url).rstrip("/")))
+
+    async def describe_api(self) -> Response:
+        """Send the description of the API."""
+        return JSONResponse(self.api)
+
+    async def client(self) -> Response:
+        """Send the example client."""
+        return FileResponse(ASSETS / "api" / "client.py", media_type="text/x-python", filename="client.py")
+
+    async def blender_addon(self) -> Response:
+        """Send the add-on for Blender."""
+        path = ASSETS / "api" / "blender_addon.py"
+        return FileResponse(path, media_type="text/x-python", filename="stmc_blender_addon.py")
+
+    async def enter(self, body: TokenBody) -> Response:
         """Exchange the token of an address for a key."""
-        key = self.sessions.admit(take(read_object(await request.body()), "token", str))
+        key = self.sessions.admit(body.token)
         if key is None:
             raise RequestError(401, "this address was used before: start `stmc studio` again for another one")
         return JSONResponse({"key": key}, 201)
 
-    async def describe(self, request: Request) -> Response:
+    async def describe(self) -> Response:
         """Describe the model and the options of the page."""
         return JSONResponse(await run_in_threadpool(self._described))
 
-    async def check(self, request: Request) -> Response:
+    async def check(self, body: TimelineBody) -> Response:
         """Check a timeline."""
-        timeline = timeline_of(take(read_object(await request.body()), "timeline", dict))
-        return JSONResponse(await run_in_threadpool(checked, timeline, self.model, self.suggest))
+        return JSONResponse(await run_in_threadpool(checked, body.timeline, self.model, self.suggest))
 
-    async def read(self, request: Request) -> Response:
+    async def read(self, body: ReadBody) -> Response:
         """Read timelines from a file."""
-        data = read_object(await request.body())
-        found = await run_in_threadpool(read_timelines, take(data, "name", str), take(data, "text", str))
+        found = await run_in_threadpool(read_timelines, body.name, body.text)
         return JSONResponse({"timelines": [as_data(timeline) for timeline in found]})
 
-    async def write(self, request: Request) -> Response:
+    async def write(self, body: WriteBody) -> Response:
         """Write a timeline to a file."""
-        data = read_object(await request.body())
-        timeline, kind = timeline_of(take(data, "timeline", dict)), take(data, "format", str)
-        content = await run_in_threadpool(write_timeline, timeline, kind)
+        kind, content = body.format, await run_in_threadpool(write_timeline, body.timeline, body.format)
         return _attached(content.encode(), f"timeline.{kind}", "application/json" if kind == "json" else "text/plain")
 
-    async def receive(self, request: Request) -> Response:
-        """Store an uploaded motion, in the format of the file's name, by default `.npz`."""
-        kind = Path(unquote(request.headers.get("x-filename", "motion.npz"))).suffix.lower()
-        name = await run_in_threadpool(self.motions.received, await request.body(), kind)
+    async def receive(self, kind: str, content: bytes) -> Response:
+        """Store an uploaded motion, in the format of the file's suffix."""
+        name = await run_in_threadpool(self.motions.received, content, kind)
         return JSONResponse({"motion": self.motions.told(name)}, 201)
 
-    async def export(self, request: Request) -> Response:
+    async def export(self, query: ExportQuery, name: str, kind: str) -> Response:
         """Export a motion as a file."""
-        name, kind, query = request.path_params["name"], request.path_params["kind"], request.query_params
-        timeline, loop = query.get("timeline"), query.get("loop") == "1"
-        shown, fps = None if timeline is None else timeline_of(read_object(timeline.encode())), _rate(query.get("fps"))
-        content = await run_in_threadpool(self._exported, name, kind, shown, fps, loop, query.get("constraints"))
+        content = await run_in_threadpool(self._exported, query, name, kind)
         return _attached(content, f"motion.{kind}", TYPES[kind])
 
-    def _exported(
-        self, name: str, kind: str, timeline: Timeline | None, fps: float | None, loop: bool, constraints: str | None
-    ) -> bytes:
-        demands = [] if constraints is None else self._constraints(read_object(constraints.encode()))
-        return self.motions.exported(name, kind, timeline, fps, loop, demands)
+    def _exported(self, query: ExportQuery, name: str, kind: str) -> bytes:
+        demands = [] if query.constraints is None else self._constraints(query.constraints)
+        return self.motions.exported(name, kind, query.timeline, query.fps, query.loop == 1, demands)
 
-    async def add_job(self, request: Request) -> Response:
+    async def map_skeleton(self, body: SkeletonBody) -> Response:
+        """Find the joints of a skeleton."""
+        return JSONResponse(describe_map(await run_in_threadpool(mapped, body.skeleton, body.joint_map)))
+
+    async def retarget(self, body: RetargetBody) -> Response:
+        """Move a skeleton as a motion."""
+        return await run_in_threadpool(lambda: JSONResponse(self._retargeted(body)))  # megabytes: not in the loop
+
+    def _retargeted(self, body: RetargetBody) -> SkeletonMotion:
+        character, motion = mapped(body.skeleton, body.joint_map), self.motions.get(body.motion)
+        fps = motion.fps if body.fps is None else body.fps
+        if motion.duration * fps > MOST_KEY_FRAMES:
+            raise RequestError(
+                422, f"more than {MOST_KEY_FRAMES} frames at {fps:g} frames per second; lower the frame rate"
+            )
+        with self._retargeting:
+            return describe_keys(retarget(motion.resampled(fps), character), body.skeleton)
+
+    async def add_job(self, body: JobBody) -> Response:
         """Queue a job."""
-        data = read_object(await request.body())
-        asked, stages = await run_in_threadpool(self._request, data), self._stages(data)
-        return JSONResponse({"job": self.jobs.add(asked, stages, take(data, "tab", str, "")[:100]).name}, 201)
+        request = await run_in_threadpool(self._request, body)
+        return JSONResponse({"job": self.jobs.add(request, self._stages(body), body.tab[:100]).name}, 201)
 
-    async def hear_job(self, request: Request) -> Response:
+    async def hear_job(self, name: str) -> Response:
         """Stream the events of a job (server-sent events)."""
-        job = self.jobs.get(request.path_params["name"])
+        job = self.jobs.get(name)
 
         async def told() -> AsyncIterator[str]:
             async for kind, details in job.heard():
@@ -236,33 +256,30 @@ class Answers:
 
         return StreamingResponse(told(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
-    async def cancel_job(self, request: Request) -> Response:
+    async def cancel_job(self, name: str) -> Response:
         """Cancel a job."""
-        self.jobs.cancel(request.path_params["name"])
+        self.jobs.cancel(name)
         return JSONResponse({})
 
-    async def list_documents(self, request: Request) -> Response:
+    async def list_documents(self) -> Response:
         """List all readable documents."""
         return JSONResponse({"documents": await run_in_threadpool(self.documents.all)})
 
-    async def read_document(self, request: Request) -> Response:
+    async def read_document(self, name: str) -> Response:
         """Send a document with its version."""
-        name = request.path_params["name"]
         return JSONResponse({"id": name, **await run_in_threadpool(self.documents.get, name)})
 
-    async def write_document(self, request: Request) -> Response:
+    async def write_document(self, body: DocumentBody, name: str) -> Response:
         """Save a document, unless it was changed elsewhere."""
-        data = read_object(await request.body())
-        base, content = take(data, "base", int), take(data, "content", dict)
-        version = await run_in_threadpool(self.documents.put, request.path_params["name"], base, content)
+        version = await run_in_threadpool(self.documents.put, name, body.base, body.content)
         return JSONResponse({"version": version})
 
-    async def delete_document(self, request: Request) -> Response:
+    async def delete_document(self, name: str) -> Response:
         """Delete a document."""
-        await run_in_threadpool(self.documents.delete, request.path_params["name"])
+        await run_in_threadpool(self.documents.delete, name)
         return JSONResponse({})
 
-    def _described(self) -> dict[str, Any]:
+    def _described(self) -> ModelData:
         known = self.model.vocabulary
         return {
             "name": type(self.model.denoiser).__name__,
@@ -281,28 +298,24 @@ class Answers:
             "constraints": [kind.describe() for kind in KINDS],
         }
 
-    def _request(self, data: dict[str, Any]) -> GenerateRequest:
-        """Read the generation request of a page's JSON, within bounds."""
-        timeline, _ = with_suggestions(timeline_of(take(data, "timeline", dict)), self.suggest)
-        seeds = _few(take(data, "seeds", list, [0]), "seeds", MOST_SEEDS)
-        values = {name: _bounded(name, value) for name, value in data.items() if name not in OF_JOB}
-        values |= {"timelines": [timeline] * len(seeds), "seeds": seeds}
+    def _request(self, body: JobBody) -> GenerateRequest:
+        """Read the generation request of a job."""
+        timeline, _ = with_suggestions(body.timeline, self.suggest)
+        values = {**body.settings, "timelines": [timeline] * len(body.seeds), "seeds": body.seeds}
         request = GenerateRequest.read(values, self.motions.get)
         self.model.check(dataclasses.replace(request, sampling=request.sampling.over(OWN)))
         return request
 
-    def _stages(self, data: dict[str, Any]) -> tuple[Stage, ...]:
-        steps = take(data, "steps", str, "full")
-        if steps not in self.stages:
-            raise RequestError(422, f"steps={shown(steps)}: choose from {', '.join(self.stages)}")
-        return self.stages[steps]
+    def _stages(self, body: JobBody) -> tuple[Stage, ...]:
+        return self.stages[body.steps]
 
     def _constraints(self, data: dict[str, Any]) -> tuple[Constraint, ...]:
-        entries = _bounded("constraints", take(data, "constraints", list, []))
+        entries = take(data, "constraints", list, [])
+        check_bounds("constraints", entries)
         return tuple(constraint_of(each, self.motions.get) for each in entries)
 
 
-def _actions(vocabulary: Mapping[Content, Sequence[Sentence]]) -> list[dict[str, Any]]:
+def _actions(vocabulary: Mapping[Content, Sequence[Sentence]]) -> list[ContentEntry]:
     """Describe the known actions for the page, one for each title; actions of strangers are titled by a sentence."""
     actions: dict[str, dict[str, Any]] = {}
     for content, sentences in vocabulary.items():
@@ -319,33 +332,6 @@ def bundled_timelines() -> list[Timeline]:
         for each in Timeline.read_all(path):
             timelines.append(each if each.name else dataclasses.replace(each, name=path.stem.replace("_", " ")))
     return timelines
-
-
-def _rate(text: str | None) -> float | None:
-    if text is None:
-        return None
-    if not re.fullmatch(r"\d{1,3}(\.\d{1,3})?", text) or not 1 <= float(text) <= 240:
-        raise RequestError(422, f"fps={text[:20]}: a number from 1 to 240 needed")
-    return float(text)
-
-
-def _few(values: list[Any], name: str, most: int) -> list[Any]:
-    if not 0 < len(values) <= most:
-        raise RequestError(422, f"{name}: 1 to {most} needed")
-    return values
-
-
-def _bounded(name: str, value: Any) -> Any:
-    """Return the value. Raises `RequestError` for a list that is too long, or a number that is too large."""
-    if isinstance(value, list) and value:
-        _few(value, name, MOST_CONDITIONS)
-    left = [value]
-    while left:
-        each = left.pop()
-        left += each.values() if isinstance(each, dict) else each if isinstance(each, list) else ()
-        if isinstance(each, (int, float)) and abs(each) > FARTHEST:
-            raise RequestError(422, f"{name}: {each:g} is beyond {FARTHEST} metres, radians or seconds")
-    return value
 
 
 def _attached(content: bytes, name: str, kind: str) -> Response:

@@ -1,0 +1,357 @@
+"""The operations of the studio's API: one table, from which routes, access control and documentation derive.
+
+An operation says which request it takes, which response it gives, and which method of the handlers does it. This module
+knows records and typed dictionaries; it knows no models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+from urllib.parse import unquote
+
+from starlette.requests import Request
+
+from stmc.formats import READABLE
+from stmc.viewing.exports import EXPORTS
+from stmc.viewing.studio import bodies, responses
+from stmc.viewing.studio.bodies import read_body, read_query, rest_names, rest_of
+from stmc.viewing.studio.json_schemas import Schema, Schemas
+from stmc.viewing.studio.request_errors import read_object
+
+MOST_UPLOAD = 32 * 2**20
+"""Maximum size of an uploaded motion in bytes."""
+
+Method = Literal["GET", "POST", "PUT", "DELETE"]
+
+
+@runtime_checkable
+class Input(Protocol):
+    """What an operation reads of a request beside the parts of its path."""
+
+    most: int | None
+    """Maximum size of the request in bytes; None: that of every request."""
+
+    async def read(self, request: Request) -> tuple[Any, ...]:
+        """Return the handler's first arguments. Raises `RequestError` or `SettingError`."""
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return the fields of an OpenAPI operation that describe this input."""
+
+
+@runtime_checkable
+class Output(Protocol):
+    """A response to a fulfilled request."""
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return the content of an OpenAPI response."""
+
+
+@dataclass(frozen=True)
+class NoInput:
+    """Nothing but the address."""
+
+    most: int | None = None
+
+    async def read(self, request: Request) -> tuple[Any, ...]:
+        """Return no arguments."""
+        return ()
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return no fields."""
+        return {}
+
+
+@dataclass(frozen=True)
+class JsonBody:
+    """A JSON object with the fields of a record."""
+
+    record: type
+    example: Mapping[str, Any]
+    most: int | None = None
+
+    async def read(self, request: Request) -> tuple[Any, ...]:
+        """Return the record."""
+        return (read_body(self.record, read_object(await request.body())),)
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return the request body."""
+        schema = schemas.named(self.record.__name__, lambda: self._schema(schemas))
+        return {
+            "requestBody": {
+                "required": True,
+                "content": {"application/json": {"schema": schema, "example": dict(self.example)}},
+            }
+        }
+
+    def _schema(self, schemas: Schemas) -> Schema:
+        schema = schemas.of_record(self.record)
+        names = rest_names(self.record)
+        for record in rest_of(self.record):
+            for name, each in schemas.of_record(record)["properties"].items():
+                bound = {"maxItems": bodies.MOST_CONDITIONS} if each.get("type") == "array" else {}
+                schema["properties"] |= (
+                    {name: each | bound} if name in names and name not in schema["properties"] else {}
+                )
+        return schema
+
+
+@dataclass(frozen=True)
+class JsonQuery:
+    """Parameters of the address, each a JSON value, with the fields of a record."""
+
+    record: type
+    most: int | None = None
+
+    async def read(self, request: Request) -> tuple[Any, ...]:
+        """Return the record."""
+        return (read_query(self.record, dict(request.query_params)),)
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return the parameters."""
+        properties = schemas.of_record(self.record)["properties"]
+        return {"parameters": [_parameter(name, schema) for name, schema in properties.items()]}
+
+
+def _parameter(name: str, schema: Schema) -> Schema:
+    """Describe a parameter of an address: objects and lists are JSON texts there."""
+    told = {"name": name, "in": "query", "required": False, "description": schema["description"]}
+    schema = {key: value for key, value in schema.items() if key != "description"}
+    plain = "anyOf" not in schema and "$ref" not in schema and "object" not in schema.get("type", ())
+    return told | ({"schema": schema} if plain else {"content": {"application/json": {"schema": schema}}})
+
+
+@dataclass(frozen=True)
+class FileBody:
+    """The bytes of a file, whose name is in the header `X-Filename`."""
+
+    about: str
+    most: int | None = MOST_UPLOAD
+
+    async def read(self, request: Request) -> tuple[Any, ...]:
+        """Return the suffix of the file's name, `.npz` without a name, and the bytes."""
+        suffix = Path(unquote(request.headers.get("x-filename", "motion.npz"))).suffix.lower()
+        return suffix, await request.body()
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return the header and the body."""
+        name = {"name": "X-Filename", "in": "header", "required": False, "schema": {"type": "string"}}
+        name |= {"description": "name of the file, percent-encoded; its suffix is the format, by default .npz"}
+        content = {"application/octet-stream": {}}
+        return {"parameters": [name], "requestBody": {"required": True, "description": self.about, "content": content}}
+
+
+@dataclass(frozen=True)
+class JsonOutput:
+    """A JSON object."""
+
+    hint: Any
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return its schema."""
+        return {"application/json": {"schema": schemas.of(self.hint)}}
+
+
+@dataclass(frozen=True)
+class FileOutput:
+    """A file of one of these media types."""
+
+    media_types: tuple[str, ...]
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return the media types."""
+        return {media_type: {} for media_type in self.media_types}
+
+
+@dataclass(frozen=True)
+class EventOutput:
+    """A stream of server-sent events, each with a JSON object."""
+
+    hints: Mapping[str, Any]
+
+    def describe(self, schemas: Schemas) -> Schema:
+        """Return the schemas of the events by their names."""
+        events = {name: schemas.of(hint) for name, hint in self.hints.items()}
+        return {"text/event-stream": {"schema": {"type": "string"}, "x-events": events}}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Operation:
+    """An operation: the address that clients call, and the handler that answers."""
+
+    method: Method
+    path: str
+    handler: str
+    """Name of a method of the handlers. It gets the input's arguments, then the parts of the path by name."""
+    topic: str
+    summary: str
+    about: str = ""
+    takes: Input = field(default_factory=NoInput)
+    gives: Output
+    status: int = 200
+    refusals: Mapping[int, str] = field(default_factory=dict)
+    """Errors beside those that every operation has, by status."""
+    public: bool = False
+    """Whether the operation needs no key."""
+
+
+_WAVE = "walk forwards # 0 # 4 # legs\nwave with the right hand # 1 # 3 # right arm"
+_TIMELINE = {"name": "A walk", "prompts": [{"text": "walk forwards", "start": 0, "end": 4, "parts": []}]}
+_PERSON = {
+    "up": "y",
+    "joints": [
+        {"name": "hips", "parent": None, "place": [0, 0.95, 0]},
+        {"name": "spine", "parent": "hips", "place": [0, 1.15, 0]},
+        {"name": "head", "parent": "spine", "place": [0, 1.55, 0]},
+        *[
+            {"name": f"{side} {joint}", "parent": f"{side} {parent}" if parent else above, "place": [sign * x, y, 0]}
+            for side, sign in (("left", 1), ("right", -1))
+            for joint, parent, above, x, y in (
+                ("upper leg", "", "hips", 0.1, 0.9), ("lower leg", "upper leg", "", 0.1, 0.5),
+                ("foot", "lower leg", "", 0.1, 0.1), ("upper arm", "", "spine", 0.2, 1.4),
+                ("forearm", "upper arm", "", 0.45, 1.4), ("hand", "forearm", "", 0.7, 1.4),
+            )
+        ],
+    ],
+}  # fmt: skip
+_NO_MOTION = {404: "there is no such motion"}
+_NO_JOB = {404: "there is no such job"}
+_NO_DOCUMENT = {404: "there is no such document"}
+_PYTHON = ("text/x-python",)
+_EVENTS = {
+    "progress": responses.ProgressEvent,
+    "motion": responses.MotionEvent,
+    "done": responses.Nothing,
+    "failed": responses.FailedEvent,
+    "cancelled": responses.Nothing,
+}
+
+OPERATIONS: tuple[Operation, ...] = (
+    Operation(
+        method="GET", path="/api/model", handler="describe", topic="Timelines",
+        summary="Describe the model",
+        about="Its actions and body parts, formats of files, kinds of constraints, and limits.",
+        gives=JsonOutput(responses.ModelData),
+    ),
+    Operation(
+        method="POST", path="/api/check", handler="check", topic="Timelines",
+        summary="Check a timeline",
+        about="Suggests body parts for prompts without any, advises on prompts that the model may not show, and says "
+        "which prompt owns each body part when.",
+        takes=JsonBody(bodies.TimelineBody, {"timeline": _WAVE}), gives=JsonOutput(responses.CheckedTimeline),
+    ),
+    Operation(
+        method="POST", path="/api/read", handler="read", topic="Timelines",
+        summary="Read a file of timelines",
+        takes=JsonBody(bodies.ReadBody, {"name": "wave.txt", "text": _WAVE}), gives=JsonOutput(responses.TimelineList),
+    ),
+    Operation(
+        method="POST", path="/api/write", handler="write", topic="Timelines",
+        summary="Write a file of a timeline",
+        takes=JsonBody(bodies.WriteBody, {"timeline": _TIMELINE, "format": "txt"}),
+        gives=FileOutput(("application/json", "text/plain")),
+    ),
+    Operation(
+        method="POST", path="/api/jobs", handler="add_job", topic="Jobs", status=201,
+        summary="Sample a timeline",
+        about="Queues a job; its events tell the motions. `keep` names a stored motion to edit: only `change`, and "
+        "frames after its end, are generated.",
+        takes=JsonBody(bodies.JobBody, {"timeline": _WAVE, "seeds": [0], "steps": "preview"}),
+        gives=JsonOutput(responses.QueuedJob),
+        refusals={404: "there is no such motion to keep", 429: "too many jobs are waiting"},
+    ),
+    Operation(
+        method="GET", path="/api/jobs/{name}/events", handler="hear_job", topic="Jobs",
+        summary="Follow a job",
+        about="Server-sent events, from the job's beginning: `event: NAME`, `data: JSON`, an empty line. The stream "
+        "ends after `done`, `failed` or `cancelled`.",
+        gives=EventOutput(_EVENTS), refusals=_NO_JOB,
+    ),
+    Operation(
+        method="DELETE", path="/api/jobs/{name}", handler="cancel_job", topic="Jobs",
+        summary="Cancel a job",
+        about="At once if it waits, before its next step if it runs; a job that has ended stays as it is.",
+        gives=JsonOutput(responses.Nothing), refusals=_NO_JOB,
+    ),
+    Operation(
+        method="POST", path="/api/motions", handler="receive", topic="Motions", status=201,
+        summary="Upload a motion",
+        takes=FileBody(f"a {' or a '.join(each.suffix for each in READABLE)} file, {MOST_UPLOAD // 2**20} MiB at most"),
+        gives=JsonOutput(responses.StoredMotion),
+    ),
+    Operation(
+        method="GET", path="/api/motions/{name}.{kind}", handler="export", topic="Motions",
+        summary="Export a motion",
+        about=f"`kind` is one of {', '.join(each.name for each in EXPORTS)}.",
+        takes=JsonQuery(bodies.ExportQuery),
+        gives=FileOutput(tuple(dict.fromkeys(each.media_type for each in EXPORTS))),
+        refusals=_NO_MOTION | {429: "another film is being rendered", 501: "a package is missing"},
+    ),
+    Operation(
+        method="POST", path="/api/map", handler="map_skeleton", topic="Skeletons",
+        summary="Find which joint of a skeleton is which",
+        about="By names or by shape; `joint_map` corrects it. See also the page on characters.",
+        takes=JsonBody(bodies.SkeletonBody, {"skeleton": _PERSON, "joint_map": {}}),
+        gives=JsonOutput(responses.MappedSkeleton),
+    ),
+    Operation(
+        method="POST", path="/api/retarget", handler="retarget", topic="Skeletons",
+        summary="Move a skeleton as a stored motion",
+        about="Arms and legs point where the motion's do, feet and hands keep their contacts: see `stmc.retarget`.",
+        takes=JsonBody(bodies.RetargetBody, {"motion": "ID", "skeleton": _PERSON, "fps": 30}),
+        gives=JsonOutput(responses.SkeletonMotion), refusals=_NO_MOTION,
+    ),
+    Operation(
+        method="GET", path="/api/documents", handler="list_documents", topic="Documents",
+        summary="List the documents of the page",
+        gives=JsonOutput(responses.DocumentList),
+    ),
+    Operation(
+        method="GET", path="/api/documents/{name}", handler="read_document", topic="Documents",
+        summary="Read a document",
+        gives=JsonOutput(responses.DocumentData), refusals=_NO_DOCUMENT,
+    ),
+    Operation(
+        method="PUT", path="/api/documents/{name}", handler="write_document", topic="Documents",
+        summary="Save a document",
+        about="Unless it was changed elsewhere since version `base`; the refusal then holds the newer document.",
+        takes=JsonBody(bodies.DocumentBody, {"base": 0, "content": {"name": "A walk"}}),
+        gives=JsonOutput(responses.SavedDocument),
+        refusals={409: "the document was changed elsewhere", 507: "there are too many documents"},
+    ),
+    Operation(
+        method="DELETE", path="/api/documents/{name}", handler="delete_document", topic="Documents",
+        summary="Delete a document",
+        gives=JsonOutput(responses.Nothing),
+    ),
+    Operation(
+        method="POST", path="/api/session", handler="enter", topic="Files for programs", status=201, public=True,
+        summary="Exchange the token of an address for a key",
+        about="For pages; programs have the token of the studio's folder instead.",
+        takes=JsonBody(bodies.TokenBody, {"token": "TOKEN"}), gives=JsonOutput(responses.Key),
+    ),
+    Operation(
+        method="GET", path="/api/openapi.json", handler="describe_api", topic="Files for programs", public=True,
+        summary="Describe this API: OpenAPI 3.1",
+        gives=FileOutput(("application/json",)),
+    ),
+    Operation(
+        method="GET", path="/api/client.py", handler="client", topic="Files for programs", public=True,
+        summary="An example client in Python, which needs nothing but Python",
+        gives=FileOutput(_PYTHON),
+    ),
+    Operation(
+        method="GET", path="/api/blender_addon.py", handler="blender_addon", topic="Files for programs", public=True,
+        summary="An add-on for Blender: motions of timelines on the selected armature",
+        gives=FileOutput(_PYTHON),
+    ),
+)  # fmt: skip
+"""All operations; the only listing."""
+
+PUBLIC = frozenset(each.path for each in OPERATIONS if each.public)
+"""Addresses that need no key."""
+
+UPLOADS: Mapping[str, int] = {each.path: each.takes.most for each in OPERATIONS if each.takes.most is not None}
+"""Addresses that take larger requests, and their maximum size in bytes."""
