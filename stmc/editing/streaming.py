@@ -110,7 +110,7 @@ class MotionStream(Iterator[Frame]):
         [timeline] = request.timelines
         prompts = () if timeline == EMPTY else timeline.prompts
         self._run, self._sample, self._clean = run, request.resolved_method.sample, request.clean_feet
-        self._skeleton, self._representation = Skeleton(skeleton.offsets.double()), representation
+        self.skeleton, self._representation = Skeleton(skeleton.offsets.double()), representation
         self._live, self._one_shot = LiveTimeline(run.fps, prompts, memory=2 * run.longest), one_shot
         self._timeline, self._once = timeline, one_shot([timeline])
         self._sheet: _Sheet | None = None
@@ -262,11 +262,11 @@ class MotionStream(Iterator[Frame]):
     def _continue(self, features: Float[Tensor, "frames features"]) -> _Sheet:
         """Append features of the next frames to the frames that are out, at the place where those end."""
         if not self._sheet or not self.cursor:
-            return _Sheet(0, features, self._representation.decode(features, self.fps, self._skeleton))
+            return _Sheet(0, features, self._representation.decode(features, self.fps, self.skeleton))
         past = self._sheet.cut(max(self._sheet.start, self.cursor - self._run.longest), self.cursor)
         place, angle = past.motion.translation[-1, :2], float(past.motion.heading[-1])
         step = torch.cat([past.features[-1:], features])
-        moved = self._representation.decode(step, self.fps, self._skeleton, angle)
+        moved = self._representation.decode(step, self.fps, self.skeleton, angle)
         by = torch.cat([place - moved.translation[0, :2], place.new_zeros(1)])
         moved = Motion(moved.rotations, moved.translation + by, moved.joints + by, self.fps)
         motion = _concatenate(past.motion, moved.trimmed(1, moved.frames))

@@ -5,11 +5,13 @@ Depends on prompts and frames; independent of motions and sampling.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
 from stmc.io.untrusted import shown
+from stmc.timeline.advice import TimelineWarning
 from stmc.timeline.prompts import Prompt, Timeline
 from stmc.timeline.timeline_files import TimelineError
 
@@ -126,4 +128,7 @@ class LiveTimeline:
 
     @staticmethod
     def _arrange(prompts: Mapping[int, Prompt]) -> Timeline | None:
-        return Timeline(tuple(prompts.values())) if prompts else None
+        """Return the timeline, without repeating with every edit which prompts claim a body part together."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TimelineWarning)
+            return Timeline(tuple(prompts.values())) if prompts else None
