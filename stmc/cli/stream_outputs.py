@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from ipaddress import ip_address
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 from urllib.parse import urlsplit
 
 from stmc.editing.streaming import Frame, MotionStream
@@ -21,6 +21,7 @@ _DIGITS = 5
 """Decimals of metres and of quaternions."""
 
 
+@runtime_checkable
 class Output(Protocol):
     """What a stream writes to."""
 
