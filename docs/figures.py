@@ -12,7 +12,6 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -114,7 +113,7 @@ def pictures(motion: stmc.Motion, timeline: stmc.Timeline) -> Iterator[Image.Ima
 
 
 def draw_stream() -> Figure:
-    """The window of a stream: what is out, what fades, the block, and the crops that it needs."""
+    """Draw the window of a stream: observed frames, fading frames, the block, and the crops that it needs."""
     figure, axes = plt.subplots(figsize=(8.5, 2.7), layout="constrained")
     spans = [
         (3, "walk forwards", 0, 5, "#0072b2"), (3, "turn left", 5, 8, "#0072b2"),
@@ -130,7 +129,9 @@ def draw_stream() -> Figure:
     axes.axvspan(0, 8, color="#0072b2", alpha=0.07)
     axes.text(8.05, 3.55, "window", ha="right", fontsize=9, color="#0072b2")
     axes.set(xlim=(-0.3, 10), ylim=(-0.5, 3.9), yticks=[], xlabel="seconds")
-    axes.text(9, 1.5, "from the cursor on,\nprompts may be added,\nmoved and removed", ha="center", va="center", fontsize=9)
+    axes.text(
+        9, 1.5, "from the cursor on,\nprompts may be added,\nmoved and removed", ha="center", va="center", fontsize=9
+    )
     axes.spines[["top", "left", "right"]].set_visible(False)
     return figure
 
