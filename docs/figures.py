@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -111,11 +112,36 @@ def pictures(motion: stmc.Motion, timeline: stmc.Timeline) -> Iterator[Image.Ima
         yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
 
+def draw_stream() -> Figure:
+    """Draw the window of a stream: observed frames, fading frames, the block, and the crops that it needs."""
+    figure, axes = plt.subplots(figsize=(8.5, 2.7), layout="constrained")
+    spans = [
+        (3, "walk forwards", 0, 5, "#0072b2"), (3, "turn left", 5, 8, "#0072b2"),
+        (2, "raise the right arm", 3, 6, "#e69f00"),
+        (1, "out: observed", 0, 4, "#555555"), (1, "fades", 4, 5, "#999999"),
+        (0, "block", 4, 6, "#009e73"), (0, "lookahead", 6, 7, "#8fd3bd"),
+    ]  # fmt: skip
+    for row, text, start, end, colour in spans:
+        axes.barh(row, end - start, left=start, height=0.7, color=colour, edgecolor="white")
+        axes.text((start + end) / 2, row, text, ha="center", va="center", color="white", fontsize=9)
+    axes.axvline(4, ymax=0.9, color="black", linewidth=1.5)
+    axes.text(4, 3.55, "cursor", ha="center", fontsize=9)
+    axes.axvspan(0, 8, color="#0072b2", alpha=0.07)
+    axes.text(8.05, 3.55, "window", ha="right", fontsize=9, color="#0072b2")
+    axes.set(xlim=(-0.3, 10), ylim=(-0.5, 3.9), yticks=[], xlabel="seconds")
+    axes.text(
+        9, 1.5, "from the cursor on,\nprompts may be added,\nmoved and removed", ha="center", va="center", fontsize=9
+    )
+    axes.spines[["top", "left", "right"]].set_visible(False)
+    return figure
+
+
 def main() -> None:
     if sys.argv[1:] == ["film"]:
         film()
         return
     FOLDER.mkdir(exist_ok=True)
+    draw_stream().savefig(FOLDER / "stream.png", dpi=DOTS_PER_INCH, metadata={"Software": None})
     for name, plan in plans().items():
         drawing = stmc.plot_plan(plan, FPS, width=8.5)
         drawing.savefig(FOLDER / f"{name}.png", dpi=DOTS_PER_INCH, metadata={"Software": None})

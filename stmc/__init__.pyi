@@ -48,6 +48,7 @@ from .editing import (
 )
 from .editing.constraints import Heading, Hold, Keyframe, Path, Target, read_constraints
 from .editing.generate_request import GenerateRequest
+from .editing.streaming import MotionStream
 from .formats import read, write
 from .formats.characters import Character, CharacterMotion, read_character, retarget
 from .model import Model
@@ -78,6 +79,7 @@ __all__ = [
     "Method",
     "Model",
     "Motion",
+    "MotionStream",
     "Noise",
     "Oscillation",
     "Path",

@@ -26,11 +26,13 @@ from stmc.diffusion.statistics import Statistics
 from stmc.editing.conditions import Conditions, clean_motions, prepare_kept
 from stmc.editing.constraints import Constraint
 from stmc.editing.generate_request import Changes, GenerateRequest
+from stmc.editing.streaming import EMPTY, STREAMED, MotionStream
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, Representation
 from stmc.settings.records import SettingError, record_of, with_signature_of
-from stmc.text.text_encoder import Encode, TextEncoder
+from stmc.text import Remembered, TextEncoder
+from stmc.text.text_encoder import Encode
 from stmc.text.vocabulary import Recogniser, Recognition, Vocabulary
 from stmc.timeline import Timeline, advise_prompt
 from stmc.timeline.planning import Plan, plan
@@ -74,7 +76,7 @@ class Model:
         weights = sum(parameter.numel() for parameter in self.network.parameters())
         encoder, representation = (type(part).__name__ for part in (self.text_encoder, self.representation))
         return (
-            f"Model(\n  {_name(self.denoiser)} of {weights:,} weights, {self.precision} on {self.device},\n"
+            f"Model(\n  {self.network.name} of {weights:,} weights, {self.precision} on {self.device},\n"
             f"  {encoder} → {self.prediction} of {representation}, {self.representation.width} features,\n"
             f"  {self.schedule.steps} steps, crops of up to {self.longest} frames, {self.fps:g} a second,\n"
             f"  {self.own_sampling}\n)"
@@ -207,7 +209,7 @@ class Model:
             >>> model.guided_sequences(model.plans([stmc.Timeline.parse("walk # 0 # 1")], overlap=0), guidance=2.5)
             Guided(1 rows of up to 20 frames, guidance 2.5, 0.0% padding)
         """
-        self._check_text(True)
+        self.network.require_per_frame_text()
         return guided_sequences(*self._arguments(plans, guidance, ape_steps))
 
     @with_signature_of(Sampling)
@@ -285,7 +287,8 @@ class Model:
             100
         """
         method = request.resolved_method
-        self._check_text(method.per_frame_text)
+        if method.per_frame_text:
+            self.network.require_per_frame_text()
         return self.settings(method, **request.sampling.given)
 
     @torch.inference_mode()
@@ -317,6 +320,25 @@ class Model:
         motions = clean_motions(motions, kept, request.constraints) if request.clean_feet else motions
         return [dataclasses.replace(motion, overlap=sampling.overlap or 0.0) for motion in motions]
 
+    @with_signature_of(Sampling)
+    def stream(self, timeline: str | Timeline = EMPTY, seed: int = 0, **settings: Any) -> MotionStream:
+        """Stream the frames of a timeline without end, which may be edited while it plays; see `MotionStream`.
+
+        Args:
+            timeline: Timeline to begin with, or its text.
+            seed: Seed of the stream.
+            **settings: `method`, `clean_feet` and fields of `Sampling`, as in `generate`; by default 10 steps of DDIM.
+
+        Examples:
+            >>> stmc.load().stream("walk # 0 # 4", steps=1).take(30)
+            Motion(30 frames at 20 fps, 1.50 s)
+        """
+        request = GenerateRequest.read({**STREAMED, **settings, "timelines": timeline, "seeds": seed})
+        model = dataclasses.replace(self, text_encoder=Remembered(self.text_encoder))
+        self.network.eval()
+        run = model._run((), request.seeds, self.check(request), lambda steps, total: steps)
+        return MotionStream(run, request, self.skeleton, self.representation, self._one_shot_texts)
+
     def decode(
         self,
         features: Float[Tensor, "batch frames features"],
@@ -341,22 +363,12 @@ class Model:
 
     def _run(self, timelines: Sequence[Timeline], seeds: Sequence[int], sampling: Sampling, progress: Progress) -> Run:
         return Run(
-            timelines=timelines,
-            seeds=seeds,
-            sampling=sampling,
-            schedule=self.schedule,
-            fps=self.fps,
-            longest=self.longest,
-            once=self._one_shot_texts(timelines),
-            overlap=self._frames(sampling.overlap or 0.0),
-            layout=self.representation.layout,
-            statistics=self.motion_statistics,
-            guided=partial(self.guided, ape_steps=sampling.ape_steps),
+            timelines=timelines, seeds=seeds, sampling=sampling, progress=progress, device=self.device, fps=self.fps,
+            schedule=self.schedule, layout=self.representation.layout, statistics=self.motion_statistics,
+            longest=self.longest, overlap=self._frames(sampling.overlap or 0.0), once=self._one_shot_texts(timelines),
+            guided=partial(self.guided, ape_steps=sampling.ape_steps), fixed_length=self.network.fixed_length,
             guided_sequences=partial(self.guided_sequences, ape_steps=sampling.ape_steps),
-            fixed_length=self.network.fixed_length,
-            device=self.device,
-            progress=progress,
-        )
+        )  # fmt: skip
 
     def _frames(self, overlap: float | int) -> int:
         """Convert an overlap from seconds to frames. Raises `SettingError` if no crop can hold it."""
@@ -389,12 +401,3 @@ class Model:
 
     def _autocast(self, half: bool) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=half)
-
-    def _check_text(self, per_frame: bool) -> None:
-        if per_frame and not self.network.per_frame_text:
-            need = "sequences of several texts need a denoiser with per_frame_text, such as FlowMdm"
-            raise SettingError(f"{_name(self.denoiser)} takes one text for all frames; {need}")
-
-
-def _name(denoiser: Denoiser) -> str:
-    return getattr(denoiser, "__name__", type(denoiser).__name__)

@@ -27,6 +27,7 @@ COMMANDS = (
     "open_mtt",
     "prepare",
     "sample",
+    "stream",
     "studio",
     "study",
     "train",

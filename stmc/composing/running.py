@@ -31,12 +31,12 @@ from stmc.composing.stitching import (
     crops_of,
     sinc,
 )
-from stmc.diffusion import SAMPLERS, Draw, Noise, Predict, Sampler, Schedule, Seed
+from stmc.diffusion import SAMPLERS, Draw, FrameNoise, Noise, Predict, Sampler, Schedule, Seed
 from stmc.diffusion.statistics import Statistics
 from stmc.motion.representation import Layout
 from stmc.settings.records import SettingError
 from stmc.timeline import Timeline
-from stmc.timeline.planning import Plan, plan
+from stmc.timeline.planning import Plan, Span, plan
 
 Progress = Callable[..., Iterable[Any]]
 """(denoising steps, total=number of steps) → the same steps; displays progress, e.g. `tqdm`."""
@@ -64,6 +64,7 @@ class Run:
         once: Texts of one-shot actions; see `planning.plan`.
         known: Observed features, or None.
         meet: Moves clean timelines [batch, frames, features] towards constraints, or None.
+        window: Frames [start, end) of the one timeline to sample, with the noise of those frames; None: all frames.
     """
 
     timelines: Sequence[Timeline]
@@ -83,6 +84,7 @@ class Run:
     once: Collection[str] = ()
     known: Known | None = None
     meet: Callable[[Tensor], Tensor] | None = None
+    window: Span | None = None
 
     @property
     def columns(self) -> Columns:
@@ -107,7 +109,8 @@ class Run:
     def plans(self, overlap: int | None = None) -> list[Plan]:
         """Lay out each timeline, with transitions of `overlap` frames; None uses the overlap of the run."""
         overlap = self.overlap if overlap is None else overlap
-        return [plan(timeline, self.fps, overlap, self.longest, self.once) for timeline in self.timelines]
+        arguments = (self.fps, overlap, self.longest, self.once, self.window)
+        return [plan(timeline, *arguments) for timeline in self.timelines]
 
     def collage(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
         """Build a predictor of timelines from their plans; a guidance of None uses that of the run."""
@@ -136,7 +139,7 @@ class Run:
         first = self.times[-unguided]
         return lambda x, t: predict(1.0 if t >= first else guidance)(x, t)
 
-    def noise(self, plans: Sequence[Plan], seeds: Sequence[Seed] | None = None) -> Noise:
+    def noise(self, plans: Sequence[Plan], seeds: Sequence[Seed] | None = None) -> Noise | FrameNoise:
         """Create the source of the initial noise, and of the noise of every step, for timelines with these plans."""
         return self._noise(self.seeds if seeds is None else seeds, canvas_lengths(plans, self.fixed_length))
 
@@ -221,11 +224,17 @@ class Run:
         schedule = self.schedule.respaced(times)
         return sampler_of(self.sampling)(lambda x, i: predict(x, times[i]), schedule, x, draw)
 
-    def _crop_noise(self, plans: Sequence[Plan]) -> Noise:
-        return self._noise(crop_seeds(plans, self.seeds), crop_lengths(plans, self.fixed_length))
+    def _crop_noise(self, plans: Sequence[Plan]) -> Noise | FrameNoise:
+        lengths = crop_lengths(plans, self.fixed_length)
+        if self.window is None:
+            return self._noise(crop_seeds(plans, self.seeds), lengths)
+        starts = [self.window[0] + crop.start for plan in plans for crop in plan.crops]
+        return FrameNoise((self.seeds[0], 0), starts, lengths, self.layout.width, self.device)
 
-    def _noise(self, seeds: Sequence[Seed], lengths: Sequence[int]) -> Noise:
-        return Noise(seeds, lengths, self.layout.width, device=self.device)
+    def _noise(self, seeds: Sequence[Seed], lengths: Sequence[int]) -> Noise | FrameNoise:
+        if self.window is None:
+            return Noise(seeds, lengths, self.layout.width, device=self.device)
+        return FrameNoise(seeds[0], [self.window[0]], lengths, self.layout.width, self.device)
 
 
 def sampler_of(sampling: Sampling) -> Sampler:

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from stmc.denoisers.denoiser import Denoiser
 from stmc.diffusion.statistics import Statistics, restate
+from stmc.settings.records import SettingError
 
 
 class Network(nn.Module, ABC):
@@ -38,6 +39,17 @@ class Network(nn.Module, ABC):
 
     ends: ClassVar[tuple[str, str]]
     """Names of the linear layers that take features in and give them out."""
+
+    @property
+    def name(self) -> str:
+        """The name of the network in messages."""
+        return type(self).__name__
+
+    def require_per_frame_text(self) -> None:
+        """Raise `SettingError` unless the network takes a text for every frame."""
+        if not self.per_frame_text:
+            need = "sequences of several texts need a denoiser with per_frame_text, such as FlowMdm"
+            raise SettingError(f"{self.name} takes one text for all frames; {need}")
 
     def restate(self, old: Statistics, new: Statistics) -> None:
         """Adapt the weights from features normalised by `old` to features normalised by `new`.
@@ -96,6 +108,10 @@ class _FunctionNetwork(Network):
         self.function: Callable[..., Tensor] = denoiser
         for name in ("fixed_length", "supports_padding", "per_frame_text", "absolute_from"):
             setattr(self, name, getattr(denoiser, name, getattr(Network, name)))
+
+    @property
+    def name(self) -> str:
+        return getattr(self.function, "__name__", type(self.function).__name__)
 
     def encode_text(self, text: Tensor, text_mask: Tensor | None = None) -> Tensor:
         return text

@@ -66,6 +66,48 @@ class Noise:
         return torch.from_numpy(noise).to(self._device, self._dtype)
 
 
+class FrameNoise:
+    """Standard normal noise of spans of one long timeline, whose numbers depend on the seed and the frame alone.
+
+    Spans that share a frame draw the same numbers there, so a window that slides over a timeline sees the same noise
+    again. A call draws the next numbers of every frame; rows of shorter spans end with zeros.
+
+    Args:
+        seed: Seed of the timeline, 0 or greater.
+        starts: First frame of each span.
+        lengths: Length of each span in frames.
+        features: Number of features per frame.
+        device: Device of the noise.
+
+    Examples:
+        >>> before, after = (stmc.diffusion.FrameNoise(0, [start], [40], features=205)() for start in (100, 120))
+        >>> torch.equal(before[:, 20:], after[:, :20])
+        True
+    """
+
+    def __init__(
+        self,
+        seed: Seed,
+        starts: Sequence[int],
+        lengths: Sequence[int],
+        features: int,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self._first = min(starts)
+        frames = max(start + length for start, length in zip(starts, lengths, strict=True)) - self._first
+        stream = seed if isinstance(seed, tuple) else (seed,)
+        self._frames = Noise([(*stream, self._first + frame) for frame in range(frames)], [1] * frames, features)
+        self._spans = [(start - self._first, length) for start, length in zip(starts, lengths, strict=True)]
+        self.shape, self._device = torch.Size([len(starts), max(lengths), features]), device
+
+    def __call__(self, shape: Sequence[int] | None = None) -> Float[Tensor, "batch frames features"]:
+        """Draw the next noise of every frame. `shape`, which samplers pass, is not used."""
+        drawn, noise = self._frames()[:, 0], torch.zeros(self.shape)
+        for row, (start, length) in zip(noise, self._spans, strict=True):
+            row[:length] = drawn[start : start + length]
+        return noise.to(self._device)
+
+
 def _generator(seed: Seed) -> np.random.Generator:
     entropy, *stream = seed if isinstance(seed, tuple) else (seed,)
     return np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=tuple(stream)))

@@ -11,6 +11,7 @@ EXTRAS = {
     "accelerate": ("accelerate", "train"),
     "imageio_ffmpeg": ("imageio-ffmpeg", "film"),
     "matplotlib": ("matplotlib", "figures"),
+    "pythonosc": ("python-osc", "osc"),
     "smplx": ("smplx", "smpl"),
     "starlette": ("starlette", "studio"),
     "tensorboard": ("tensorboard", "train"),

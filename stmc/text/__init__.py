@@ -9,6 +9,17 @@ from stmc.text.clip import Clip, ClipTokens
 from stmc.text.empty import EmptyAsZeros
 from stmc.text.language_models import MiniLM, Tokens
 from stmc.text.pretrained import WeightsNotFound
+from stmc.text.remembered import Remembered
 from stmc.text.text_encoder import TextEncoder
 
-__all__ = ["Cached", "Clip", "ClipTokens", "EmptyAsZeros", "MiniLM", "TextEncoder", "Tokens", "WeightsNotFound"]
+__all__ = [
+    "Cached",
+    "Clip",
+    "ClipTokens",
+    "EmptyAsZeros",
+    "MiniLM",
+    "Remembered",
+    "TextEncoder",
+    "Tokens",
+    "WeightsNotFound",
+]

@@ -9,10 +9,12 @@ from stmc.timeline.advice import (
     advise_prompt,
 )
 from stmc.timeline.baseline_timelines import one_text, single_track
+from stmc.timeline.live_timeline import LiveTimeline
 from stmc.timeline.prompts import Prompt, Timeline
 from stmc.timeline.timeline_files import TimelineError
 
 __all__ = [
+    "LiveTimeline",
     "Prompt",
     "PromptWarning",
     "RarelyShownWarning",

@@ -15,12 +15,18 @@ Run = tuple[int | None, int, int]
 """The index of a prompt, or None if no prompt holds, and the frames [start, end) it owns."""
 
 
-def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ...]]:
+def assign(timeline: Timeline, fps: int | float, frames: int | None = None) -> dict[BodyPart, tuple[Run, ...]]:
     r"""Compute, for each body part, the prompts that own it, in time order, covering [0, frames) without holes.
 
     Time is cut at every start and end. In each interval the base prompt gets the whole body and the others override the
     parts they claim, in SINC's order (`Precedence`); adjacent intervals of one prompt are merged. A time without a
     prompt belongs to None, for all five parts (R3). The file's order breaks ties (R2).
+
+    Args:
+        timeline: The timeline.
+        fps: Frames per second.
+        frames: Number of frames to cover, with a gap after the last prompt; None, and fewer than the timeline has: the
+            timeline's own.
 
     Raises:
         TimelineError: If the timeline lasts no frame at all.
@@ -34,7 +40,7 @@ def assign(timeline: Timeline, fps: int | float) -> dict[BodyPart, tuple[Run, ..
         ((0, 0, 20), (1, 20, 60), (0, 60, 80))
     """
     spans = timeline.spans(fps)
-    frames = timeline.frames(fps)
+    frames = max(timeline.frames(fps), frames or 0)
     if frames == 0:
         seconds = f"{timeline.duration:g} s are less than a frame at {fps:g} fps"
         raise TimelineError(f"{timeline.place}: the timeline's {seconds}; make it longer")

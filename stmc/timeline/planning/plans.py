@@ -112,7 +112,12 @@ class Plan:
 
 
 def plan(
-    timeline: Timeline, fps: int | float, overlap: int, longest: int | None = None, once: Collection[str] = ()
+    timeline: Timeline,
+    fps: int | float,
+    overlap: int,
+    longest: int | None = None,
+    once: Collection[str] = (),
+    window: Span | None = None,
 ) -> Plan:
     r"""Lay out a timeline in crops and tiles.
 
@@ -131,34 +136,39 @@ def plan(
             is split into the fewest equal pieces that fit, with the same text, joined like any other transition.
         once: Texts of one-shot actions, whatever their duration. Only the first piece of such a prompt has the text,
             the others have none: nobody sits down every ten seconds.
+        window: Frames to plan; None plans all. Frame 0 of the plan is then the window's first frame. Pieces are those
+            of the whole timeline, cut at the ends of the window, which may lie after the timeline's end, in a gap.
 
     Raises:
         TimelineError: If the timeline lasts no frame, or more than `stmc.timeline.prompts.MOST_FRAMES`.
-        ValueError: If the overlap is negative, or `longest` leaves no room for a piece and its overlap.
+        ValueError: If the overlap is negative, if `longest` leaves no room for a piece and its overlap, or if the
+            window is empty or starts before frame 0.
 
     Examples:
         >>> timeline = stmc.Timeline.parse("walk # 0 # 2\njump # 2 # 4")
         >>> [(crop.text, crop.start, crop.end) for crop in stmc.plan(timeline, fps=20, overlap=10).crops]
         [('walk', 0, 45), ('jump', 35, 80), (None, 35, 45)]
     """
-    owners, spans, frames = assign(timeline, fps), timeline.spans(fps), timeline.frames(fps)
-    _check(frames, overlap, longest)
-    window = _Window(frames, overlap, longest or frames)
-    split = cache(window.split)
-    runs = {part: _cut_runs(owners[part], spans, split) for part in BodyPart}
+    first, last = window or (0, timeline.frames(fps))
+    owners, spans = assign(timeline, fps, last), timeline.spans(fps)
+    frames = max(timeline.frames(fps), last)
+    _check(frames, overlap, longest, (first, last))
+    split = cache(_Widening((0, frames), overlap, longest or frames).split)
+    widening = _Widening((first, last), overlap, longest or frames)
+    runs = {part: _cut_runs(owners[part], spans, split, (first, last)) for part in BodyPart}
     pieces = sorted({owned.piece for part in BodyPart for owned in runs[part]}, key=_row_order)
     changes = sorted({owned.start for part in BodyPart for owned in runs[part][1:]}) if overlap else []
     texts = [_text(timeline, piece, spans, once) for piece in pieces]
-    crops = [Crop(text, *window.widen(piece.start, piece.end)) for text, piece in zip(texts, pieces, strict=True)]
-    crops += [Crop(None, *window.widen(frame, frame)) for frame in changes]
+    crops = [Crop(text, *widening.widen(piece.start, piece.end)) for text, piece in zip(texts, pieces, strict=True)]
+    crops += [Crop(None, *widening.widen(frame, frame)) for frame in changes]
     keys: list[_Piece | int] = [*pieces, *changes]
     rows = {key: row for row, key in enumerate(keys)}
     tiles = []
     for part in BodyPart:
-        tiles += [Tile(rows[run.piece], part, *window.widen(run.start, run.end), 1) for run in runs[part]]
+        tiles += [Tile(rows[run.piece], part, *widening.widen(run.start, run.end), 1) for run in runs[part]]
         inner = [run.start for run in runs[part][1:]] if overlap else []
-        tiles += [Tile(rows[frame], part, *window.widen(frame, frame), -1) for frame in inner]
-    return Plan(frames, tuple(crops), tuple(tiles))
+        tiles += [Tile(rows[frame], part, *widening.widen(frame, frame), -1) for frame in inner]
+    return Plan(last - first, tuple(crops), tuple(tiles))
 
 
 class _Piece(NamedTuple):
@@ -177,14 +187,16 @@ class _Owned(NamedTuple):
     end: int
 
 
-class _Window(NamedTuple):
-    frames: int
+class _Widening(NamedTuple):
+    """Widening of spans by half an overlap, within some frames; `widen` counts from the first of them on."""
+
+    within: Span
     overlap: int
     longest: int
 
     def widen(self, start: int, end: int) -> Span:
-        left = self.overlap // 2
-        return max(0, start - left), min(self.frames, end + self.overlap - left)
+        (first, last), left = self.within, self.overlap // 2
+        return max(first, start - left) - first, min(last, end + self.overlap - left) - first
 
     def split(self, start: int, end: int) -> list[Span]:
         """Split a span into the fewest equal pieces that have at most `longest` frames when widened.
@@ -209,11 +221,16 @@ def _pieces(start: int, end: int, count: int) -> Iterator[Span]:
     return pairwise(start + (end - start) * piece // count for piece in range(count + 1))
 
 
-def _cut_runs(runs: Sequence[Run], spans: Sequence[Span], split: Callable[[int, int], list[Span]]) -> list[_Owned]:
-    """Cut the runs of one body part where the pieces of their prompts meet. A gap is its own span."""
+def _cut_runs(
+    runs: Sequence[Run], spans: Sequence[Span], split: Callable[[int, int], list[Span]], window: Span
+) -> list[_Owned]:
+    """Cut the runs of one body part within a window where the pieces of their prompts meet. A gap is its own span."""
     owned = []
     for prompt, start, end in runs:
+        if start >= window[1] or end <= window[0]:
+            continue
         pieces = split(*((start, end) if prompt is None else spans[prompt]))
+        start, end = max(start, window[0]), min(end, window[1])
         first = bisect_right(pieces, start, key=itemgetter(1))
         for left, right in pieces[first : bisect_left(pieces, end, key=itemgetter(0))]:
             owned.append(_Owned(_Piece(prompt, left, right), max(left, start), min(right, end)))
@@ -231,7 +248,9 @@ def _row_order(piece: _Piece) -> tuple[bool, int, int]:
     return piece.prompt is None, piece.prompt or 0, piece.start
 
 
-def _check(frames: int, overlap: int, longest: int | None) -> None:
+def _check(frames: int, overlap: int, longest: int | None, window: Span) -> None:
+    if not 0 <= window[0] < window[1]:
+        raise ValueError(f"window {list(window)} must be frames [start, end) from 0 on")
     if overlap < 0:
         raise ValueError(f"overlap {overlap} must be 0 frames or more")
     if longest is not None and longest <= min(overlap, frames - 1):

@@ -1,0 +1,146 @@
+"""Where the frames of a stream go: lines of JSON on stdout, or Open Sound Control over UDP."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from ipaddress import ip_address
+from typing import Any, Protocol, runtime_checkable
+from urllib.parse import urlsplit
+
+from stmc.editing.streaming import Frame, MotionStream
+from stmc.io.extras import require
+from stmc.io.untrusted import shown
+from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
+from stmc.motion.geometry import matrix_to_quaternion
+from stmc.settings.records import SettingError
+
+_DIGITS = 5
+"""Decimals of metres and of quaternions."""
+
+
+@runtime_checkable
+class Output(Protocol):
+    """What a stream writes to."""
+
+    def begin(self, stream: MotionStream) -> None:
+        """Describe the stream, before its first frame."""
+
+    def write(self, frame: Frame) -> None:
+        """Write a frame."""
+
+    def answer(self, answer: dict[str, Any]) -> None:
+        """Write the answer to an edit."""
+
+
+@contextmanager
+def open_output(to: str, allow_remote: bool) -> Iterator[Output]:
+    """Open the output that `to` names: "json" or osc://HOST:PORT.
+
+    Raises `SettingError` for another name, and for a host that is not this machine unless `allow_remote`.
+    """
+    if to == "json":
+        yield JsonLines()
+        return
+    host, port = _address(to, allow_remote)
+    require("pythonosc")
+    from pythonosc.udp_client import UDPClient  # comes with an extra
+
+    with UDPClient(host, port) as client:
+        yield Osc(client)
+
+
+class JsonLines:
+    """One JSON object per line: the skeleton first, then frames and answers.
+
+    Positions are in metres, z up; rotations are local quaternions, real part first, in the order of the joints.
+    """
+
+    def begin(self, stream: MotionStream) -> None:
+        """Write the frame rate and the skeleton."""
+        skeleton = {"joints": JOINTS[:NUM_ROTATIONS], "parents": PARENTS[:NUM_ROTATIONS]}
+        offsets = [[round(value, _DIGITS) for value in row] for row in stream.skeleton.offsets[:NUM_ROTATIONS].tolist()]
+        self._line({"fps": stream.fps, **skeleton, "offsets": offsets})
+
+    def write(self, frame: Frame) -> None:
+        """Write a frame."""
+        root, rotations = _pose(frame)
+        self._line({"frame": frame.number, "seconds": round(frame.seconds, 4), "root": root, "rotations": rotations})
+
+    def answer(self, answer: dict[str, Any]) -> None:
+        """Write an answer."""
+        self._line(answer)
+
+    def _line(self, data: dict[str, Any]) -> None:
+        sys.stdout.write(json.dumps(data) + "\n")
+        sys.stdout.flush()
+
+
+class Osc:
+    """A bundle per frame: /stmc/frame (number, seconds), /stmc/root (x, y, z) and /stmc/rotation/JOINT (w, x, y, z).
+
+    /stmc/fps (frames per second) comes first. Answers to edits are lines of JSON on stdout.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def begin(self, stream: MotionStream) -> None:
+        """Send the frame rate."""
+        self._client.send(_message("/stmc/fps", [float(stream.fps)]))
+
+    def write(self, frame: Frame) -> None:
+        """Send a frame."""
+        from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+
+        root, rotations = _pose(frame)
+        bundle = OscBundleBuilder(IMMEDIATELY)
+        bundle.add_content(_message("/stmc/frame", [frame.number, frame.seconds]))
+        bundle.add_content(_message("/stmc/root", root))
+        for joint, rotation in zip(JOINTS, rotations, strict=False):
+            bundle.add_content(_message(f"/stmc/rotation/{joint}", rotation))
+        self._client.send(bundle.build())
+
+    def answer(self, answer: dict[str, Any]) -> None:
+        """Write an answer to stdout."""
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
+
+
+def _message(address: str, values: list[Any]) -> Any:
+    from pythonosc.osc_message_builder import OscMessageBuilder
+
+    builder = OscMessageBuilder(address)
+    for value in values:
+        builder.add_arg(value)
+    return builder.build()
+
+
+def _pose(frame: Frame) -> tuple[list[float], list[list[float]]]:
+    """Return the position of the pelvis and the quaternions of the joints, rounded."""
+    rotations = matrix_to_quaternion(frame.rotations).tolist()
+    return [round(value, _DIGITS) for value in frame.translation.tolist()], [
+        [round(value, _DIGITS) for value in row] for row in rotations
+    ]
+
+
+def _address(to: str, allow_remote: bool) -> tuple[str, int]:
+    try:
+        parts = urlsplit(to)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if host is None or port is None or parts.scheme != "osc" or parts.path not in ("", "/"):
+        raise SettingError(f"to={shown(to)}: must be json, or osc://HOST:PORT such as osc://127.0.0.1:9000")
+    if not allow_remote and not _is_loopback(host):
+        raise SettingError(f"to={shown(to)}: not this machine; allow_remote=true sends the motion there")
+    return host, port
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
