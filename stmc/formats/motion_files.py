@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypedDict
 
 from stmc.formats.bvh_reader import load_bvh
 from stmc.formats.bvh_writer import save_bvh
@@ -16,6 +16,14 @@ from stmc.io.files import write_whole
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
+
+
+class FormatEntry(TypedDict):
+    """A format of motion files."""
+
+    name: str
+    about: str
+    drawn: Annotated[bool, "whether it is a film, which takes minutes"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,7 @@ class Format:
         """The suffix without its dot."""
         return self.suffix[1:]
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> FormatEntry:
         """Describe the format for the studio's page."""
         return {"name": self.name, "about": f"{self.title}: {self.used_by}", "drawn": self.drawn}
 

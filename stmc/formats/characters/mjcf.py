@@ -168,9 +168,9 @@ class _Reader:
             along = ends[3:] - ends[:3]
             turn = pose.turn @ turn_from_z(unit(along, "fromto", said))
             own = _Pose(pose.at((ends[:3] + ends[3:]) / 2), turn)
-            half = np.linalg.norm(along) / 2
+            length = np.linalg.norm(along) / 2
             size = np.array(
-                [size[0], half, 0.0] if kind in ("capsule", "cylinder") else [size[0], size[1] or size[0], half]
+                [size[0], length, 0.0] if kind in ("capsule", "cylinder") else [size[0], size[1] or size[0], length]
             )
         if kind in ("sphere", "capsule"):
             ball = np.full((2, 3), size[0]) * np.array([[-1.0], [1.0]])
@@ -183,9 +183,10 @@ class _Reader:
         said = f"the inertial of body {shown(body)}"
         own, inertia = pose.child(self.model, inertial, said), np.zeros((3, 3))
         diagonal, full = numbers(inertial, "diaginertia", (3,), said), numbers(inertial, "fullinertia", (6,), said)
-        if diagonal is None and full is None:
+        moments = full if diagonal is None else diagonal
+        if moments is None:
             return None
-        inertia = np.diag((full if diagonal is None else diagonal)[:3])
+        inertia = np.diag(moments[:3])
         half = inertia_box(number(inertial, "mass", 0.0, said), inertia)
         return None if half is None else box_bounds(own.place, own.turn, half)
 

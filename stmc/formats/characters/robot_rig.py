@@ -81,10 +81,10 @@ class RobotRig:
             followed = mimic.ratio * rows[:, mimic.leader] + mimic.offset
             rows[:, mimic.column] = np.clip(followed, mimic.lower, mimic.upper)
         base = self._base(motion, standing)
-        column = self.robot.bases.get(self.base)
-        if column is None:
+        first = self.robot.bases.get(self.base)
+        if first is None:
             return np.concatenate([base, rows], axis=1)
-        rows[:, column : column + 7] = base
+        rows[:, first : first + 7] = base
         return rows
 
     def _base(self, motion: RigMotion, standing: Standing) -> Float[np.ndarray, "frames 7"]:
@@ -144,10 +144,10 @@ def _driving(tree: RobotTree, rig: Rig) -> list[int]:
     """Return the nodes of the hinges that turn or move the rig's driven nodes, parents first."""
     pieces, found = tree.pieces, set()
     for node in rig.driven:
-        hinge = tree.turners[node]
-        while hinge >= 0:
-            found.add(hinge)
-            hinge = pieces.above(hinge)
+        turner = tree.turners[node]
+        while turner >= 0:
+            found.add(turner)
+            turner = pieces.above(turner)
     for node in found:
         hinge = pieces.hinges[node]
         if hinge is not None and hinge.mimics:

@@ -162,7 +162,10 @@ class RobotTree:
         """Bring parents before their children."""
         order = sorted(range(len(self.names)), key=lambda node: len(ancestors(self.parents, node)))
         new = {node: number for number, node in enumerate(order)} | {-1: -1}
-        for values in (self.names, self.places, self.movers, self.turners, self.origins):
-            values[:] = [values[node] for node in order]  # type: ignore[index]
+        self.names = [self.names[node] for node in order]
+        self.places = [self.places[node] for node in order]
+        self.movers = [self.movers[node] for node in order]
+        self.turners = [self.turners[node] for node in order]
+        self.origins = [self.origins[node] for node in order]
         self.parents = [new[self.parents[node]] for node in order]
         self.joints = {joint: new[node] for joint, node in self.joints.items()}

@@ -47,9 +47,10 @@ def read_urdf(path: Path) -> Robot:
     made: list[Link] = []
     places = {name: number for number, name in enumerate(tree)}
     for name, (above, joint) in tree.items():
-        parent = made[places[above]] if above is not None else None
+        place = -1 if above is None else places[above]
+        parent = None if above is None else made[place]
         column = moving.index(joint) if joint in moving else -1
-        made.append(_link(links[name], name, parent, places.get(above, -1), joints.get(joint), column))
+        made.append(_link(links[name], name, parent, place, joints.get(joint), column))
     resting = np.array([_resting(joints[name], kinds[name], name) for name in moving])
     return Robot(tuple(made), tuple(moving), resting, {}, mimics=_mimics(joints, moving))
 
@@ -88,9 +89,9 @@ def _tree(links: dict[str, Element], joints: dict[str, Element]) -> dict[str, tu
     left = list(roots)
     while left:
         parent = left.pop(0)
-        for child, joint in below.get(parent, []):
-            tree[child] = (parent, joint)
-            left.append(child)
+        for link, joint_above in below.get(parent, []):
+            tree[link] = (parent, joint_above)
+            left.append(link)
     if len(tree) < len(links):
         raise CharacterError("its links hang from one another in a cycle")
     return tree

@@ -155,8 +155,8 @@ def _goals(rig: Rig, linkage: Linkage, turns: np.ndarray, places: np.ndarray, le
     turned |= {joint: rig.place(joint) for joint in _TURNS if joint in rig.joints}
     elbows = [rig.joints[f"{side}_elbow"] for side in SIDES]
     movers = np.concatenate([linkage.movers[driven], linkage.movers[elbows], linkage.turners[linkage.sole_nodes]])
-    tips = rig.rest[elbows].numpy() + leg * np.stack([normal for _, normal in bends])
-    rest = np.concatenate([rig.rest[driven].numpy(), tips, linkage.soles])
+    resting_tips = rig.rest[elbows].numpy() + leg * np.stack([normal for _, normal in bends])
+    rest = np.concatenate([rig.rest[driven].numpy(), resting_tips, linkage.soles])
     nodes = list(turned.values())
     return _Goals(
         rest,

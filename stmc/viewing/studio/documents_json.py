@@ -18,7 +18,7 @@ from stmc.timeline import Prompt, Timeline, TimelineError, TimelineWarning
 from stmc.viewing.colours import owned_seconds
 from stmc.viewing.studio.json_schemas import Schema
 from stmc.viewing.studio.request_errors import RequestError, take, take_texts
-from stmc.viewing.studio.responses import Advice, CheckedPrompt, CheckedTimeline, TimelineData
+from stmc.viewing.studio.responses import Advice, CheckedPrompt, CheckedTimeline, PromptData, TimelineData
 
 MOST_SECONDS = 300
 """Maximum duration of a timeline in the studio: five minutes."""
@@ -123,7 +123,7 @@ def _timeline(name: str, prompts: tuple[Prompt, ...]) -> Timeline:
 
 def as_data(timeline: Timeline) -> TimelineData:
     """Return the JSON data that `timeline_of` reads."""
-    prompts = [
+    prompts: list[PromptData] = [
         {"text": each.text, "start": each.start, "end": each.end, "parts": in_order(each.parts)}
         for each in timeline.prompts
     ]
@@ -181,11 +181,13 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> CheckedTimeli
         _described(prompt, row, None if listed else suggested[prompt.text], doubtful.get(prompt.text))
         for prompt, row, listed in zip(timeline.prompts, timeline.rows, own, strict=True)
     ]
+    owned = owned_seconds(timeline, model.fps, timeline.frames(model.fps), model.own_sampling.overlap or 0.0)
     return {
         "prompts": prompts,
         "rows": len(timeline.tracks),
         "duration": timeline.duration,
-        **owned_seconds(timeline, model.fps, timeline.frames(model.fps), model.own_sampling.overlap or 0.0),
+        "owners": owned["owners"],
+        "transitions": owned["transitions"],
         "warnings": list(dict.fromkeys(str(each.message) for each in caught)),
     }
 

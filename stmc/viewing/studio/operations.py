@@ -31,8 +31,9 @@ Method = Literal["GET", "POST", "PUT", "DELETE"]
 class Input(Protocol):
     """What an operation reads of a request beside the parts of its path."""
 
-    most: int | None
-    """Maximum size of the request in bytes; None: that of every request."""
+    @property
+    def most(self) -> int | None:
+        """Maximum size of the request in bytes; None: that of every request."""
 
     async def read(self, request: Request) -> tuple[Any, ...]:
         """Return the handler's first arguments. Raises `RequestError` or `SettingError`."""
@@ -139,7 +140,7 @@ class FileBody:
         """Return the header and the body."""
         name = {"name": "X-Filename", "in": "header", "required": False, "schema": {"type": "string"}}
         name |= {"description": "name of the file, percent-encoded; its suffix is the format, by default .npz"}
-        content = {"application/octet-stream": {}}
+        content: Schema = {"application/octet-stream": {}}
         return {"parameters": [name], "requestBody": {"required": True, "description": self.about, "content": content}}
 
 

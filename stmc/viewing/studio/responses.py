@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
+from stmc.formats.motion_files import FormatEntry
 from stmc.motion.body import BodyPart
 
 
@@ -196,14 +197,6 @@ class ContentEntry(TypedDict):
     topic: str
     parts: list[BodyPart]
     examples: list[str]
-
-
-class FormatEntry(TypedDict):
-    """A format of motion files."""
-
-    name: str
-    about: str
-    drawn: Annotated[bool, "whether it is a film, which takes minutes"]
 
 
 class ExampleEntry(TypedDict):

@@ -294,7 +294,7 @@ class Answers:
             "receives": [each.suffix for each in READABLE],
             "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],
             "limits": {"duration": MOST_SECONDS, "prompts": MOST_PROMPTS, "samples": MOST_SEEDS},
-            "steps": {quality: stages[-1].steps for quality, stages in self.stages.items()},
+            "steps": {"preview": self.stages["preview"][-1].steps, "full": self.stages["full"][-1].steps},
             "constraints": [kind.describe() for kind in KINDS],
         }
 
@@ -317,12 +317,13 @@ class Answers:
 
 def _actions(vocabulary: Mapping[Content, Sequence[Sentence]]) -> list[ContentEntry]:
     """Describe the known actions for the page, one for each title; actions of strangers are titled by a sentence."""
-    actions: dict[str, dict[str, Any]] = {}
+    actions: dict[str, ContentEntry] = {}
     for content, sentences in vocabulary.items():
         examples, own = [sentence.text for sentence in sentences], CONTENTS.get(content.name)
         title, topic = (own.title, own.topic) if own else (examples[0], "other actions")
-        actions.setdefault(title, {"topic": topic, "parts": in_order(content.parts), "examples": examples})
-    return [{"title": title} | action for title, action in actions.items()]
+        parts = in_order(content.parts)
+        actions.setdefault(title, {"title": title, "topic": topic, "parts": parts, "examples": examples})
+    return list(actions.values())
 
 
 def bundled_timelines() -> list[Timeline]:
