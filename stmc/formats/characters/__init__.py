@@ -11,6 +11,7 @@ from stmc.formats.characters.characters import (
     retarget,
 )
 from stmc.formats.characters.gltf_file import CharacterError
+from stmc.formats.characters.stage_poses import stage_poses
 from stmc.formats.characters.rest_skeletons import RestSkeleton, SkeletonKeys, skeleton_keys
 
 __all__ = [
@@ -23,4 +24,5 @@ __all__ = [
     "read_character",
     "retarget",
     "skeleton_keys",
+    "stage_poses",
 ]
