@@ -37,9 +37,11 @@ export function openHelp() {
 export async function openOpen(studio, saving, begin) {
   const dialog = show("open-dialog");
   const examples = studio.store.get().model?.examples ?? [];
-  const receives = studio.store.get().model?.receives ?? [];
-  find("open-file").accept = [".json", ".txt", ...receives].join();
-  find("open-about").textContent = `A timeline (.json, .txt), or a recorded motion to begin from (${receives.join(", ")}).`;
+  const { receives = [], characters } = studio.store.get().model ?? {};
+  const figures = characters?.receives ?? [];
+  find("open-file").accept = [".json", ".txt", ...receives, ...figures].join();
+  find("open-about").textContent =
+    `A timeline (.json, .txt), a recorded motion to begin from (${receives.join(", ")}), or a character (${figures.join(", ")}).`;
   const leave = (act) => async () => {
     dialog.close();
     try {
@@ -80,7 +82,8 @@ export function openExport(studio) {
   const sample = studio.chosen();
   const { model } = studio.store.get();
   const { name } = studio.present();
-  const formats = model?.formats ?? [];
+  const worn = studio.worn();
+  const formats = (worn && !worn.missing ? worn.formats : model?.formats) ?? [];
   show("export-dialog");
   find("export-told").textContent = "";
   find("export-motion").disabled = !sample;
@@ -97,6 +100,7 @@ export function openExport(studio) {
     const settings = { fps: find("export-fps").value, timeline: JSON.stringify(timelineOf(studio.present())) };
     const loop = find("export-loop").checked;
     if (loop) settings.loop = "1";
+    if (worn && !worn.missing) settings.character = worn.id;
     if (extension === "html") settings.constraints = JSON.stringify({ constraints: studio.present().constraints.map(argued) });
     await working(find("export-motion"), async () =>
       download(await server.motionFile(sample.motion.id, extension, settings), `${fileName(name)}${loop ? "_loop" : ""}.${extension}`),

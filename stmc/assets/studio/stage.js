@@ -6,17 +6,21 @@ import {
   PerspectiveCamera, Plane, PlaneGeometry, Raycaster, Scene, ShaderMaterial, ShadowMaterial, Vector2, Vector3, WebGLRenderer,
 } from "./vendor/three.module.min.js";
 import { OrbitControls } from "./vendor/OrbitControls.js";
+import { jointOf, spanOf } from "./constraints.js";
 import { createGizmos } from "./gizmos.js";
+import { placeOn, pull } from "./pulling.js";
 
 const HEIGHT = 0.9; // metres above the floor that the camera looks at
+const TALL = 1.8; // metres of a figure that the camera sees from there; from farther away if it is taller
 const SIDE = [2.6, 1.0, 4.2]; // metres from there to the camera
 const ROOM = 1.02; // of the picture for what is within bounds
 const FARTHEST = 40; // metres
 const fovOf = (width, height) => (width < height ? 40 : 32); // degrees
 const FLOOR = new Plane(new Vector3(0, 1, 0), 0);
+const MOVED = 0.01; // metres from which on a hand has pulled rather than clicked
 
-// `tell`: {drawn(points), moved(id, point, finished), chosen(id)}, what the hand does in the room; null: nothing but to
-// turn the camera.
+// `tell`: {drawn(points), moved(id, point, finished), chosen(id), pulled(joint, point, finished)}, what the hand does in
+// the room; null: nothing but to turn the camera.
 export function createStage(host, tell = null) {
   const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
   const renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
@@ -49,7 +53,10 @@ export function createStage(host, tell = null) {
   let stale = true;
   let last = null; // where the followed figure was
   let tool = null; // {kind, points, …} while a hand draws or drags
-  let drawing = false;
+  let drawing = null; // seconds at which a drawn path begins
+  let pulls = new Map(); // joint → {place, shift} where a hand has pulled it at this time, until another motion comes
+  let marked = [[], null]; // constraints, and the chosen one's id
+  let restore = []; // what undoes them in the figure
   let pictures = 0; // drawn so far
 
   const invalidate = () => (stale = true);
@@ -95,10 +102,13 @@ export function createStage(host, tell = null) {
     if (!stale) return;
     stale = false;
     keepUp();
+    release();
     for (const { figure } of figures) {
       figure.pose(time);
       figure.paint((part) => colours(part, time));
     }
+    if (figures[main]) restore = [...pulls].map(([joint, { place }]) => pull(figures[main].figure, joint, place));
+    if (marks.grips.any() && figures[main]) marks.grips.place(gripAt, camera);
     renderer.setScissorTest(false);
     renderer.clear(); // the cells need not fill the stage
     renderer.setScissorTest(true);
@@ -124,9 +134,35 @@ export function createStage(host, tell = null) {
     light.target.updateMatrixWorld();
     floor.centre(here);
     marks.at(time, here);
+    marks.grips.seen(index === main && figures.length > 0);
     renderer.render(scene, camera);
     camera.position.sub(shift);
     camera.updateMatrixWorld();
+  }
+
+  function release() {
+    restore.reverse().forEach((act) => act());
+    restore = [];
+  }
+
+  function gripAt(joint) {
+    const pulled = pulls.get(joint);
+    return pulled ? pulled.place.clone().add(pulled.shift) : placeOn(figures[main].figure, joint);
+  }
+
+  // From where our body has a joint at a time to where the figure that is shown has it.
+  function shiftAt(joint, seconds) {
+    const figure = figures[main]?.figure;
+    if (!figure?.joints.has(joint)) return new Vector3();
+    release();
+    figure.pose(seconds);
+    figure.group.updateMatrixWorld(true);
+    return placeOn(figure, joint).sub(figure.joints.get(joint).getWorldPosition(new Vector3()));
+  }
+
+  function mark() {
+    marks.show(...marked, (constraint) => shiftAt(jointOf(constraint), spanOf(constraint, Infinity).start));
+    invalidate();
   }
 
   // ---- the hand -------------------------------------------------------------------------------------------------------
@@ -143,22 +179,39 @@ export function createStage(host, tell = null) {
 
   function down(event) {
     if (event.button || !tell) return;
-    if (drawing) {
-      tool = { kind: "path", points: [] };
-    } else {
-      const id = marks.hit(aim(event));
-      if (id === null) return;
-      const point = marks.place(id);
-      const away = camera.getWorldDirection(new Vector3());
-      tool = { kind: "target", id, plane: new Plane().setFromNormalAndCoplanarPoint(away, point), point };
-      tell.chosen(id);
-    }
+    tool = drawing === null ? gripped(aim(event)) : { kind: "path", points: begun() };
+    if (!tool) return;
     controls.enabled = false;
     renderer.domElement.setPointerCapture(event.pointerId);
     move(event);
   }
 
+  // A path that is drawn begins at the figure.
+  function begun() {
+    const place = figures[main]?.figure.placed(drawing);
+    return place ? [[place.x, -place.z]] : [];
+  }
+
+  // What a ray takes hold of: a joint of the pose, or the place of a constraint.
+  function gripped(caster) {
+    const joint = figures.length ? marks.grips.hit(caster) : null;
+    const id = joint === null ? marks.hit(caster) : null;
+    if (joint === null && id === null) return null;
+    const start = joint === null ? marks.target(id).mark.position.clone() : gripAt(joint);
+    const shift = joint === null ? marks.target(id).shift : pulls.get(joint)?.shift ?? shiftAt(joint, time);
+    const plane = new Plane().setFromNormalAndCoplanarPoint(camera.getWorldDirection(new Vector3()), start);
+    if (id !== null) tell.chosen(id);
+    const off = caster.ray.intersectPlane(plane, new Vector3()).sub(start).add(shift);
+    return { kind: joint === null ? "target" : "pose", id, joint, plane, start, shift, off, point: start.clone().sub(shift) };
+  }
+
+  function hover(event) {
+    const over = !event.buttons && drawing === null && marks.grips.any() && figures.length > 0 && marks.grips.hit(aim(event)) !== null;
+    renderer.domElement.classList.toggle("gripping", over || tool?.kind === "pose");
+  }
+
   function move(event) {
+    if (tell) hover(event);
     if (!tool) return;
     const point = aim(event).ray.intersectPlane(tool.kind === "path" ? FLOOR : tool.plane, new Vector3());
     if (!point || point.length() > 100) return;
@@ -166,20 +219,28 @@ export function createStage(host, tell = null) {
       tool.points.push([point.x, -point.z]);
       marks.sketch(tool.points);
     } else {
-      tool.point = point;
-      tell.moved(tool.id, [point.x, -point.z, point.y], false);
+      point.sub(tool.off).setY(Math.max(0, point.y));
+      if (!tool.dragged && point.distanceTo(tool.point) < MOVED) return;
+      Object.assign(tool, { point, dragged: true });
+      if (tool.kind === "pose") pulls.set(tool.joint, { place: point, shift: tool.shift });
+      said(tool, false);
     }
     invalidate();
   }
 
+  function said({ kind, id, joint, point: { x, y, z } }, finished) {
+    if (kind === "pose") tell.pulled(joint, [x, -z, y], finished);
+    else tell.moved(id, [x, -z, y], finished);
+  }
+
   function up() {
     if (!tool) return;
-    const { kind, points, id, point } = tool;
+    const done = tool;
     tool = null;
     controls.enabled = true;
     marks.sketch([]);
-    if (kind === "path") tell.drawn(points);
-    else tell.moved(id, [point.x, -point.z, point.y], true);
+    if (done.kind === "path") tell.drawn(done.points);
+    else if (done.dragged) said(done, true);
     invalidate();
   }
 
@@ -187,15 +248,17 @@ export function createStage(host, tell = null) {
   renderer.domElement.addEventListener("pointermove", move);
   for (const end of ["pointerup", "pointercancel"]) renderer.domElement.addEventListener(end, up);
 
+  const larger = () => Math.max(1, (figures[main]?.figure.height ?? 0) / TALL);
+
   function reset() {
-    fit(new Vector3(...SIDE).applyAxisAngle(new Vector3(0, 1, 0), turn));
+    fit(new Vector3(...SIDE).multiplyScalar(larger()).applyAxisAngle(new Vector3(0, 1, 0), turn));
   }
 
   // The camera `away` from where it looks, and as far as it takes to see all of the bounds in any view.
   function fit(away) {
     const here = figures[main]?.figure.followed(time) ?? new Vector3();
     const { x, z } = bounds?.middle ?? here;
-    controls.target.set(x, bounds?.height ?? HEIGHT, z);
+    controls.target.set(x, bounds?.height ?? HEIGHT * larger(), z);
     if (bounds) {
       const { width, height } = cells()[0];
       const half = (fovOf(width, height) * Math.PI) / 360;
@@ -215,18 +278,22 @@ export function createStage(host, tell = null) {
     // [{key, figure}] in the order of their views; `chosen` is the one that the camera follows.
     show(next, chosen) {
       const arrived = !figures.length && next.length;
+      release();
+      pulls = new Map();
       for (const { group } of figures.map(({ figure }) => figure)) scene.remove(group);
       figures = next;
       for (const { figure } of figures) scene.add(figure.group);
       main = Math.max(0, figures.findIndex(({ key }) => key === chosen));
       last = figures.length ? figures[main].figure.followed(time) : null;
       if (arrived || follows) reset();
-      invalidate();
+      mark();
     },
     at(seconds) {
+      if (seconds !== time) pulls = new Map();
       time = seconds;
       invalidate();
     },
+    refresh: invalidate,
     colour(next) {
       colours = next;
       invalidate();
@@ -240,13 +307,19 @@ export function createStage(host, tell = null) {
       [bounds, turn] = [next, side];
       reset();
     },
-    draw(on) {
-      drawing = on;
-      renderer.domElement.classList.toggle("drawing", on);
+    // A path that begins at so many seconds (null: none) is drawn by hand.
+    draw(seconds) {
+      drawing = seconds;
+      renderer.domElement.classList.toggle("drawing", seconds !== null);
+    },
+    // The joints by which the pose can be pulled.
+    grip(joints) {
+      marks.grips.show(joints);
+      invalidate();
     },
     mark(constraints, chosen) {
-      marks.show(constraints, chosen);
-      invalidate();
+      marked = [constraints, chosen];
+      mark();
     },
     // Where a joint of the chosen figure is (x, y and z with z up), or null.
     joint(name) {
