@@ -11,6 +11,7 @@ from helpers import characters as figures
 from helpers.motions import walking
 from helpers.studio import knowing, studio
 from starlette.testclient import TestClient
+from test_characters import humanoid
 
 import stmc
 from stmc.motion.body import JOINTS, BodyPart
@@ -47,6 +48,11 @@ def added(client: TestClient, content: bytes, name: str = "hero.glb"):
 def told(answer) -> dict:
     assert answer.status_code == 201, answer.text
     return answer.json()["character"]
+
+
+AVATAR = ["hips", "spine", "head"]
+for _side in ("left", "right"):
+    AVATAR += [f"{_side}{bone}" for bone in ("UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")]
 
 
 def formats(character: dict) -> list[str]:
@@ -212,6 +218,17 @@ def test_exports_are_of_the_character_where_it_is_shown_and_of_our_body_elsewher
     assert client.get(f"/api/motions/{walk}.vrm", params={"character": hero}).status_code == 404
     assert client.get(f"/api/motions/{walk}.vrma").status_code == 404, "our body has no avatar's format"
     assert client.get(f"/api/motions/{walk}.glb", params={"character": "gone"}).status_code == 404
+
+
+def test_an_avatar_is_exported_as_one_with_what_its_file_says_of_it(client, walk):
+    document, binary = figures.document(figures.stocky())
+    nodes = dict(zip(AVATAR, (node["name"] for node in document["nodes"]), strict=False))
+    document = humanoid(document, nodes, version=0)
+    hero = told(added(client, figures.packed(document, binary), "hero.vrm"))
+    assert formats(hero)[:4] == ["glb", "vrm", "vrma", "bvh"]
+    assert [each["name"] for each in hero["formats"] if each["character"]] == ["glb", "vrm", "vrma", "bvh"]
+    content = client.get(f"/api/motions/{walk}.vrm", params={"character": hero["id"]}).content
+    assert figures.unpacked(content)[0]["extensions"] == document["extensions"]
 
 
 def test_a_motion_that_is_too_long_for_a_character_is_refused(client, walk, monkeypatch):

@@ -101,8 +101,8 @@ function markParts(mesh, partOf) {
 
 // A matte material in the colours of body parts, on which the light and dark of the own one are still to be seen.
 function tinted(own, tints) {
-  const { map = null, color, alphaTest, transparent, opacity, side, vertexColors, depthWrite } = own;
-  const material = new MeshStandardMaterial({ map, color, alphaTest, transparent, opacity, side, vertexColors, depthWrite, roughness: 0.7 });
+  const { map = null, color, alphaTest, transparent, opacity, side, vertexColors, flatShading, depthWrite } = own;
+  const material = new MeshStandardMaterial({ map, color, alphaTest, transparent, opacity, side, vertexColors, flatShading, depthWrite, roughness: 0.7 });
   material.onBeforeCompile = (shader) => {
     shader.uniforms.tints = tints;
     shader.vertexShader = `attribute float part; uniform vec3 tints[${PARTS.length}]; varying vec3 tint;\n${shader.vertexShader}`

@@ -91,6 +91,9 @@ export function openExport(studio) {
   fill(find("export-formats"), ...formats.map((format, index) => make("label", { class: "choice" },
     make("input", { type: "radio", name: "format", value: format.name, checked: index === 0 }),
     make("b", {}, `.${format.name}`), make("span", { class: "faint" }, format.about))));
+  const shows = formats.filter(({ character }) => character).map((format) => `.${format.name}`);
+  find("export-figure").hidden = !shows.length;
+  find("export-figure").textContent = `${shows.join(", ")} show ${worn?.name}; the others show the mannequin.`;
   const own = sample?.motion.fps ?? model?.fps;
   fill(find("export-fps"), ...[...new Set([own, ...FRAME_RATES])].filter(Boolean).map((fps) =>
     make("option", { value: String(fps), selected: fps === own }, `${fps} frames a second${fps === own ? " (as made)" : ""}`)));

@@ -45,23 +45,29 @@ function trunk(bones, end) {
   return chain;
 }
 
+// The trunk before limbs, which hang from it.
+export const inOrder = (joints) => [...joints].sort((one, other) => one.includes("_") - other.includes("_"));
+
 // The bone of a figure at whose place a joint of ours ends: a character's hand may have none but the wrist.
 function endOf(bones, joint) {
   const [side, name] = joint.split("_");
   return name in LIMBS ? LIMBS[name][2].map((each) => bones.get(`${side}_${each}`)).find(Boolean) : bones.get(joint);
 }
 
-// Where a figure has a joint of ours: a character's arms and trunk are longer or shorter.
-export function placeOn({ joints, bones }, joint) {
-  const end = endOf(bones, joint);
-  const place = placeOf(end ?? joints.get(joint));
+// Where the limb of a figure ends that a joint of ours ends: a character's arms and trunk are longer or shorter.
+export const endOn = ({ joints, bones }, joint) => placeOf(endOf(bones, joint) ?? joints.get(joint));
+
+// Where the figure is taken hold of by this joint: of a hand without a bone, beyond the wrist.
+export function gripOn({ joints, bones }, joint) {
   const [side, name] = joint.split("_");
-  if (name !== "hand" || end !== bones.get(`${side}_wrist`)) return place;
+  const [end, wrist] = [endOf(bones, joint), bones.get(`${side}_wrist`)];
+  const place = placeOf(end ?? joints.get(joint));
+  if (name !== "hand" || !end || end !== wrist) return place;
   return place.add(place.clone().sub(placeOf(bones.get(`${side}_elbow`))).multiplyScalar(PALM));
 }
 
-// Pulls a joint of a figure as far as from where our body has it to `goal`. Returns what undoes it: the figure's animation does not.
-export function pull({ group, joints, bones }, joint, goal) {
+// Pulls the limb of a joint so that it ends at `goal`. Returns what undoes it: the figure's animation does not.
+export function pull({ group, bones }, joint, goal) {
   group.updateMatrixWorld(true);
   const [side, name] = joint.split("_");
   const limb = LIMBS[name];
@@ -70,8 +76,7 @@ export function pull({ group, joints, bones }, joint, goal) {
   const chain = limb ? [find(limb[0]), find(limb[1])] : end ? trunk(bones, end) : [];
   if (!end || chain.includes(undefined)) return () => {}; // bones that the file's scene does not have
   const before = chain.map((bone) => bone.quaternion.clone());
-  const there = placeOf(end).add(goal).sub(placeOf(joints.get(joint)));
-  if (limb) bend([...chain, end], there);
-  else for (let round = 0; round < ROUNDS; round++) for (const bone of chain) aim(bone, end, there, SHARE);
+  if (limb) bend([...chain, end], goal);
+  else for (let round = 0; round < ROUNDS; round++) for (const bone of chain) aim(bone, end, goal, SHARE);
   return () => chain.forEach((bone, index) => bone.quaternion.copy(before[index]));
 }

@@ -1,14 +1,12 @@
 // The room: figures side by side over a floor, one camera for all, and marks of constraints to draw and to drag.
 // Knows figures, times and places (metres; x, y and z as glTF has them, y up); knows no server and no document.
 
-import {
-  Color, DirectionalLight, DoubleSide, HemisphereLight, Mesh, PCFSoftShadowMap,
-  PerspectiveCamera, Plane, PlaneGeometry, Raycaster, Scene, ShaderMaterial, ShadowMaterial, Vector2, Vector3, WebGLRenderer,
-} from "./vendor/three.module.min.js";
+import { Color, PCFSoftShadowMap, PerspectiveCamera, Plane, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "./vendor/three.module.min.js";
 import { OrbitControls } from "./vendor/OrbitControls.js";
 import { jointOf, spanOf } from "./constraints.js";
 import { createGizmos } from "./gizmos.js";
-import { placeOn, pull } from "./pulling.js";
+import { endOn, gripOn, inOrder, pull } from "./pulling.js";
+import { floorOf, lit } from "./room.js";
 
 const HEIGHT = 0.9; // metres above the floor that the camera looks at
 const TALL = 1.8; // metres of a figure that the camera sees from there; from farther away if it is taller
@@ -54,7 +52,7 @@ export function createStage(host, tell = null) {
   let last = null; // where the followed figure was
   let tool = null; // {kind, points, …} while a hand draws or drags
   let drawing = null; // seconds at which a drawn path begins
-  let pulls = new Map(); // joint → {place, shift} where a hand has pulled it at this time, until another motion comes
+  let pulls = new Map(); // joint → {grip, end}: where a hand has pulled them at this time, until another motion comes
   let marked = [[], null]; // constraints, and the chosen one's id
   let restore = []; // what undoes them in the figure
   let pictures = 0; // drawn so far
@@ -107,7 +105,7 @@ export function createStage(host, tell = null) {
       figure.pose(time);
       figure.paint((part) => colours(part, time));
     }
-    if (figures[main]) restore = [...pulls].map(([joint, { place }]) => pull(figures[main].figure, joint, place));
+    if (figures[main]) restore = inOrder(pulls.keys()).map((joint) => pull(figures[main].figure, joint, pulls.get(joint).end));
     if (marks.grips.any() && figures[main]) marks.grips.place(gripAt, camera);
     renderer.setScissorTest(false);
     renderer.clear(); // the cells need not fill the stage
@@ -145,23 +143,21 @@ export function createStage(host, tell = null) {
     restore = [];
   }
 
-  function gripAt(joint) {
-    const pulled = pulls.get(joint);
-    return pulled ? pulled.place.clone().add(pulled.shift) : placeOn(figures[main].figure, joint);
-  }
+  const gripAt = (joint) => pulls.get(joint)?.grip.clone() ?? gripOn(figures[main].figure, joint);
 
-  // From where our body has a joint at a time to where the figure that is shown has it.
-  function shiftAt(joint, seconds) {
+  // From where our body has a joint at a time to where the figure that is shown has its grip, and the end of its limb.
+  function shiftsAt(joint, seconds) {
     const figure = figures[main]?.figure;
-    if (!figure?.joints.has(joint)) return new Vector3();
+    if (!figure?.joints.has(joint)) return { shift: new Vector3(), end: new Vector3() };
     release();
     figure.pose(seconds);
     figure.group.updateMatrixWorld(true);
-    return placeOn(figure, joint).sub(figure.joints.get(joint).getWorldPosition(new Vector3()));
+    const ours = figure.joints.get(joint).getWorldPosition(new Vector3());
+    return { shift: gripOn(figure, joint).sub(ours), end: endOn(figure, joint).sub(ours) };
   }
 
   function mark() {
-    marks.show(...marked, (constraint) => shiftAt(jointOf(constraint), spanOf(constraint, Infinity).start));
+    marks.show(...marked, (constraint) => shiftsAt(jointOf(constraint), spanOf(constraint, Infinity).start).shift);
     invalidate();
   }
 
@@ -198,11 +194,11 @@ export function createStage(host, tell = null) {
     const id = joint === null ? marks.hit(caster) : null;
     if (joint === null && id === null) return null;
     const start = joint === null ? marks.target(id).mark.position.clone() : gripAt(joint);
-    const shift = joint === null ? marks.target(id).shift : pulls.get(joint)?.shift ?? shiftAt(joint, time);
+    const { shift, end } = joint === null ? marks.target(id) : shiftsAt(joint, time);
     const plane = new Plane().setFromNormalAndCoplanarPoint(camera.getWorldDirection(new Vector3()), start);
     if (id !== null) tell.chosen(id);
     const off = caster.ray.intersectPlane(plane, new Vector3()).sub(start).add(shift);
-    return { kind: joint === null ? "target" : "pose", id, joint, plane, start, shift, off, point: start.clone().sub(shift) };
+    return { kind: joint === null ? "target" : "pose", id, joint, plane, shift, end, off, point: start.clone().sub(shift) };
   }
 
   function hover(event) {
@@ -222,7 +218,7 @@ export function createStage(host, tell = null) {
       point.sub(tool.off).setY(Math.max(0, point.y));
       if (!tool.dragged && point.distanceTo(tool.point) < MOVED) return;
       Object.assign(tool, { point, dragged: true });
-      if (tool.kind === "pose") pulls.set(tool.joint, { place: point, shift: tool.shift });
+      if (tool.kind === "pose") pulls.set(tool.joint, { grip: point.clone().add(tool.shift), end: point.clone().add(tool.end) });
       said(tool, false);
     }
     invalidate();
@@ -345,55 +341,6 @@ export function createStage(host, tell = null) {
       const [left, top] = [cell.x + (cell.width - side) / 2, cell.y + (cell.height - side) / 2];
       canvas.getContext("2d").drawImage(renderer.domElement, left * ratio, top * ratio, side * ratio, side * ratio, 0, 0, width, width);
       return canvas.toDataURL("image/jpeg", 0.8);
-    },
-  };
-}
-
-function lit(scene) {
-  scene.add(new HemisphereLight(0xffffff, 0xa9adb8, 2.1));
-  const light = new DirectionalLight(0xffffff, 2.0);
-  light.castShadow = true;
-  light.shadow.mapSize.set(1024, 1024);
-  Object.assign(light.shadow.camera, { left: -2, right: 2, top: 2, bottom: -2, near: 0.5, far: 12 });
-  light.shadow.radius = 5;
-  light.shadow.bias = -0.0005;
-  scene.add(light, light.target);
-  return light;
-}
-
-// Half-metre tiles that fade away from where the figure is; every other line is a metre's.
-function floorOf(scene) {
-  const lines = new ShaderMaterial({
-    transparent: true,
-    depthWrite: false,
-    side: DoubleSide,
-    uniforms: { ink: { value: new Color() }, middle: { value: new Vector2() } },
-    vertexShader: `varying vec2 place;
-      void main() { vec4 world = modelMatrix * vec4(position, 1.0); place = world.xz; gl_Position = projectionMatrix * viewMatrix * world; }`,
-    fragmentShader: `varying vec2 place; uniform vec3 ink; uniform vec2 middle;
-      float lines(float tile) { vec2 at = place / tile; vec2 near = abs(fract(at - 0.5) - 0.5) / fwidth(at); return 1.0 - min(min(near.x, near.y), 1.0); }
-      void main() {
-        float fade = 1.0 - smoothstep(1.5, 9.0, length(place - middle));
-        gl_FragColor = vec4(ink, fade * (0.55 * lines(1.0) + 0.22 * lines(0.5)));
-        #include <colorspace_fragment>
-      }`,
-  });
-  const grid = new Mesh(new PlaneGeometry(18, 18), lines);
-  const shade = new Mesh(new PlaneGeometry(6, 6), new ShadowMaterial({ opacity: 0.22 })); // as far as shadows reach
-  shade.receiveShadow = true;
-  for (const plane of [grid, shade]) {
-    plane.rotation.x = -Math.PI / 2;
-    scene.add(plane);
-  }
-  shade.position.y = 0.001;
-  return {
-    centre({ x, z }) {
-      for (const plane of [grid, shade]) plane.position.set(x, plane.position.y, z);
-      lines.uniforms.middle.value.set(x, z);
-    },
-    theme({ line, shadow }) {
-      lines.uniforms.ink.value.set(line);
-      shade.material.opacity = shadow;
     },
   };
 }

@@ -135,7 +135,8 @@ class Characters:
     def told(self, name: str) -> dict[str, Any]:
         """Describe a character for the page: its name, title, and the formats of a motion with it."""
         record = self._record(name)
-        formats = [each.describe() for each in exports_of(record["formats"])]
+        own = record["formats"]
+        formats = [each.describe() | {"character": each.suffix in own} for each in exports_of(own)]
         return {"id": name, "name": record["title"], "formats": formats}
 
     def content(self, name: str) -> bytes:
