@@ -52,13 +52,13 @@ def tab(server, tmp_path) -> Iterator[browser.Tab]:
         yield tab
 
 
-def drop(tab: browser.Tab, name: str, content: bytes) -> None:
-    """Drop a file on the page."""
+def drop(tab: browser.Tab, name: str, content: bytes, beyond: int = 0) -> None:
+    """Drop a file on the page, with so many zeros behind its content."""
     data = base64.b64encode(content).decode()
     tab.ask(f"""(() => {{
       const bytes = Uint8Array.from(atob("{data}"), (letter) => letter.charCodeAt(0));
       const dataTransfer = new DataTransfer();
-      dataTransfer.items.add(new File([bytes], {json.dumps(name)}));
+      dataTransfer.items.add(new File([bytes, new Uint8Array({beyond})], {json.dumps(name)}));
       window.dispatchEvent(new DragEvent("drop", {{ dataTransfer, cancelable: true }}));
     }})()""")
 
@@ -186,8 +186,7 @@ def test_files_that_are_no_characters_are_refused_in_a_sentence_and_one_that_can
     hero = figures.glb(figures.stocky())
     drop(tab, "cut.glb", hero[:-40])
     message(tab, "it is cut or damaged")
-    tab.ask("window.File = class extends File { get size() { return 33 * 2 ** 20; } }")
-    drop(tab, "large.glb", hero)
+    drop(tab, "large.glb", hero, beyond=33 * 2**20 - len(hero))
     message(tab, "large.glb has 33 MiB; a character has 32 at most.")
     made, binary = figures.document(figures.stocky())
     made["accessors"][1]["bufferView"] = 99
@@ -248,7 +247,7 @@ def test_a_chosen_keyframe_offers_the_pose_to_be_pulled_and_playing_hides_it(tab
     assert [title.split()[0] for title in constraints(tab)] == ["Keyframe,", "Target"]
     assert len(grips(tab)) >= 3, "the next one can be pulled at once"
     click(tab, "#play")
-    assert grips(tab) == []
+    assert len(grips(tab)) <= 1, "the place of the target alone"
 
 
 def test_a_drawn_path_begins_at_the_figure(tab):
