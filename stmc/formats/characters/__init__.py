@@ -3,6 +3,7 @@
 Depends on files and rigs; the kinematics are in `motion.retargeting`.
 """
 
+from stmc.formats.characters.character_poses import stage_poses
 from stmc.formats.characters.characters import (
     Character,
     CharacterMotion,
@@ -11,7 +12,6 @@ from stmc.formats.characters.characters import (
     retarget,
 )
 from stmc.formats.characters.gltf_file import CharacterError
-from stmc.formats.characters.stage_poses import stage_poses
 from stmc.formats.characters.rest_skeletons import RestSkeleton, SkeletonKeys, skeleton_keys
 
 __all__ = [
