@@ -1,5 +1,6 @@
 """Characters of users in the studio: what its server takes and refuses, how they move, and that they are kept."""
 
+import json
 import random
 from collections.abc import Iterator
 
@@ -16,7 +17,7 @@ from test_characters import humanoid
 import stmc
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.viewing.studio import Characters, character_storage, storage
-from stmc.viewing.studio.auth import MOST_UPLOAD
+from stmc.viewing.studio.operations import MOST_UPLOAD
 from stmc.viewing.studio.request_errors import RequestError
 
 HERO = figures.glb(figures.stocky())
@@ -140,7 +141,7 @@ def test_a_file_that_is_no_character_is_refused_in_a_sentence(client, content, n
 
 def test_an_upload_is_bounded_and_needs_the_key(client):
     assert added(client, b"glTF" + bytes(MOST_UPLOAD)).status_code == 413
-    for headers, status in (({"X-Stmc": ""}, 401), ({"Origin": "http://evil.example"}, 403)):
+    for headers, status in (({"Authorization": ""}, 401), ({"Origin": "http://evil.example"}, 403)):
         for method, path in (("POST", ""), ("GET", ""), ("GET", "/a"), ("DELETE", "/a"), ("GET", "/a/poses/b")):
             assert client.request(method, f"/api/characters{path}", headers=headers).status_code == status
 
@@ -158,7 +159,10 @@ def test_mutated_files_are_taken_or_refused_and_what_is_taken_can_be_exported(cl
         if answer.status_code == 201:
             taken += 1
             name = told(answer)["id"]
-            assert client.get(f"/api/motions/{walk}.glb", params={"character": name}).status_code in (200, 422)
+            assert client.get(f"/api/motions/{walk}.glb", params={"character": json.dumps(name)}).status_code in (
+                200,
+                422,
+            )
             assert client.get(f"/api/characters/{name}/poses/{walk}").status_code in (200, 422)
             client.delete(f"/api/characters/{name}")
     assert 0 < taken < 60
@@ -178,7 +182,7 @@ def test_poses_move_the_nodes_of_the_file_as_the_export_does_and_have_our_joints
     assert answer.status_code == 200 and len(answer.content) < 60_000
     document, _ = figures.unpacked(answer.content)
     file = figures.unpacked(client.get(f"/api/characters/{hero}").content)[0]
-    exported = client.get(f"/api/motions/{walk}.glb", params={"character": hero}).content
+    exported = client.get(f"/api/motions/{walk}.glb", params={"character": json.dumps(hero)}).content
     poses, whole = figures.moved(answer.content, 7), figures.moved(exported, 7)
     parts = {
         file["nodes"][int(each["name"][1:])]["name"]: each["extras"]["part"]
@@ -203,7 +207,7 @@ def test_exports_are_of_the_character_where_it_is_shown_and_of_our_body_elsewher
     hero = told(added(client, HERO))["id"]
 
     def exported(kind: str, **settings) -> bytes:
-        answer = client.get(f"/api/motions/{walk}.{kind}", params={"character": hero} | settings)
+        answer = client.get(f"/api/motions/{walk}.{kind}", params={"character": json.dumps(hero)} | settings)
         assert answer.status_code == 200 and f"motion.{kind}" in answer.headers["content-disposition"], answer.text
         return answer.content
 
@@ -215,9 +219,9 @@ def test_exports_are_of_the_character_where_it_is_shown_and_of_our_body_elsewher
     assert times["accessors"][times["animations"][0]["samplers"][0]["input"]]["count"] == 50
     assert b"mixamorig:LeftLeg" in exported("bvh") and b"VRMC_vrm_animation" in exported("vrma")
     assert exported("npz").startswith(b"PK")
-    assert client.get(f"/api/motions/{walk}.vrm", params={"character": hero}).status_code == 404
+    assert client.get(f"/api/motions/{walk}.vrm", params={"character": json.dumps(hero)}).status_code == 404
     assert client.get(f"/api/motions/{walk}.vrma").status_code == 404, "our body has no avatar's format"
-    assert client.get(f"/api/motions/{walk}.glb", params={"character": "gone"}).status_code == 404
+    assert client.get(f"/api/motions/{walk}.glb", params={"character": '"gone"'}).status_code == 404
 
 
 def test_an_avatar_is_exported_as_one_with_what_its_file_says_of_it(client, walk):
@@ -227,14 +231,14 @@ def test_an_avatar_is_exported_as_one_with_what_its_file_says_of_it(client, walk
     hero = told(added(client, figures.packed(document, binary), "hero.vrm"))
     assert formats(hero)[:4] == ["glb", "vrm", "vrma", "bvh"]
     assert [each["name"] for each in hero["formats"] if each["character"]] == ["glb", "vrm", "vrma", "bvh"]
-    content = client.get(f"/api/motions/{walk}.vrm", params={"character": hero["id"]}).content
+    content = client.get(f"/api/motions/{walk}.vrm", params={"character": json.dumps(hero["id"])}).content
     assert figures.unpacked(content)[0]["extensions"] == document["extensions"]
 
 
 def test_a_motion_that_is_too_long_for_a_character_is_refused(client, walk, monkeypatch):
     hero = told(added(client, HERO))["id"]
     monkeypatch.setattr(storage, "MOST_POSES", 100)
-    answer = client.get(f"/api/motions/{walk}.glb", params={"character": hero})
+    answer = client.get(f"/api/motions/{walk}.glb", params={"character": json.dumps(hero)})
     assert answer.status_code == 422 and "lower the frame rate" in answer.json()["error"]
 
 

@@ -35,13 +35,19 @@ def _save_film(suffix: str, motion: Motion, file: IO[bytes], skeleton: Skeleton,
 
 
 def _save_character(
-    suffix: str, motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None, character: Character
+    suffix: str,
+    motion: Motion,
+    file: IO[bytes],
+    skeleton: Skeleton,
+    timeline: Timeline | None,
+    character: Character,
+    fps: float | int | None = None,
 ) -> None:
-    file.write(retarget(motion, character).content(suffix))
+    file.write(retarget(motion, character, fps).content(suffix))
 
 
 def _character(suffix: str, title: str, used_by: str, holds: str, **more: Any) -> Format:
-    return Format(suffix, title, used_by, holds, partial(_save_character, suffix), options=("character",), **more)
+    return Format(suffix, title, used_by, holds, partial(_save_character, suffix), options=("character", "fps"), **more)
 
 
 def _film(suffix: str, title: str, used_by: str, holds: str, *needs: str, **more: Any) -> Format:
@@ -101,6 +107,13 @@ CHARACTER_EXPORTS: tuple[Format, ...] = (
         "your character's skeleton",
         "Blender, Maya, MotionBuilder",
         "the character's own joints, axes and unit",
+    ),
+    _character(
+        ".csv",
+        "your robot's joints",
+        "MuJoCo, controllers",
+        "`qpos` of MuJoCo, or the joints of a URDF",
+        media_type="text/csv",
     ),
 )
 """The formats that show a character; it decides by its `formats` which of them it can be written as."""

@@ -103,7 +103,7 @@ export function openExport(studio) {
     const settings = { fps: find("export-fps").value, timeline: JSON.stringify(timelineOf(studio.present())) };
     const loop = find("export-loop").checked;
     if (loop) settings.loop = "1";
-    if (worn && !worn.missing) settings.character = worn.id;
+    if (worn && !worn.missing) settings.character = JSON.stringify(worn.id);
     if (extension === "html") settings.constraints = JSON.stringify({ constraints: studio.present().constraints.map(argued) });
     await working(find("export-motion"), async () =>
       download(await server.motionFile(sample.motion.id, extension, settings), `${fileName(name)}${loop ? "_loop" : ""}.${extension}`),

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from stmc.formats.axes import Z_UP_TO_Y_UP
 from stmc.formats.characters.characters import CharacterMotion
-from stmc.formats.characters.gltf_file import CharacterError, Gltf, with_animation
-from stmc.formats.characters.gltf_rig import GltfRig, animation_of
+from stmc.formats.characters.gltf_file import CharacterError, Gltf, animation_of, with_animation
+from stmc.formats.characters.gltf_rig import GltfRig
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.motion.geometry import matrix_to_quaternion
 from stmc.motion.motion import Motion

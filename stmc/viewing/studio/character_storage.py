@@ -24,11 +24,10 @@ from stmc.motion.body import NUM_ROTATIONS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 from stmc.viewing.exports import exports_of
+from stmc.viewing.studio.bodies import RECEIVED
 from stmc.viewing.studio.request_errors import RequestError
+from stmc.viewing.studio.responses import CharacterEntry
 from stmc.viewing.studio.storage import ID, check_poses, own_folder
-
-RECEIVED = (".glb", ".gltf", ".vrm")
-"""Files of characters that the studio takes: those with a mesh to show."""
 
 MOST_CHARACTERS, MOST_CHARACTER_BYTES = 40, 2**30
 """Maximum number and bytes of stored characters."""
@@ -94,7 +93,7 @@ class Characters:
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     def __post_init__(self) -> None:
-        self.folder = own_folder(self.folder)
+        self._folder = own_folder(self.folder)
         for path in self._files():
             if not path.with_suffix(".json").exists():  # a process was killed before it wrote the record
                 path.unlink()
@@ -114,16 +113,16 @@ class Characters:
         record = {"title": _title(filename), "suffix": suffix, "formats": list(character.formats)}
         with self._lock:
             self._check_quota(name, len(content))
-            path = self.folder / f"{name}{suffix}"
+            path = self._folder / f"{name}{suffix}"
             write_whole(path, lambda temporary: temporary.write_bytes(content))
             write_text(self._record_path(name), json.dumps(record))
             path.chmod(0o600)
             self._record_path(name).chmod(0o600)
         return name
 
-    def all(self) -> list[dict[str, Any]]:
+    def all(self) -> list[CharacterEntry]:
         """Describe all characters for the page, the last added first."""
-        paths = sorted(self.folder.glob("*.json"), key=_modified, reverse=True)
+        paths = sorted(self._folder.glob("*.json"), key=_modified, reverse=True)
         found = []
         for path in paths:
             try:
@@ -132,7 +131,7 @@ class Characters:
                 continue
         return found
 
-    def told(self, name: str) -> dict[str, Any]:
+    def told(self, name: str) -> CharacterEntry:
         """Describe a character for the page: its name, title, and the formats of a motion with it."""
         record = self._record(name)
         own = record["formats"]
@@ -142,7 +141,7 @@ class Characters:
     def content(self, name: str) -> bytes:
         """Return the bytes of a character's file. Raises `RequestError` if there is no such character."""
         try:
-            return (self.folder / f"{name}{self._record(name)['suffix']}").read_bytes()
+            return (self._folder / f"{name}{self._record(name)['suffix']}").read_bytes()
         except FileNotFoundError:
             raise _missing() from None
 
@@ -193,7 +192,7 @@ class Characters:
             raise RequestError(507, f"all characters would be larger than {most:g} GiB; delete some")
 
     def _files(self) -> list[Path]:
-        return [path for path in self.folder.iterdir() if path.suffix in RECEIVED and path.is_file()]
+        return [path for path in self._folder.iterdir() if path.suffix in RECEIVED and path.is_file()]
 
     def _record(self, name: str) -> dict[str, Any]:
         try:
@@ -208,7 +207,7 @@ class Characters:
     def _record_path(self, name: str) -> Path:
         if not ID.fullmatch(name):
             raise _missing()
-        return self.folder / f"{name}.json"
+        return self._folder / f"{name}.json"
 
 
 def _missing() -> RequestError:
