@@ -59,11 +59,12 @@ def document(client) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def names(client) -> dict[str, str]:
-    """Names of a motion, a job that has ended, and a document."""
+    """Names of a motion, a job that has ended, a document, and a character."""
     job = client.post("/api/jobs", json={"timeline": WALK, "steps": "preview"}).json()["job"]
     told = client.get(f"/api/jobs/{job}/events").text
     client.put("/api/documents/mine", json={"base": 0, "content": {"name": "Mine"}})
-    return {"motion": re.search(r'"id": "([^"]+)"', told)[1], "job": job, "document": "mine"}
+    hero = client.post("/api/characters", content=made.glb(made.stocky())).json()["character"]["id"]
+    return {"motion": re.search(r'"id": "([^"]+)"', told)[1], "job": job, "document": "mine", "character": hero}
 
 
 # The document is true
@@ -85,7 +86,7 @@ def test_the_document_is_openapi(document):
 
 def address(path: str, names: dict[str, str]) -> str:
     name = next((name for kind, name in names.items() if path.startswith(f"/api/{kind}s/")), "")
-    return path.replace("{name}", name).replace("{kind}", "bvh")
+    return path.replace("{name}", name).replace("{kind}", "bvh").replace("{motion}", names["motion"])
 
 
 def body_of(operation: dict, names: dict[str, str]) -> dict | None:
@@ -102,7 +103,8 @@ def called(client: TestClient, method: str, path: str, operation: dict, names: d
     """The answer to an operation, called as its example says."""
     sent = {} if body is None else {"json": body}
     if "application/octet-stream" in operation.get("requestBody", {}).get("content", {}):
-        sent = {"content": client.get(f"/api/motions/{names['motion']}.npz").content}
+        hero, motion = made.glb(made.stocky()), client.get(f"/api/motions/{names['motion']}.npz").content
+        sent = {"content": hero if path == "/api/characters" else motion}
     return client.request(method, address(path, names), **sent)
 
 
@@ -190,12 +192,21 @@ def test_what_is_beyond_the_documented_bounds_is_refused(client, document, names
 
 def test_parameters_of_an_address_are_refused_beyond_their_bounds_too(client, document, names):
     parameters = document["paths"]["/api/motions/{name}.{kind}"]["get"]["parameters"]
-    assert {each["name"] for each in parameters} == {"name", "kind", "fps", "loop", "timeline", "constraints"}
+    assert {each["name"] for each in parameters} == {
+        "name",
+        "kind",
+        "fps",
+        "loop",
+        "timeline",
+        "character",
+        "constraints",
+    }
     for query in (
         "fps=0.5",
         "fps=241",
         "loop=2",
         "timeline=7",
+        "character=7",
         "timeline=%22%22",
         "constraints=[]",
         "surprise=1",

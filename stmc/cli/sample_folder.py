@@ -20,13 +20,11 @@ from stmc.io.files import held, scratch, sha256, write_text
 from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
 from stmc.text.vocabulary import Recognition
 from stmc.timeline import Timeline
-from stmc.viewing.exports import EXPORTS, export
+from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS, export
 
-CHARACTER_FORMATS = ("vrm", "vrma")
-"""Formats that need a character."""
 FORMATS = ("npz", "bvh", "html")
 """Default formats."""
-CHOICES = tuple(dict.fromkeys((*FORMATS, *(each.name for each in EXPORTS), *CHARACTER_FORMATS)))
+CHOICES = tuple(dict.fromkeys((*FORMATS, *(each.name for each in (*EXPORTS, *CHARACTER_EXPORTS)))))
 
 
 class Job(NamedTuple):
@@ -98,11 +96,8 @@ class MotionFolder:
         return paths
 
     def _write(self, motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
-        if self.character is not None and path.suffix in self.character.formats:
-            stmc.retarget(motion, self.character, self.fps).write(path)
-        else:
-            marks = job.request.constraints
-            export(motion, path, job.timeline, title=job.name, unknown=unknown, constraints=marks)
+        options = {"title": job.name, "unknown": unknown, "constraints": job.request.constraints, "fps": self.fps}
+        export(motion, path, job.timeline, self.character, **options)
 
     def free_name(self, timeline: Timeline) -> str:
         """Return a name for a typed timeline, made of its texts.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, NotRequired, TypedDict
 
 from stmc.formats.bvh_reader import load_bvh
 from stmc.formats.bvh_writer import save_bvh
@@ -24,6 +24,7 @@ class FormatEntry(TypedDict):
     name: str
     about: str
     drawn: Annotated[bool, "whether it is a film, which takes minutes"]
+    character: NotRequired[Annotated[bool, "of a character: whether the file shows it"]]
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,13 @@ This module is quick to import; it imports drawing modules on demand.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
 from stmc.formats import FORMATS, Format, format_of, write_as
+from stmc.formats.characters import Character, retarget
 from stmc.io.extras import require
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
@@ -30,6 +32,22 @@ def _save_film(suffix: str, motion: Motion, file: IO[bytes], skeleton: Skeleton,
         path = Path(folder) / f"film{suffix}"
         render_film(motion, path, timeline)
         file.write(path.read_bytes())
+
+
+def _save_character(
+    suffix: str,
+    motion: Motion,
+    file: IO[bytes],
+    skeleton: Skeleton,
+    timeline: Timeline | None,
+    character: Character,
+    fps: float | int | None = None,
+) -> None:
+    file.write(retarget(motion, character, fps).content(suffix))
+
+
+def _character(suffix: str, title: str, used_by: str, holds: str, **more: Any) -> Format:
+    return Format(suffix, title, used_by, holds, partial(_save_character, suffix), options=("character", "fps"), **more)
 
 
 def _film(suffix: str, title: str, used_by: str, holds: str, *needs: str, **more: Any) -> Format:
@@ -62,13 +80,73 @@ EXPORTS: tuple[Format, ...] = (
 )
 """The formats of `stmc sample` and of the studio."""
 
+CHARACTER_EXPORTS: tuple[Format, ...] = (
+    _character(
+        ".glb",
+        "your character",
+        "Blender, Unity, Unreal, the web",
+        "the character's own file with the animation",
+        media_type="model/gltf-binary",
+    ),
+    _character(
+        ".vrm",
+        "your VRM avatar",
+        "programs for VRM avatars",
+        "the avatar's own file with the animation",
+        media_type="model/gltf-binary",
+    ),
+    _character(
+        ".vrma",
+        "a VRM Animation",
+        "any VRM avatar",
+        "the motion alone, of a humanoid with the character's proportions",
+        media_type="model/gltf-binary",
+    ),
+    _character(
+        ".bvh",
+        "your character's skeleton",
+        "Blender, Maya, MotionBuilder",
+        "the character's own joints, axes and unit",
+    ),
+    _character(
+        ".csv",
+        "your robot's joints",
+        "MuJoCo, controllers",
+        "`qpos` of MuJoCo, or the joints of a URDF",
+        media_type="text/csv",
+    ),
+)
+"""The formats that show a character; it decides by its `formats` which of them it can be written as."""
+
 FILMS = tuple(each.suffix for each in EXPORTS if each.drawn)
 
 
-def export(motion: Motion, path: Path, timeline: Timeline | None = None, **options: Any) -> None:
-    """Write a motion in the format of `path`'s suffix, one of `EXPORTS`. A format ignores `options` that it lacks.
+def exports_of(suffixes: Collection[str] = ()) -> tuple[Format, ...]:
+    """Return all formats of a motion whose character has these `Character.formats`; none: of a motion alone."""
+    own = [each for each in CHARACTER_EXPORTS if each.suffix in suffixes]
+    return (*own, *(each for each in EXPORTS if each.suffix not in suffixes))
+
+
+def export(
+    motion: Motion,
+    path: Path,
+    timeline: Timeline | None = None,
+    character: Character | None = None,
+    **options: Any,
+) -> None:
+    """Write a motion in the format of `path`'s suffix, of a character if the format shows it.
+
+    A format ignores `options` that it lacks.
+
+    Args:
+        motion: Motion to write.
+        path: File to write; its suffix is one of `exports_of(character.formats)`.
+        timeline: Timeline of the motion, or None.
+        character: Character that moves in the formats that it can be written as; None: our body in all of them.
+        **options: Options of formats, by their names.
 
     Raises `ValueError` for another suffix, and `ModuleNotFoundError` for a format whose package is not installed.
     """
-    kind = format_of(path, EXPORTS, "write")
+    options |= {} if character is None else {"character": character}
+    kind = format_of(path, exports_of(() if character is None else character.formats), "write")
     write_as(kind, motion, path, timeline=timeline, **{name: options[name] for name in kind.options if name in options})

@@ -3,9 +3,15 @@
 import { button, fill, find, make, watch } from "./dom.js";
 import { heading, number } from "./panels.js";
 import { rounded } from "./state.js";
-import { degrees, demandOf, errorOf, fieldOf, kindOf, meets, paceOf, said, spanOf, titleOf } from "./constraints.js";
+import { degrees, demandOf, errorOf, fieldOf, kindOf, lengthOf, meets, paceOf, said, spanOf, titleOf } from "./constraints.js";
 
+const SHORTEST = 0.1; // metres of a drawn line
 const TIMES = ["start", "end", "moment", "motion_second"];
+
+const GRIPS = ["left_hand", "right_hand", "left_foot", "right_foot", "head"];
+
+// The kind of constraint that puts a joint at a place.
+const targetKind = ({ constraints }) => constraints.find(({ name }) => fieldOf(name, "joint") && fieldOf(name, "point"));
 
 // Fewer points of a drawn line: none nearer to its neighbours than the way deserves (Douglas and Peucker, 1973).
 export function simplified(points, slack = 0.06) {
@@ -64,8 +70,41 @@ export function createConstraintPanel(studio, player, stage) {
     const { drawing: kind, span: chosen } = store.get();
     store.set({ drawing: false });
     const line = simplified(points).map((point) => point.map((value) => Math.round(value * 100) / 100));
-    if (!kind || line.length < 2) return;
+    if (!kind || line.length < 2 || lengthOf(line) < SHORTEST) return;
     add({ kind, [fieldOf(kind, "line").name]: line, start: chosen?.start ?? 0, end: chosen?.end ?? null });
+  }
+
+  // A joint of the pose at the cursor is pulled: a target of that moment follows the hand, one for each joint.
+  let pull = null; // {gesture, edit}
+  function pulled(joint, place, finished) {
+    pull ??= { gesture: studio.gesture(), edit: pulling(joint) };
+    studio.edit(pull.edit(place.map(rounded)), pull.gesture);
+    if (!finished) return;
+    const { id } = pull.edit;
+    pull = null;
+    studio.settle();
+    store.set({ constraint: id });
+  }
+
+  // The edit by which a target of this joint is at a place: the one that holds now, or a new one.
+  function pulling(joint) {
+    const { name } = targetKind(store.get().model);
+    const [point, whose, moment] = [fieldOf(name, "point").name, fieldOf(name, "joint").name, now()];
+    const holds = (each) => spanOf(each, Infinity).start <= moment && moment <= spanOf(each, Infinity).end;
+    const old = studio.present().constraints.find((each) => each.kind === name && each[whose] === joint && holds(each));
+    const blank = { ...fresh(kindOf(name)), [whose]: joint, [fieldOf(name, "start").name]: moment, [fieldOf(name, "end").name]: null };
+    const edit = (place) => old ? { kind: "adjust", id: old.id, change: { [point]: place } } : { kind: "constrain", constraint: { ...blank, [point]: place } };
+    return Object.assign(edit, { id: old?.id ?? `c${studio.present().next}` });
+  }
+
+  // What a hand takes the pose by, while there is one to pull: asked for, or beside a place or a pose that is chosen.
+  function gripsOf({ model, pulling, constraint, samples, history }) {
+    const kind = history.present.constraints.find(({ id }) => id === constraint)?.kind;
+    const posed = kind && (fieldOf(kind, "point") || fieldOf(kind, "motion"));
+    const target = model && targetKind(model);
+    if (!target || !samples.length || !(pulling || posed)) return [];
+    const { choices } = fieldOf(target.name, "joint");
+    return GRIPS.filter((joint) => choices.includes(joint));
   }
 
   function paint({ model, history, samples, chosen, constraint, drawing }) {
@@ -121,5 +160,5 @@ export function createConstraintPanel(studio, player, stage) {
 
   watch(store, ({ model, history: { present: { constraints } }, samples, chosen, constraint, drawing }) =>
     [model, constraints, samples, chosen, constraint, drawing], paint);
-  return { drawn };
+  return { drawn, pulled, gripsOf };
 }

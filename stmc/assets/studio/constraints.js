@@ -9,6 +9,8 @@ export const kindOf = (name) => kinds.get(name) ?? { name, title: name, about: "
 export const fieldOf = (kind, control) => kindOf(kind).fields.find((field) => field.control === control);
 const valueOf = (constraint, control) => constraint[fieldOf(constraint.kind, control)?.name];
 
+export const jointOf = (constraint) => valueOf(constraint, "joint");
+
 export const said = (joint) => joint.replace("_", " ");
 export const degrees = (angle) => Math.round((angle * 180) / Math.PI);
 
@@ -36,9 +38,12 @@ export function titleOf(constraint) {
   return `${what}, ${whole(start)} to ${end === Infinity ? "the end" : whole(end)}`;
 }
 
+// Metres along a line.
+export const lengthOf = (points) => points.slice(1).reduce((sum, [x, y], index) => sum + Math.hypot(x - points[index][0], y - points[index][1]), 0);
+
 // How fast a path has to be walked: "2.4 m in 4 s: 0.6 m/s".
 export function paceOf({ points, start, end }, duration) {
-  const metres = points.slice(1).reduce((sum, [x, y], index) => sum + Math.hypot(x - points[index][0], y - points[index][1]), 0);
+  const metres = lengthOf(points);
   const seconds = Math.max(0.05, (end ?? duration) - start);
   return `${metres.toFixed(1)} m in ${whole(seconds)}: ${(metres / seconds).toFixed(1)} m/s`;
 }

@@ -37,9 +37,11 @@ export function openHelp() {
 export async function openOpen(studio, saving, begin) {
   const dialog = show("open-dialog");
   const examples = studio.store.get().model?.examples ?? [];
-  const receives = studio.store.get().model?.receives ?? [];
-  find("open-file").accept = [".json", ".txt", ...receives].join();
-  find("open-about").textContent = `A timeline (.json, .txt), or a recorded motion to begin from (${receives.join(", ")}).`;
+  const { receives = [], characters } = studio.store.get().model ?? {};
+  const figures = characters?.receives ?? [];
+  find("open-file").accept = [".json", ".txt", ...receives, ...figures].join();
+  find("open-about").textContent =
+    `A timeline (.json, .txt), a recorded motion to begin from (${receives.join(", ")}), or a character (${figures.join(", ")}).`;
   const leave = (act) => async () => {
     dialog.close();
     try {
@@ -80,7 +82,8 @@ export function openExport(studio) {
   const sample = studio.chosen();
   const { model } = studio.store.get();
   const { name } = studio.present();
-  const formats = model?.formats ?? [];
+  const worn = studio.worn();
+  const formats = (worn && !worn.missing ? worn.formats : model?.formats) ?? [];
   show("export-dialog");
   find("export-told").textContent = "";
   find("export-motion").disabled = !sample;
@@ -88,6 +91,9 @@ export function openExport(studio) {
   fill(find("export-formats"), ...formats.map((format, index) => make("label", { class: "choice" },
     make("input", { type: "radio", name: "format", value: format.name, checked: index === 0 }),
     make("b", {}, `.${format.name}`), make("span", { class: "faint" }, format.about))));
+  const shows = formats.filter(({ character }) => character).map((format) => `.${format.name}`);
+  find("export-figure").hidden = !shows.length;
+  find("export-figure").textContent = `${shows.join(", ")} show ${worn?.name}; the others show the mannequin.`;
   const own = sample?.motion.fps ?? model?.fps;
   fill(find("export-fps"), ...[...new Set([own, ...FRAME_RATES])].filter(Boolean).map((fps) =>
     make("option", { value: String(fps), selected: fps === own }, `${fps} frames a second${fps === own ? " (as made)" : ""}`)));
@@ -97,6 +103,7 @@ export function openExport(studio) {
     const settings = { fps: find("export-fps").value, timeline: JSON.stringify(timelineOf(studio.present())) };
     const loop = find("export-loop").checked;
     if (loop) settings.loop = "1";
+    if (worn && !worn.missing) settings.character = JSON.stringify(worn.id);
     if (extension === "html") settings.constraints = JSON.stringify({ constraints: studio.present().constraints.map(argued) });
     await working(find("export-motion"), async () =>
       download(await server.motionFile(sample.motion.id, extension, settings), `${fileName(name)}${loop ? "_loop" : ""}.${extension}`),

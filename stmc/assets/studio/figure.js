@@ -12,30 +12,56 @@ const LOOKS = 60; // poses by which the size of a motion is measured
 // Of a file that stands in a page as base64.
 export const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
 
+export const parsed = (bytes) => loader.parseAsync(bytes, "");
+
+// Our own figure, of a file that has it and its animations.
 export async function figureOf(bytes) {
-  const file = await loader.parseAsync(bytes, "");
-  const mixer = new AnimationMixer(file.scene);
+  const { scene, animations } = await parsed(bytes);
   const materials = new Map(); // body part → material
   const joints = new Map(); // name → bone
-  file.scene.traverse((node) => {
+  scene.traverse((node) => {
     if (node.isBone) joints.set(node.name, node);
     if (!node.isMesh) return;
     node.castShadow = true;
     node.frustumCulled = false; // the bounds of a skinned mesh are those of its rest pose
     materials.set(node.material.name, node.material);
   });
+  return animated({
+    body: scene, animations, joints, bones: joints,
+    paint(colourOf) {
+      for (const [part, material] of materials) material.color.setRGB(...colourOf(part), SRGBColorSpace);
+    },
+    dispose: () => disposeOf(scene),
+  });
+}
+
+export function disposeOf(root) {
+  root.traverse((node) => {
+    node.geometry?.dispose();
+    node.material?.dispose();
+    node.skeleton?.dispose();
+  });
+}
+
+// A figure of a `body` that `animations` move. `joints`: where our joints are, by their names, "pelvis" among them;
+// `bones`: the nodes of the body that turn with them.
+export function animated({ body, animations, joints, bones, paint, dispose, ...more }) {
+  const mixer = new AnimationMixer(body);
   const group = new Group();
   const way = new Mesh(ribbon([], 0, 0), new MeshBasicMaterial({ transparent: true, opacity: 0.6, side: DoubleSide, depthWrite: false }));
-  group.add(file.scene, way);
+  group.add(body, way);
   let clip = null;
   let places = null; // of the pelvis
 
   const figure = {
     group,
     joints,
+    bones,
+    paint,
+    ...more,
     // Which of the file's animations plays.
     choose(name) {
-      clip = file.animations.find((each) => each.name === name);
+      clip = animations.find((each) => each.name === name);
       places = clip.tracks.find((track) => track.name.endsWith("pelvis.position"));
       figure.duration = clip.duration;
       mixer.stopAllAction(); // what another animation has scaled is as it was again
@@ -46,25 +72,22 @@ export async function figureOf(bytes) {
     pose(time) {
       mixer.setTime(Math.min(Math.max(time, 0), Math.max(clip.duration - 1e-4, 0)));
     },
-    paint(colourOf) {
-      for (const [part, material] of materials) material.color.setRGB(...colourOf(part), SRGBColorSpace);
-    },
     paintWay(colour) {
       way.visible = Boolean(colour);
       if (colour) way.material.color.set(colour);
     },
     // Where the camera looks at a time: the pelvis without its swaying.
     followed: (time) => smoothed(places, time),
+    // Where the pelvis is over the floor.
+    placed: (time) => nearest(places, time),
     // The ball around the body at all times: about where it is followed, or about the middle of its way.
     bounds: (follows) => ballOf(figure, follows ? null : middleOf(places)),
     dispose() {
-      group.traverse((node) => {
-        node.geometry?.dispose();
-        node.material?.dispose();
-      });
+      disposeOf(way);
+      dispose();
     },
   };
-  figure.choose(file.animations[0].name);
+  figure.choose(animations[0].name);
   return figure;
 }
 
@@ -72,6 +95,12 @@ function wayOf({ values }) {
   const points = [];
   for (let at = 0; at < values.length; at += 3) points.push([values[at], values[at + 2]]);
   return points;
+}
+
+function nearest({ times, values }, time) {
+  const step = times.length > 1 ? times[1] - times[0] : 1;
+  const frame = Math.min(Math.max(Math.round(time / step), 0), times.length - 1);
+  return new Vector3(values[3 * frame], 0, values[3 * frame + 2]);
 }
 
 function middleOf(places) {

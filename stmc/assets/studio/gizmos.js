@@ -7,6 +7,8 @@ import {
 import { kindOf, spanOf } from "./constraints.js";
 
 const COLOUR = 0xe5484d;
+const GRIP = 0.055; // metres, from a camera that is NEAR
+const NEAR = 5;
 
 // A band along points on the floor ([x, z], y up), `width` metres wide.
 export function ribbon(points, width, height) {
@@ -42,8 +44,9 @@ export function createGizmos(scene) {
   const ring = new RingGeometry(0.06, 0.08, 28).rotateX(-Math.PI / 2).translate(0, 0.012, 0);
   const sketch = new Mesh(line([]), band);
   sketch.frustumCulled = false;
+  const grips = createGrips(scene);
   scene.add(group, sketch);
-  let targets = new Map(); // id → ball
+  let targets = new Map(); // id → {mark: ball, shift: how far it is drawn from where it is}
   let headings = []; // [{mark, start, end}]
 
   function lineOf(constraint, points) {
@@ -54,13 +57,14 @@ export function createGizmos(scene) {
     group.add(end);
   }
 
-  function ballOf({ id }, [x, y, z], chosen) {
-    const mark = new Mesh(ball, chosen === id ? solid : pale);
-    mark.position.set(x, z, -y);
+  function ballOf(constraint, [x, y, z], chosen, shiftOf) {
+    const mark = new Mesh(ball, chosen === constraint.id ? solid : pale);
+    const shift = shiftOf(constraint);
+    mark.position.set(x, z, -y).add(shift);
     group.add(mark);
-    const drop = [[x, 0, -y], [x, z, -y]].flat();
+    const drop = [mark.position.clone().setY(0), mark.position].flatMap((place) => place.toArray());
     group.add(new Line(new BufferGeometry().setAttribute("position", new Float32BufferAttribute(drop, 3)), ink));
-    targets.set(id, mark);
+    targets.set(constraint.id, { mark, shift });
   }
 
   // On the floor, from the person to where the body shall look.
@@ -74,13 +78,15 @@ export function createGizmos(scene) {
   const DRAW = { line: lineOf, point: ballOf, angle: arrowAt };
 
   return {
-    show(constraints, chosen) {
+    grips,
+    // `shiftOf(constraint)`: by how much a place is drawn elsewhere.
+    show(constraints, chosen, shiftOf) {
       for (const { geometry } of group.children) if (![ball, ring, arrow].includes(geometry)) geometry.dispose();
       group.clear();
       targets = new Map();
       headings = [];
       for (const constraint of constraints)
-        for (const { name, control } of kindOf(constraint.kind).fields) DRAW[control]?.(constraint, constraint[name], chosen);
+        for (const { name, control } of kindOf(constraint.kind).fields) DRAW[control]?.(constraint, constraint[name], chosen, shiftOf);
     },
     // Headings stand where the person is, while they hold.
     at(time, { x, z }) {
@@ -94,9 +100,49 @@ export function createGizmos(scene) {
       sketch.geometry = line(points);
     },
     hit(caster) {
-      const [first] = caster.intersectObjects([...targets.values()], false);
-      return first ? [...targets].find(([, mark]) => mark === first.object)[0] : null;
+      const [first] = caster.intersectObjects([...targets.values()].map(({ mark }) => mark), false);
+      return first ? [...targets].find(([, { mark }]) => mark === first.object)[0] : null;
     },
-    place: (id) => targets.get(id).position.clone(),
+    target: (id) => targets.get(id),
+  };
+}
+
+// What a hand takes a pose by: balls that are seen through the body, as large from far as from near.
+function createGrips(scene) {
+  const group = new Group();
+  const ball = new SphereGeometry(GRIP, 20, 14);
+  const over = { depthTest: false, depthWrite: false, transparent: true };
+  const [rim, core] = [new MeshBasicMaterial({ color: 0xffffff, opacity: 0.95, ...over }), new MeshBasicMaterial({ color: COLOUR, ...over })];
+  scene.add(group);
+
+  function gripOf(joint) {
+    const [outer, inner] = [new Mesh(ball, rim), new Mesh(ball, core)];
+    outer.name = joint;
+    [outer.renderOrder, inner.renderOrder] = [10, 11];
+    inner.scale.setScalar(0.7);
+    outer.add(inner);
+    return outer;
+  }
+
+  return {
+    // For these joints; none: nothing is to be pulled.
+    show(joints) {
+      group.clear();
+      if (joints.length) group.add(...joints.map(gripOf));
+    },
+    any: () => group.children.length > 0,
+    seen: (on) => (group.visible = on),
+    place(placeOf, camera) {
+      for (const grip of group.children) {
+        grip.position.copy(placeOf(grip.name));
+        grip.scale.setScalar(camera.position.distanceTo(grip.position) / NEAR);
+      }
+    },
+    // The joint whose grip a ray meets, or null.
+    hit({ ray }) {
+      const met = group.children.filter(({ position, scale }) => ray.distanceToPoint(position) < 1.4 * GRIP * scale.x);
+      const far = ({ position }) => position.distanceTo(ray.origin);
+      return met.sort((one, other) => far(one) - far(other))[0]?.name ?? null;
+    },
   };
 }

@@ -4,6 +4,7 @@ import * as server from "./server.js";
 import { find, roomStyle, say, tell, watch } from "./dom.js";
 import { colourOf, partColour } from "./colours.js";
 import { askConflict, openExport, openHelp, openOpen } from "./dialogs.js";
+import { createCharacterMenu, listenToDrops } from "./character_menu.js";
 import { createConstraintPanel } from "./constraint_panel.js";
 import { fieldOf, learn } from "./constraints.js";
 import { createPlayer } from "./player.js";
@@ -28,6 +29,7 @@ const stage = createStage(find("stage"), {
   drawn: (points) => constraints.drawn(points),
   moved: (id, point, finished) => moved(id, point, finished),
   chosen: (id) => store.set({ constraint: id }),
+  pulled: (joint, point, finished) => constraints.pulled(joint, point, finished),
 });
 const tracks = createTracks(studio, player, work);
 const constraints = createConstraintPanel(studio, player, stage);
@@ -35,6 +37,7 @@ const shown = createPreview(studio, stage);
 createPromptPanel(studio, player, work, tracks);
 createSamplesPanel(studio, work, shown);
 createWordsPanel(studio, player);
+const characters = createCharacterMenu(studio);
 
 let dragged = null; // the gesture of a target's drag
 function moved(id, point, finished) {
@@ -67,8 +70,23 @@ function toggleFollow() {
 find("follow").onclick = toggleFollow;
 find("reset-view").onclick = () => stage.reset();
 
-watch(store, ({ drawing }) => [drawing], ({ drawing }) => {
-  stage.draw(Boolean(drawing));
+function togglePull() {
+  store.set({ pulling: !store.get().pulling });
+}
+find("pull").onclick = togglePull;
+let grips = "";
+function showGrips() {
+  const joints = player.playing() ? [] : constraints.gripsOf(store.get());
+  find("pull").setAttribute("aria-pressed", String(store.get().pulling));
+  if (grips === joints.join()) return;
+  grips = joints.join();
+  stage.grip(joints);
+}
+watch(store, ({ pulling, constraint, samples, history, model }) => [pulling, constraint, samples, history, model], showGrips);
+player.listen(showGrips);
+
+watch(store, ({ drawing, span }) => [drawing, span], ({ drawing, span }) => {
+  stage.draw(drawing ? span?.start ?? 0 : null);
   find("drawing").hidden = !drawing;
 });
 watch(store, ({ history, samples }) => [history.present.prompts.length, samples.length], ({ history, samples }) => {
@@ -112,8 +130,9 @@ watch(store, ({ check }) => [check?.error], ({ check }) => check?.error && tell(
 
 // ---- the bar above ------------------------------------------------------------------------------------------------------
 const begin = {
-  timeline: (timeline) => saving.create({ document: documentOfTimeline(timeline) }),
+  timeline: (timeline) => saving.create({ document: { ...documentOfTimeline(timeline), figure: studio.present().figure } }),
   async file(file) {
+    if (characters.isOne(file)) return characters.add(file);
     if (store.get().model.receives.some((suffix) => file.name.toLowerCase().endsWith(suffix))) return upload(file);
     const { timelines } = await server.readTimelines(file.name, await file.text());
     begin.timeline(timelines[0]);
@@ -124,13 +143,14 @@ const begin = {
 // Of a recorded motion, what no prompt claims is kept.
 async function upload(file) {
   const { motion } = await server.uploadMotion(file);
-  const document = { ...documentOfTimeline({ name: file.name.replace(/\.\w+$/, ""), prompts: [] }) };
+  const document = { ...documentOfTimeline({ name: file.name.replace(/\.\w+$/, ""), prompts: [] }), figure: studio.present().figure };
   document.locks = { ...document.locks, gaps: true };
   const sample = { key: "recorded", seed: null, steps: "recorded", motion, demands: [], asked: {}, varied: true };
   saving.create({ document, samples: [sample], chosen: "recorded" });
   say("Of the recorded motion, what no prompt claims is kept: write prompts where it shall change.");
 }
 
+listenToDrops(begin.file);
 find("open").onclick = () => openOpen(studio, saving, begin);
 find("export").onclick = () => openExport(studio);
 find("help").onclick = openHelp;
@@ -212,12 +232,13 @@ wear(recalledTheme());
 listenToShortcuts(studio, player, work, tracks, {
   fps: () => store.get().model?.fps ?? 20,
   toggleFollow,
+  togglePull,
   help: openHelp,
   save: () => openExport(studio),
   escape() {
     if (store.get().drawing) store.set({ drawing: false });
     else if (store.get().job) work.cancel();
-    else store.set({ selected: null, span: null });
+    else store.set({ selected: null, span: null, pulling: false });
   },
 });
 
@@ -236,6 +257,7 @@ async function start() {
       const model = await server.askModel();
       learn(model.constraints);
       store.set({ model });
+      await characters.refresh();
       break;
     } catch (error) {
       if (error.status === 401) return say("This page needs the address that the studio printed when it started.");

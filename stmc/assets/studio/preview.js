@@ -3,32 +3,65 @@
 
 import * as server from "./server.js";
 import { button, find, keyed, make, roomStyle, say, watch } from "./dom.js";
+import { characterOf } from "./character.js";
 import { figureOf } from "./figure.js";
 
 const MOST_KEPT = 24; // figures' files, in memory
 
 export function createPreview(studio, stage) {
   const { store } = studio;
-  const files = new Map(); // motion id → bytes
+  const files = new Map(); // motion id, with a character's id before it where it moves one → bytes
   let figures = new Map(); // motion id → figure, of those on the stage
   let asked = 0;
+  let dressed = null; // the id of the character that the figures show
+  let character = null; // {id, file: a promise of the character}, the last that was shown
+  let known = new Set(); // ids of the server's characters
+  const broken = new Set(); // ids of characters that cannot be shown
 
-  async function bytesOf(id) {
+  async function bytesOf(id, read) {
     const known = files.get(id);
     files.delete(id);
-    const bytes = known ?? (await (await server.motionFile(id, "glb")).arrayBuffer());
+    const bytes = known ?? (await read());
     files.set(id, bytes); // the latest last
     if (files.size > MOST_KEPT) files.delete(files.keys().next().value);
     return bytes;
   }
 
-  async function show({ samples, chosen }) {
+  const mannequin = async (motion) =>
+    figureOf(await bytesOf(motion.id, async () => (await server.motionFile(motion.id, "glb")).arrayBuffer()));
+
+  function characterFor(id) {
+    if (character?.id === id) return character.file;
+    character?.file.then((old) => old.dispose(), () => {});
+    character = { id, file: server.characterFile(id).then(characterOf) };
+    return character.file;
+  }
+
+  // Who cannot be shown is told once; the mannequin does the motion instead.
+  async function figureFor(motion, worn) {
+    if (!worn || broken.has(worn.id)) return mannequin(motion);
+    try {
+      const file = await characterFor(worn.id);
+      return await file.figure(await bytesOf(`${worn.id}/${motion.id}`, () => server.posesFile(worn.id, motion.id)));
+    } catch (error) {
+      if (error.status === 0) throw error; // the server is away
+      broken.add(worn.id);
+      character = null;
+      say(`${worn.name} cannot be shown: ${error.message} The mannequin moves instead.`);
+      return mannequin(motion);
+    }
+  }
+
+  async function show({ samples, chosen, history }) {
     const number = ++asked;
     const next = new Map();
+    const worn = history.present.figure.character;
+    const shown = () => (worn && !broken.has(worn.id) ? worn.id : null);
+    const [wanted, same] = [shown(), dressed === shown()];
     find("stage").setAttribute("aria-busy", "true");
     for (const { motion } of samples) {
       try {
-        next.set(motion.id, figures.get(motion.id) ?? (await figureOf(await bytesOf(motion.id))));
+        next.set(motion.id, (same && figures.get(motion.id)) || (await figureFor(motion, worn)));
       } catch (error) {
         if (error.status === 404) return forget(motion.id);
         say(`The motion cannot be shown: ${error.message}`);
@@ -38,13 +71,21 @@ export function createPreview(studio, stage) {
         return;
       }
     }
-    for (const [id, figure] of figures) if (!next.has(id)) figure.dispose();
-    figures = next;
+    for (const [id, figure] of figures) if (next.get(id) !== figure) figure.dispose();
+    [figures, dressed] = [next, shown()];
+    if (dressed !== wanted) return show(store.get()); // some of them are figures of a character that broke
+    wear(history.present.figure);
     stage.show(samples.filter(({ motion }) => next.has(motion.id)).map(({ key, motion }) => ({ key, figure: next.get(motion.id) })), chosen);
     for (const figure of next.values()) figure.paintWay(roomStyle().way);
     label();
     find("stage").setAttribute("aria-busy", "false");
     document.body.dataset.shown = samples.map(({ motion }) => motion.id).join(" ");
+    document.body.dataset.figure = dressed ?? "mannequin";
+  }
+
+  function wear({ materials }) {
+    for (const figure of figures.values()) figure.wear?.(materials);
+    stage.refresh();
   }
 
   // A server that began anew knows the motion no more.
@@ -86,7 +127,12 @@ export function createPreview(studio, stage) {
     studio.remember(studio.present(), [sample], sample.key);
   }
 
-  watch(store, ({ samples, chosen }) => [samples, chosen], show);
+  watch(store, ({ samples, chosen, characters, history }) => [samples, chosen, characters, history.present.figure.character], (state) => {
+    for (const { id } of state.characters) if (!known.has(id)) broken.delete(id); // its file was added again
+    known = new Set(state.characters.map(({ id }) => id));
+    show(state);
+  });
+  watch(store, ({ history }) => [history.present.figure.materials], ({ history }) => wear(history.present.figure));
   watch(store, ({ favourites, samples, chosen }) => [favourites, samples, chosen], label);
   new ResizeObserver(label).observe(find("stage"));
   return { nameOf, stageOf, pin, useFavourite };

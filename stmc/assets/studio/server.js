@@ -68,6 +68,14 @@ export const writeTimeline = async (timeline, format) =>
 export const uploadMotion = (file) =>
   json("/api/motions", { method: "POST", headers: { "X-Filename": encodeURIComponent(file.name) }, body: file });
 
+export const listCharacters = async () => (await json("/api/characters")).characters;
+export const addCharacter = async (file) =>
+  (await json("/api/characters", { method: "POST", headers: { "X-Filename": encodeURIComponent(file.name) }, body: file })).character;
+export const deleteCharacter = (id) => answered(`/api/characters/${encodeURIComponent(id)}`, unsafe("DELETE"));
+const bytes = async (path) => (await answered(path)).arrayBuffer();
+export const characterFile = (id) => bytes(`/api/characters/${encodeURIComponent(id)}`);
+export const posesFile = (id, motion) => bytes(`/api/characters/${encodeURIComponent(id)}/poses/${encodeURIComponent(motion)}`);
+
 export const motionFile = async (id, extension, settings = {}) => {
   const query = new URLSearchParams(settings).toString();
   return (await answered(`/api/motions/${encodeURIComponent(id)}.${extension}${query && "?" + query}`)).blob();

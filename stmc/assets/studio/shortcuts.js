@@ -33,6 +33,7 @@ export const HELP = [
     ["Ctrl + Enter", "generate"],
     ["Escape", "cancel what runs or is drawn"],
     ["F", "the camera follows, or stays"],
+    ["P", "pull the pose by hands, feet and head"],
     ["?", "this help"],
   ]],
 ];
@@ -129,6 +130,7 @@ export function listenToShortcuts(studio, player, work, tracks, page) {
     o: () => border("end"),
     x: () => store.set({ span: null }),
     f: page.toggleFollow,
+    p: page.togglePull,
     "+": () => tracks.zoomBy(1.3),
     "-": () => tracks.zoomBy(1 / 1.3),
     "?": page.help,
@@ -166,7 +168,7 @@ export function listenToShortcuts(studio, player, work, tracks, page) {
   }
 
   document.addEventListener("keydown", (event) => {
-    if (document.querySelector("dialog[open]")) return;
+    if (document.querySelector("dialog[open], :popover-open")) return;
     const undoing = (event.ctrlKey || event.metaKey) && event.key === "Enter";
     if (typing(event.target) && event.key === "Escape" && !event.isComposing) return leave(event.target);
     if (typing(event.target) && !undoing) return;

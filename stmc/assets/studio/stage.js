@@ -1,22 +1,24 @@
 // The room: figures side by side over a floor, one camera for all, and marks of constraints to draw and to drag.
 // Knows figures, times and places (metres; x, y and z as glTF has them, y up); knows no server and no document.
 
-import {
-  Color, DirectionalLight, DoubleSide, HemisphereLight, Mesh, PCFSoftShadowMap,
-  PerspectiveCamera, Plane, PlaneGeometry, Raycaster, Scene, ShaderMaterial, ShadowMaterial, Vector2, Vector3, WebGLRenderer,
-} from "./vendor/three.module.min.js";
+import { Color, PCFSoftShadowMap, PerspectiveCamera, Plane, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "./vendor/three.module.min.js";
 import { OrbitControls } from "./vendor/OrbitControls.js";
+import { jointOf, spanOf } from "./constraints.js";
 import { createGizmos } from "./gizmos.js";
+import { endOn, gripOn, inOrder, pull } from "./pulling.js";
+import { floorOf, lit } from "./room.js";
 
 const HEIGHT = 0.9; // metres above the floor that the camera looks at
+const TALL = 1.8; // metres of a figure that the camera sees from there; from farther away if it is taller
 const SIDE = [2.6, 1.0, 4.2]; // metres from there to the camera
 const ROOM = 1.02; // of the picture for what is within bounds
 const FARTHEST = 40; // metres
 const fovOf = (width, height) => (width < height ? 40 : 32); // degrees
 const FLOOR = new Plane(new Vector3(0, 1, 0), 0);
+const MOVED = 0.01; // metres from which on a hand has pulled rather than clicked
 
-// `tell`: {drawn(points), moved(id, point, finished), chosen(id)}, what the hand does in the room; null: nothing but to
-// turn the camera.
+// `tell`: {drawn(points), moved(id, point, finished), chosen(id), pulled(joint, point, finished)}, what the hand does in
+// the room; null: nothing but to turn the camera.
 export function createStage(host, tell = null) {
   const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
   const renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
@@ -49,7 +51,10 @@ export function createStage(host, tell = null) {
   let stale = true;
   let last = null; // where the followed figure was
   let tool = null; // {kind, points, …} while a hand draws or drags
-  let drawing = false;
+  let drawing = null; // seconds at which a drawn path begins
+  let pulls = new Map(); // joint → {grip, end}: where a hand has pulled them at this time, until another motion comes
+  let marked = [[], null]; // constraints, and the chosen one's id
+  let restore = []; // what undoes them in the figure
   let pictures = 0; // drawn so far
 
   const invalidate = () => (stale = true);
@@ -95,10 +100,13 @@ export function createStage(host, tell = null) {
     if (!stale) return;
     stale = false;
     keepUp();
+    release();
     for (const { figure } of figures) {
       figure.pose(time);
       figure.paint((part) => colours(part, time));
     }
+    if (figures[main]) restore = inOrder(pulls.keys()).map((joint) => pull(figures[main].figure, joint, pulls.get(joint).end));
+    if (marks.grips.any() && figures[main]) marks.grips.place(gripAt, camera);
     renderer.setScissorTest(false);
     renderer.clear(); // the cells need not fill the stage
     renderer.setScissorTest(true);
@@ -124,9 +132,33 @@ export function createStage(host, tell = null) {
     light.target.updateMatrixWorld();
     floor.centre(here);
     marks.at(time, here);
+    marks.grips.seen(index === main && figures.length > 0);
     renderer.render(scene, camera);
     camera.position.sub(shift);
     camera.updateMatrixWorld();
+  }
+
+  function release() {
+    restore.reverse().forEach((act) => act());
+    restore = [];
+  }
+
+  const gripAt = (joint) => pulls.get(joint)?.grip.clone() ?? gripOn(figures[main].figure, joint);
+
+  // From where our body has a joint at a time to where the figure that is shown has its grip, and the end of its limb.
+  function shiftsAt(joint, seconds) {
+    const figure = figures[main]?.figure;
+    if (!figure?.joints.has(joint)) return { shift: new Vector3(), end: new Vector3() };
+    release();
+    figure.pose(seconds);
+    figure.group.updateMatrixWorld(true);
+    const ours = figure.joints.get(joint).getWorldPosition(new Vector3());
+    return { shift: gripOn(figure, joint).sub(ours), end: endOn(figure, joint).sub(ours) };
+  }
+
+  function mark() {
+    marks.show(...marked, (constraint) => shiftsAt(jointOf(constraint), spanOf(constraint, Infinity).start).shift);
+    invalidate();
   }
 
   // ---- the hand -------------------------------------------------------------------------------------------------------
@@ -143,22 +175,39 @@ export function createStage(host, tell = null) {
 
   function down(event) {
     if (event.button || !tell) return;
-    if (drawing) {
-      tool = { kind: "path", points: [] };
-    } else {
-      const id = marks.hit(aim(event));
-      if (id === null) return;
-      const point = marks.place(id);
-      const away = camera.getWorldDirection(new Vector3());
-      tool = { kind: "target", id, plane: new Plane().setFromNormalAndCoplanarPoint(away, point), point };
-      tell.chosen(id);
-    }
+    tool = drawing === null ? gripped(aim(event)) : { kind: "path", points: begun() };
+    if (!tool) return;
     controls.enabled = false;
     renderer.domElement.setPointerCapture(event.pointerId);
     move(event);
   }
 
+  // A path that is drawn begins at the figure.
+  function begun() {
+    const place = figures[main]?.figure.placed(drawing);
+    return place ? [[place.x, -place.z]] : [];
+  }
+
+  // What a ray takes hold of: a joint of the pose, or the place of a constraint.
+  function gripped(caster) {
+    const joint = figures.length ? marks.grips.hit(caster) : null;
+    const id = joint === null ? marks.hit(caster) : null;
+    if (joint === null && id === null) return null;
+    const start = joint === null ? marks.target(id).mark.position.clone() : gripAt(joint);
+    const { shift, end } = joint === null ? marks.target(id) : shiftsAt(joint, time);
+    const plane = new Plane().setFromNormalAndCoplanarPoint(camera.getWorldDirection(new Vector3()), start);
+    if (id !== null) tell.chosen(id);
+    const off = caster.ray.intersectPlane(plane, new Vector3()).sub(start).add(shift);
+    return { kind: joint === null ? "target" : "pose", id, joint, plane, shift, end, off, point: start.clone().sub(shift) };
+  }
+
+  function hover(event) {
+    const over = !event.buttons && drawing === null && marks.grips.any() && figures.length > 0 && marks.grips.hit(aim(event)) !== null;
+    renderer.domElement.classList.toggle("gripping", over || tool?.kind === "pose");
+  }
+
   function move(event) {
+    if (tell) hover(event);
     if (!tool) return;
     const point = aim(event).ray.intersectPlane(tool.kind === "path" ? FLOOR : tool.plane, new Vector3());
     if (!point || point.length() > 100) return;
@@ -166,20 +215,28 @@ export function createStage(host, tell = null) {
       tool.points.push([point.x, -point.z]);
       marks.sketch(tool.points);
     } else {
-      tool.point = point;
-      tell.moved(tool.id, [point.x, -point.z, point.y], false);
+      point.sub(tool.off).setY(Math.max(0, point.y));
+      if (!tool.dragged && point.distanceTo(tool.point) < MOVED) return;
+      Object.assign(tool, { point, dragged: true });
+      if (tool.kind === "pose") pulls.set(tool.joint, { grip: point.clone().add(tool.shift), end: point.clone().add(tool.end) });
+      said(tool, false);
     }
     invalidate();
   }
 
+  function said({ kind, id, joint, point: { x, y, z } }, finished) {
+    if (kind === "pose") tell.pulled(joint, [x, -z, y], finished);
+    else tell.moved(id, [x, -z, y], finished);
+  }
+
   function up() {
     if (!tool) return;
-    const { kind, points, id, point } = tool;
+    const done = tool;
     tool = null;
     controls.enabled = true;
     marks.sketch([]);
-    if (kind === "path") tell.drawn(points);
-    else tell.moved(id, [point.x, -point.z, point.y], true);
+    if (done.kind === "path") tell.drawn(done.points);
+    else if (done.dragged) said(done, true);
     invalidate();
   }
 
@@ -187,15 +244,17 @@ export function createStage(host, tell = null) {
   renderer.domElement.addEventListener("pointermove", move);
   for (const end of ["pointerup", "pointercancel"]) renderer.domElement.addEventListener(end, up);
 
+  const larger = () => Math.max(1, (figures[main]?.figure.height ?? 0) / TALL);
+
   function reset() {
-    fit(new Vector3(...SIDE).applyAxisAngle(new Vector3(0, 1, 0), turn));
+    fit(new Vector3(...SIDE).multiplyScalar(larger()).applyAxisAngle(new Vector3(0, 1, 0), turn));
   }
 
   // The camera `away` from where it looks, and as far as it takes to see all of the bounds in any view.
   function fit(away) {
     const here = figures[main]?.figure.followed(time) ?? new Vector3();
     const { x, z } = bounds?.middle ?? here;
-    controls.target.set(x, bounds?.height ?? HEIGHT, z);
+    controls.target.set(x, bounds?.height ?? HEIGHT * larger(), z);
     if (bounds) {
       const { width, height } = cells()[0];
       const half = (fovOf(width, height) * Math.PI) / 360;
@@ -215,18 +274,22 @@ export function createStage(host, tell = null) {
     // [{key, figure}] in the order of their views; `chosen` is the one that the camera follows.
     show(next, chosen) {
       const arrived = !figures.length && next.length;
+      release();
+      pulls = new Map();
       for (const { group } of figures.map(({ figure }) => figure)) scene.remove(group);
       figures = next;
       for (const { figure } of figures) scene.add(figure.group);
       main = Math.max(0, figures.findIndex(({ key }) => key === chosen));
       last = figures.length ? figures[main].figure.followed(time) : null;
       if (arrived || follows) reset();
-      invalidate();
+      mark();
     },
     at(seconds) {
+      if (seconds !== time) pulls = new Map();
       time = seconds;
       invalidate();
     },
+    refresh: invalidate,
     colour(next) {
       colours = next;
       invalidate();
@@ -240,13 +303,19 @@ export function createStage(host, tell = null) {
       [bounds, turn] = [next, side];
       reset();
     },
-    draw(on) {
-      drawing = on;
-      renderer.domElement.classList.toggle("drawing", on);
+    // A path that begins at so many seconds (null: none) is drawn by hand.
+    draw(seconds) {
+      drawing = seconds;
+      renderer.domElement.classList.toggle("drawing", seconds !== null);
+    },
+    // The joints by which the pose can be pulled.
+    grip(joints) {
+      marks.grips.show(joints);
+      invalidate();
     },
     mark(constraints, chosen) {
-      marks.show(constraints, chosen);
-      invalidate();
+      marked = [constraints, chosen];
+      mark();
     },
     // Where a joint of the chosen figure is (x, y and z with z up), or null.
     joint(name) {
@@ -272,55 +341,6 @@ export function createStage(host, tell = null) {
       const [left, top] = [cell.x + (cell.width - side) / 2, cell.y + (cell.height - side) / 2];
       canvas.getContext("2d").drawImage(renderer.domElement, left * ratio, top * ratio, side * ratio, side * ratio, 0, 0, width, width);
       return canvas.toDataURL("image/jpeg", 0.8);
-    },
-  };
-}
-
-function lit(scene) {
-  scene.add(new HemisphereLight(0xffffff, 0xa9adb8, 2.1));
-  const light = new DirectionalLight(0xffffff, 2.0);
-  light.castShadow = true;
-  light.shadow.mapSize.set(1024, 1024);
-  Object.assign(light.shadow.camera, { left: -2, right: 2, top: 2, bottom: -2, near: 0.5, far: 12 });
-  light.shadow.radius = 5;
-  light.shadow.bias = -0.0005;
-  scene.add(light, light.target);
-  return light;
-}
-
-// Half-metre tiles that fade away from where the figure is; every other line is a metre's.
-function floorOf(scene) {
-  const lines = new ShaderMaterial({
-    transparent: true,
-    depthWrite: false,
-    side: DoubleSide,
-    uniforms: { ink: { value: new Color() }, middle: { value: new Vector2() } },
-    vertexShader: `varying vec2 place;
-      void main() { vec4 world = modelMatrix * vec4(position, 1.0); place = world.xz; gl_Position = projectionMatrix * viewMatrix * world; }`,
-    fragmentShader: `varying vec2 place; uniform vec3 ink; uniform vec2 middle;
-      float lines(float tile) { vec2 at = place / tile; vec2 near = abs(fract(at - 0.5) - 0.5) / fwidth(at); return 1.0 - min(min(near.x, near.y), 1.0); }
-      void main() {
-        float fade = 1.0 - smoothstep(1.5, 9.0, length(place - middle));
-        gl_FragColor = vec4(ink, fade * (0.55 * lines(1.0) + 0.22 * lines(0.5)));
-        #include <colorspace_fragment>
-      }`,
-  });
-  const grid = new Mesh(new PlaneGeometry(18, 18), lines);
-  const shade = new Mesh(new PlaneGeometry(6, 6), new ShadowMaterial({ opacity: 0.22 })); // as far as shadows reach
-  shade.receiveShadow = true;
-  for (const plane of [grid, shade]) {
-    plane.rotation.x = -Math.PI / 2;
-    scene.add(plane);
-  }
-  shade.position.y = 0.001;
-  return {
-    centre({ x, z }) {
-      for (const plane of [grid, shade]) plane.position.set(x, plane.position.y, z);
-      lines.uniforms.middle.value.set(x, z);
-    },
-    theme({ line, shadow }) {
-      lines.uniforms.ink.value.set(line);
-      shade.material.opacity = shadow;
     },
   };
 }

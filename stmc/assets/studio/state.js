@@ -4,6 +4,7 @@
 export const SHORTEST = 0.1; // seconds of the shortest prompt
 export const GRID = 0.1; // seconds
 export const MOST_SAMPLES = 4;
+export const MATERIALS = ["prompts", "own"]; // what a character wears: the colours of prompts, or its own materials
 export const PARTS = ["left arm", "right arm", "legs", "head", "spine"];
 
 export const rounded = (seconds) => Math.round(seconds * 1000) / 1000;
@@ -21,6 +22,7 @@ export function emptyDocument(name = UNTITLED) {
     constraints: [],
     locks: { parts: [], spans: [], gaps: false },
     seeds: [0],
+    figure: { character: null, materials: "prompts" }, // who moves: {id, name} of a character, or null: the mannequin
     settings: { clean_feet: true }, // of a request, as the server names them; what is not here is the model's own
   };
 }
@@ -156,6 +158,10 @@ const EDITS = {
   set(document, { name, value }) {
     return { ...document, settings: { ...document.settings, [name]: value } };
   },
+  wear(document, { change }) {
+    const figure = { ...document.figure, ...change };
+    return JSON.stringify(figure) === JSON.stringify(document.figure) ? document : { ...document, figure };
+  },
   // Another timeline in place of this one.
   open(document, { timeline }) {
     return documentOfTimeline(timeline);
@@ -238,6 +244,9 @@ export function problems(document) {
     if (freeTrack(document.prompts, one, one.track) !== one.track) found.push(`${one.id}: shares its track and time`);
   if (arranged(document.prompts).some((prompt, index) => prompt !== document.prompts[index])) found.push("not in order");
   if (new Set(document.prompts.map(({ colour }) => colour)).size < document.prompts.length) found.push("a colour is shared");
+  const { character, materials } = document.figure;
+  if (!MATERIALS.includes(materials)) found.push("the materials are unknown");
+  if (character && !(/^[\w-]{1,40}$/.test(character.id) && typeof character.name === "string")) found.push("the character is invalid");
   const { spans } = document.locks;
   if (JSON.stringify(merged(spans)) !== JSON.stringify(spans)) found.push("locked spans overlap");
   return found;
@@ -248,7 +257,8 @@ export function restored(data) {
   try {
     const { cleanFeet, ...rest } = data; // pages of before had this one setting, and no others
     const settings = { ...emptyDocument().settings, ...(cleanFeet === undefined ? {} : { clean_feet: cleanFeet }), ...data.settings };
-    const document = { ...emptyDocument(), ...rest, settings, locks: { ...emptyDocument().locks, ...data.locks } };
+    const figure = { ...emptyDocument().figure, ...data.figure };
+    const document = { ...emptyDocument(), ...rest, figure, settings, locks: { ...emptyDocument().locks, ...data.locks } };
     return problems(document).length ? null : document;
   } catch {
     return null;

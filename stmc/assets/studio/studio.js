@@ -23,6 +23,7 @@ export function createStore(initial) {
 
 export const INITIAL = {
   model: null,
+  characters: [], // that the server has: [{id, name, formats}]
   id: null, // of the document
   history: historyOf(emptyDocument()),
   check: null, // what the server says of the timeline, by the prompts' ids
@@ -31,6 +32,7 @@ export const INITIAL = {
   draft: null, // a prompt without a text as yet: {start, end, track}
   span: null, // {start, end}
   constraint: null, // the chosen constraint's id
+  pulling: false, // whether the pose at the cursor is to be pulled
   drawing: false, // or the kind of constraint whose line is drawn on the floor
   samples: [], // [{key, seed, steps, motion, demands, asked, varied}]
   chosen: null, // the key of the sample that is kept and exported
@@ -65,6 +67,11 @@ export function createStudio() {
     present,
     selected: () => promptOf(present(), store.get().selected),
     chosen: () => store.get().samples.find(({ key }) => key === store.get().chosen) ?? null,
+    // The character that moves, null for the mannequin; as the server describes it where it is stored.
+    worn() {
+      const { character } = present().figure;
+      return character && (store.get().characters.find(({ id }) => id === character.id) ?? { ...character, missing: true });
+    },
     duration: () => Math.max(duration(present()), studio.chosen()?.motion.duration ?? 0),
     gesture: () => `g${++gestures}`,
     edit: (edit, gesture = null) => turn(done(store.get().history, edit, gesture)),
@@ -91,7 +98,8 @@ export function createStudio() {
     },
     // Another document from its content; its history begins anew.
     load(document, rest) {
-      store.set({ ...INITIAL, model: store.get().model, auto: store.get().auto, ...rest, history: historyOf(document) });
+      const { model, characters } = store.get();
+      store.set({ ...INITIAL, model, characters, auto: store.get().auto, ...rest, history: historyOf(document) });
       if (rest.samples?.length) results.set(document, { samples: rest.samples, chosen: rest.chosen });
     },
   };

@@ -3,6 +3,7 @@
 Depends on files and rigs; the kinematics are in `motion.retargeting`.
 """
 
+from stmc.formats.characters.character_poses import stage_poses
 from stmc.formats.characters.characters import (
     Character,
     CharacterMotion,
@@ -23,4 +24,5 @@ __all__ = [
     "read_character",
     "retarget",
     "skeleton_keys",
+    "stage_poses",
 ]

@@ -111,7 +111,7 @@ class GltfRig:
         The animation has the rotations of the driven nodes and the position of the pelvis. Everything else is
         unchanged, except that the matrix of a driven node is split into translation, rotation and scale.
         """
-        rotations, pelvis = self._local(motion, standing)
+        rotations, pelvis = self.local_pose(motion, standing)
         times = (np.arange(len(pelvis)) / motion.fps).astype("<f4")
         pelvis_node = motion.rig.joints["pelvis"]
         tracks = [(pelvis_node, "translation", pelvis), *((n, "rotation", r) for n, r in rotations.items())]
@@ -124,7 +124,7 @@ class GltfRig:
         ]
         return with_animation(replace(self.gltf, document=document), *made).to_glb()
 
-    def _local(self, motion: RigMotion, standing: Standing) -> tuple[dict[int, np.ndarray], np.ndarray]:
+    def local_pose(self, motion: RigMotion, standing: Standing) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """Return quaternions x y z w of each driven node, and positions of the pelvis, in their parents' frames."""
         rig = motion.rig
         turn = standing.turn

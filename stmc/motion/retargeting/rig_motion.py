@@ -44,6 +44,8 @@ class RigMotion:
     spread: Float[Tensor, "driven 3 3"]
     """The turns that bring the rest pose to our T-pose."""
     fps: float | int
+    scale: float
+    """The length of the rig's legs, in its unit, per metre of ours."""
     curves: HingeCurves | None = None
     """The angles of a robot's hinges, which turns and places follow; None if the rig has no hinges."""
 
@@ -68,7 +70,7 @@ def transfer(motion: Motion, rig: Rig) -> RigMotion:
     target, spread = _turned(sized, source)
     target = keep_feet(source, target, sized, spread, motion.fps)
     target = keep_hands(source, target, sized, spread)
-    moved = RigMotion(rig, target.turns, target.places * scale, spread, motion.fps)
+    moved = RigMotion(rig, target.turns, target.places * scale, spread, motion.fps, scale)
     return moved if rig.linkage is None else _hinged(moved)
 
 

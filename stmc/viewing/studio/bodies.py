@@ -30,6 +30,9 @@ FARTHEST = 10_000
 STAGES = ("preview", "full")
 """Names of the stages of a job."""
 
+RECEIVED = (".glb", ".gltf", ".vrm")
+"""Files of characters that the studio takes: those with a mesh to show."""
+
 LEAST_FPS, MOST_FPS = 1, 240
 """Frame rates of exported motions."""
 
@@ -132,6 +135,7 @@ class ExportQuery:
     )
     loop: Literal[0, 1] = setting(0, "1: a loop, without timeline and constraints")
     timeline: Timeline | None = setting(None, "timeline of the motion, for formats that hold it")
+    character: str | None = setting(None, "id of a character, for formats that show it")
     constraints: dict | None = setting(None, 'constraints to draw on a page: {"constraints": [...]}')
 
 

@@ -32,6 +32,7 @@ _MOTIONS = {"type": "array", "items": {"type": "string"}, "maxItems": MOST_SEEDS
 _PARTS = {
     "name": "name of the thing, from another request",
     "kind": "format of the file",
+    "motion": "id of a stored motion",
 }
 """Descriptions of the parts of paths."""
 

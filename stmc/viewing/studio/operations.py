@@ -6,7 +6,7 @@ knows records and typed dictionaries; it knows no models.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -15,14 +15,14 @@ from urllib.parse import unquote
 from starlette.requests import Request
 
 from stmc.formats import READABLE
-from stmc.viewing.exports import EXPORTS
+from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS
 from stmc.viewing.studio import bodies, responses
-from stmc.viewing.studio.bodies import read_body, read_query, rest_names, rest_of
+from stmc.viewing.studio.bodies import RECEIVED, read_body, read_query, rest_names, rest_of
 from stmc.viewing.studio.json_schemas import Schema, Schemas
 from stmc.viewing.studio.request_errors import read_object
 
 MOST_UPLOAD = 32 * 2**20
-"""Maximum size of an uploaded motion in bytes."""
+"""Maximum size of an uploaded motion or character in bytes."""
 
 Method = Literal["GET", "POST", "PUT", "DELETE"]
 
@@ -129,17 +129,19 @@ class FileBody:
     """The bytes of a file, whose name is in the header `X-Filename`."""
 
     about: str
+    default: str
+    """Name of a file that is sent without one."""
     most: int | None = MOST_UPLOAD
 
     async def read(self, request: Request) -> tuple[Any, ...]:
-        """Return the suffix of the file's name, `.npz` without a name, and the bytes."""
-        suffix = Path(unquote(request.headers.get("x-filename", "motion.npz"))).suffix.lower()
-        return suffix, await request.body()
+        """Return the file's name and its bytes."""
+        return Path(unquote(request.headers.get("x-filename", self.default))).name, await request.body()
 
     def describe(self, schemas: Schemas) -> Schema:
         """Return the header and the body."""
         name = {"name": "X-Filename", "in": "header", "required": False, "schema": {"type": "string"}}
-        name |= {"description": "name of the file, percent-encoded; its suffix is the format, by default .npz"}
+        suffix = Path(self.default).suffix
+        name |= {"description": f"name of the file, percent-encoded; its suffix is the format, by default {suffix}"}
         content: Schema = {"application/octet-stream": {}}
         return {"parameters": [name], "requestBody": {"required": True, "description": self.about, "content": content}}
 
@@ -218,8 +220,10 @@ _PERSON = {
     ],
 }  # fmt: skip
 _NO_MOTION = {404: "there is no such motion"}
+_NO_CHARACTER = {404: "there is no such character or motion"}
 _NO_JOB = {404: "there is no such job"}
 _NO_DOCUMENT = {404: "there is no such document"}
+GLTF = "model/gltf-binary"
 _PYTHON = ("text/x-python",)
 _EVENTS = {
     "progress": responses.ProgressEvent,
@@ -228,6 +232,11 @@ _EVENTS = {
     "failed": responses.FailedEvent,
     "cancelled": responses.Nothing,
 }
+
+
+def _upload(suffixes: Sequence[str]) -> str:
+    return f"a {' or a '.join(suffixes)} file, {MOST_UPLOAD // 2**20} MiB at most"
+
 
 OPERATIONS: tuple[Operation, ...] = (
     Operation(
@@ -279,16 +288,45 @@ OPERATIONS: tuple[Operation, ...] = (
     Operation(
         method="POST", path="/api/motions", handler="receive", topic="Motions", status=201,
         summary="Upload a motion",
-        takes=FileBody(f"a {' or a '.join(each.suffix for each in READABLE)} file, {MOST_UPLOAD // 2**20} MiB at most"),
+        takes=FileBody(_upload([each.suffix for each in READABLE]), "motion.npz"),
         gives=JsonOutput(responses.StoredMotion),
     ),
     Operation(
         method="GET", path="/api/motions/{name}.{kind}", handler="export", topic="Motions",
         summary="Export a motion",
-        about=f"`kind` is one of {', '.join(each.name for each in EXPORTS)}.",
+        about=f"`kind` is one of {', '.join(each.name for each in EXPORTS)}; with a character, also of its formats.",
         takes=JsonQuery(bodies.ExportQuery),
-        gives=FileOutput(tuple(dict.fromkeys(each.media_type for each in EXPORTS))),
+        gives=FileOutput(tuple(dict.fromkeys(each.media_type for each in (*EXPORTS, *CHARACTER_EXPORTS)))),
         refusals=_NO_MOTION | {429: "another film is being rendered", 501: "a package is missing"},
+    ),
+    Operation(
+        method="GET", path="/api/characters", handler="list_characters", topic="Characters",
+        summary="List the characters",
+        gives=JsonOutput(responses.CharacterList),
+    ),
+    Operation(
+        method="POST", path="/api/characters", handler="receive_character", topic="Characters", status=201,
+        summary="Upload a character",
+        about="The same file is stored once. See the page on characters for what is read and refused.",
+        takes=FileBody(_upload(RECEIVED), "character.glb"),
+        gives=JsonOutput(responses.StoredCharacter), refusals={507: "there are too many characters"},
+    ),
+    Operation(
+        method="GET", path="/api/characters/{name}", handler="send_character", topic="Characters",
+        summary="Read the file of a character",
+        gives=FileOutput((GLTF,)), refusals=_NO_CHARACTER,
+    ),
+    Operation(
+        method="GET", path="/api/characters/{name}/poses/{motion}", handler="pose_character", topic="Characters",
+        summary="Move a character as a stored motion",
+        about="A `.glb` file without a mesh, for players that hold the character's file: a node `n12` turns as the "
+        "file's node 12, a node of each of our joints has its position, and `stage` brings the character to our size.",
+        gives=FileOutput((GLTF,)), refusals=_NO_CHARACTER,
+    ),
+    Operation(
+        method="DELETE", path="/api/characters/{name}", handler="delete_character", topic="Characters",
+        summary="Delete a character",
+        gives=JsonOutput(responses.Nothing), refusals=_NO_CHARACTER,
     ),
     Operation(
         method="POST", path="/api/map", handler="map_skeleton", topic="Skeletons",

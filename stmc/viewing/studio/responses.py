@@ -199,6 +199,33 @@ class ContentEntry(TypedDict):
     examples: list[str]
 
 
+class CharacterEntry(TypedDict):
+    """A stored character."""
+
+    id: Annotated[str, "its name for other requests"]
+    name: Annotated[str, "its file's name, without the suffix"]
+    formats: Annotated[list[FormatEntry], "formats of exported motions with the character"]
+
+
+class StoredCharacter(TypedDict):
+    """The character of an uploaded file."""
+
+    character: CharacterEntry
+
+
+class CharacterList(TypedDict):
+    """All characters, the last added first."""
+
+    characters: list[CharacterEntry]
+
+
+class CharacterLimits(TypedDict):
+    """Files that are characters."""
+
+    receives: Annotated[list[str], "suffixes"]
+    most: Annotated[int, "largest file in bytes"]
+
+
 class ExampleEntry(TypedDict):
     """A timeline to begin with."""
 
@@ -234,6 +261,7 @@ class ModelData(TypedDict):
     contents: Annotated[list[ContentEntry], "actions that the model knows"]
     formats: Annotated[list[FormatEntry], "formats of exported motions"]
     receives: Annotated[list[str], "suffixes of uploaded motions"]
+    characters: Annotated[CharacterLimits, "files of uploaded characters"]
     examples: list[ExampleEntry]
     limits: LimitData
     steps: StepData

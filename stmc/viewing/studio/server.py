@@ -36,11 +36,12 @@ from stmc.run.suggestions import suggester, with_suggestions
 from stmc.text import Cached, TextEncoder
 from stmc.text.vocabulary import Content, Sentence, sentence_encoder
 from stmc.timeline import Timeline
-from stmc.viewing.exports import EXPORTS
+from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS
 from stmc.viewing.studio.api_page import render_api
 from stmc.viewing.studio.auth import AccessControl, error_response
 from stmc.viewing.studio.bodies import (
     MOST_SEEDS,
+    RECEIVED,
     DocumentBody,
     ExportQuery,
     JobBody,
@@ -52,6 +53,7 @@ from stmc.viewing.studio.bodies import (
     WriteBody,
     check_bounds,
 )
+from stmc.viewing.studio.character_storage import Characters
 from stmc.viewing.studio.documents_json import (
     MOST_PROMPTS,
     MOST_SECONDS,
@@ -63,7 +65,7 @@ from stmc.viewing.studio.documents_json import (
 )
 from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
 from stmc.viewing.studio.openapi import openapi_document
-from stmc.viewing.studio.operations import OPERATIONS, PUBLIC, UPLOADS, Operation
+from stmc.viewing.studio.operations import GLTF, MOST_UPLOAD, OPERATIONS, PUBLIC, UPLOADS, Operation
 from stmc.viewing.studio.request_errors import RequestError, request_error, take
 from stmc.viewing.studio.responses import ContentEntry, ModelData, SkeletonMotion
 from stmc.viewing.studio.sessions import Sessions
@@ -74,7 +76,7 @@ logger = logging.getLogger(__name__)
 
 ASSETS = Path(str(files("stmc") / "assets"))
 
-TYPES = {each.name: each.media_type for each in EXPORTS}
+TYPES = {each.name: each.media_type for each in (*EXPORTS, *CHARACTER_EXPORTS)}
 
 Handler = Callable[..., Awaitable[Response]]
 
@@ -100,7 +102,8 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
     if isinstance(encoder, TextEncoder) and not isinstance(encoder, Cached):
         model = dataclasses.replace(model, text_encoder=Cached(encoder, private_folder(folder / "texts")))
     documents = Documents(folder / "documents")
-    answers = Answers(model, Motions(folder / "motions", documents.texts), documents, sessions, steps)
+    motions, characters = Motions(folder / "motions", documents.texts), Characters(folder / "characters")
+    answers = Answers(model, motions, documents, characters, sessions, steps)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -154,9 +157,15 @@ class Answers:
     """Handlers of the addresses."""
 
     def __init__(
-        self, model: Model, motions: Motions, documents: Documents, sessions: Sessions, steps: int | None
+        self,
+        model: Model,
+        motions: Motions,
+        documents: Documents,
+        characters: Characters,
+        sessions: Sessions,
+        steps: int | None,
     ) -> None:
-        self.model, self.motions, self.documents = model, motions, documents
+        self.model, self.motions, self.documents, self.characters = model, motions, documents, characters
         self.stages = stages_by_quality(model.sampling.steps, steps or model.sampling.steps or FULL_STEPS)
         self.sessions, self.api = sessions, openapi_document(OPERATIONS, stmc.__version__)
         self._retargeting = Lock()
@@ -209,9 +218,9 @@ class Answers:
         kind, content = body.format, await run_in_threadpool(write_timeline, body.timeline, body.format)
         return _attached(content.encode(), f"timeline.{kind}", "application/json" if kind == "json" else "text/plain")
 
-    async def receive(self, kind: str, content: bytes) -> Response:
+    async def receive(self, filename: str, content: bytes) -> Response:
         """Store an uploaded motion, in the format of the file's suffix."""
-        name = await run_in_threadpool(self.motions.received, content, kind)
+        name = await run_in_threadpool(self.motions.received, content, Path(filename).suffix.lower())
         return JSONResponse({"motion": self.motions.told(name)}, 201)
 
     async def export(self, query: ExportQuery, name: str, kind: str) -> Response:
@@ -221,7 +230,31 @@ class Answers:
 
     def _exported(self, query: ExportQuery, name: str, kind: str) -> bytes:
         demands = [] if query.constraints is None else self._constraints(query.constraints)
-        return self.motions.exported(name, kind, query.timeline, query.fps, query.loop == 1, demands)
+        character = None if query.character is None else self.characters.get(query.character)
+        return self.motions.exported(name, kind, query.timeline, query.fps, query.loop == 1, demands, character)
+
+    async def list_characters(self) -> Response:
+        """List all characters."""
+        return JSONResponse({"characters": await run_in_threadpool(self.characters.all)})
+
+    async def receive_character(self, filename: str, content: bytes) -> Response:
+        """Store an uploaded character."""
+        name = await run_in_threadpool(self.characters.received, content, filename)
+        return JSONResponse({"character": self.characters.told(name)}, 201)
+
+    async def send_character(self, name: str) -> Response:
+        """Send a character's file as it was uploaded."""
+        return Response(await run_in_threadpool(self.characters.content, name), media_type=GLTF)
+
+    async def pose_character(self, name: str, motion: str) -> Response:
+        """Send a character's poses in a motion, without its mesh."""
+        content = await run_in_threadpool(lambda: self.characters.poses(name, motion, self.motions.get(motion)))
+        return Response(content, media_type=GLTF)
+
+    async def delete_character(self, name: str) -> Response:
+        """Delete a character."""
+        await run_in_threadpool(self.characters.delete, name)
+        return JSONResponse({})
 
     async def map_skeleton(self, body: SkeletonBody) -> Response:
         """Find the joints of a skeleton."""
@@ -292,6 +325,7 @@ class Answers:
             "contents": _actions({} if known is None else known.examples),
             "formats": [each.describe() for each in EXPORTS],
             "receives": [each.suffix for each in READABLE],
+            "characters": {"receives": list(RECEIVED), "most": MOST_UPLOAD},
             "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],
             "limits": {"duration": MOST_SECONDS, "prompts": MOST_PROMPTS, "samples": MOST_SEEDS},
             "steps": {"preview": self.stages["preview"][-1].steps, "full": self.stages["full"][-1].steps},

@@ -18,13 +18,14 @@ from typing import Any
 
 from stmc.editing.constraints import Constraint
 from stmc.formats import READABLE, read, write
+from stmc.formats.characters import Character
 from stmc.io.bounds import BoundsError, check_metres
 from stmc.io.files import locked, remove_leftovers, write_text
 from stmc.io.untrusted import UnreadableError, load_json, read_text
 from stmc.motion.loops import looped
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
-from stmc.viewing.exports import EXPORTS, FILMS, export
+from stmc.viewing.exports import FILMS, export, exports_of
 from stmc.viewing.studio.documents_json import MOST_SECONDS
 from stmc.viewing.studio.request_errors import RequestError
 
@@ -38,6 +39,9 @@ PRUNE_AFTER = 40
 
 MOST_FILM_FRAMES = 9000
 """Maximum number of frames of a film: five minutes at 30 frames per second."""
+
+MOST_POSES = 2_000_000
+"""Maximum number of frames times moving joints of a character."""
 
 MOST_DOCUMENT = 2**20
 """Maximum size of a document in bytes."""
@@ -59,7 +63,7 @@ def private_folder(folder: Path | str) -> Path:
     return folder
 
 
-def _own_folder(folder: Path | str) -> Path:
+def own_folder(folder: Path | str) -> Path:
     """Make or restrict a folder so that only its owner can read it, and remove leftovers of killed processes."""
     folder = private_folder(folder)
     folder.chmod(0o700)
@@ -94,7 +98,7 @@ class Motions:
     _added: int = field(default=0, repr=False)
 
     def __post_init__(self) -> None:
-        self._folder = _own_folder(self.folder)
+        self._folder = own_folder(self.folder)
 
     def add(self, motion: Motion) -> str:
         """Store a motion and return its name; regularly remove old ones."""
@@ -153,6 +157,7 @@ class Motions:
         fps: float | int | None,
         loop: bool,
         constraints: Sequence[Constraint] = (),
+        character: Character | None = None,
     ) -> bytes:
         """Export a motion as the bytes of a file.
 
@@ -162,13 +167,14 @@ class Motions:
 
         Args:
             name: Name of the motion.
-            kind: Name of a format in `EXPORTS`.
+            kind: Name of a format in `exports_of(character.formats)`.
             timeline: Timeline of the motion, or None; a loop has none, since it has other times.
             fps: Frame rate; None: that of the motion.
             loop: Whether to make the motion a loop.
             constraints: Constraints to draw; a loop has none.
+            character: Character that moves in the formats that it can be written as, or None.
         """
-        names = [each.name for each in EXPORTS]
+        names = [each.name for each in exports_of(() if character is None else character.formats)]
         if kind not in names:
             raise RequestError(404, f"no .{kind}: choose from {', '.join(names)}")
         motion = self.get(name)
@@ -178,7 +184,7 @@ class Motions:
             if f".{kind}" in FILMS:
                 return self._film_of(_at_rate(motion, fps), kind, timeline)
             with self._heavy:
-                return _file_of(_at_rate(motion, fps), kind, timeline, constraints)
+                return _file_of(_at_rate(motion, fps), kind, timeline, constraints, character)
         except RequestError:
             raise
         except (ValueError, OverflowError) as error:
@@ -234,12 +240,28 @@ def _check_bounds(motion: Motion) -> None:
         raise RequestError(422, str(error)) from None
 
 
-def _file_of(motion: Motion, kind: str, timeline: Timeline | None, constraints: Sequence[Constraint] = ()) -> bytes:
+def check_poses(motion: Motion, character: Character) -> None:
+    """Raise `RequestError` for a motion that is too long for a character."""
+    joints = len(character.rig.driven)
+    if motion.frames * joints > MOST_POSES:
+        most = MOST_POSES // joints
+        raise RequestError(422, f"{motion.frames} frames: {most} at most of this character; lower the frame rate")
+
+
+def _file_of(
+    motion: Motion,
+    kind: str,
+    timeline: Timeline | None,
+    constraints: Sequence[Constraint] = (),
+    character: Character | None = None,
+) -> bytes:
+    if character is not None:
+        check_poses(motion, character)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"motion.{kind}"
         try:
             title = timeline.name if timeline else "motion"
-            export(motion, path, timeline, title=title, constraints=constraints)
+            export(motion, path, timeline, character, title=title, constraints=constraints)
         except ModuleNotFoundError as error:
             raise RequestError(501, str(error)) from None
         return path.read_bytes()
@@ -263,7 +285,7 @@ class Documents:
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     def __post_init__(self) -> None:
-        self._folder = _own_folder(self.folder)
+        self._folder = own_folder(self.folder)
 
     def all(self) -> list[dict[str, Any]]:
         """List name, version and time of readable documents, the last changed first."""
