@@ -286,10 +286,9 @@ class Model:
             >>> stmc.load().check(stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"})).steps
             100
         """
-        method = request.resolved_method
-        if method.per_frame_text:
+        if request.resolved_method.per_frame_text:
             self.network.require_per_frame_text()
-        return self.settings(method, **request.sampling.given)
+        return self.settings(request.resolved_method, **request.sampling.given)
 
     @torch.inference_mode()
     def sample(self, request: GenerateRequest, progress: Progress | None = None) -> list[Motion]:
@@ -309,7 +308,6 @@ class Model:
             timelines = tuple(method.baseline(timeline, self.fps, self.longest) for timeline in timelines)
         frames = [timeline.frames(self.fps) for timeline in timelines]
         kept = prepare_kept(request, frames, self.skeleton, self.fps)
-        self.network.eval()
         run = self._run(timelines, request.seeds, sampling, progress or (lambda steps, total: steps))
         if kept or request.constraints:
             parts = (self.representation, self.motion_statistics, self.skeleton, self.fps)
@@ -335,7 +333,6 @@ class Model:
         """
         request = GenerateRequest.read({**STREAMED, **settings, "timelines": timeline, "seeds": seed})
         model = dataclasses.replace(self, text_encoder=Remembered(self.text_encoder))
-        self.network.eval()
         run = model._run((), request.seeds, self.check(request), lambda steps, total: steps)
         return MotionStream(run, request, self.skeleton, self.representation, self._one_shot_texts)
 
@@ -357,11 +354,12 @@ class Model:
             >>> stmc.load().decode(torch.zeros(2, 40, 205), lengths=[20, 40])
             [Motion(20 frames at 20 fps, 1.00 s), Motion(40 frames at 20 fps, 2.00 s)]
         """
-        skeleton = self.skeleton if joints_from == "skeleton" else None
-        rows = zip(self.motion_statistics.restore(features.float().cpu()), lengths, strict=True)
-        return [self.representation.decode(row[:length], self.fps, skeleton) for row, length in rows]
+        decode = partial(self.representation.decode, skeleton=self.skeleton if joints_from == "skeleton" else None)
+        rows = self.motion_statistics.restore(features.float().cpu())
+        return [decode(row[:length], self.fps) for row, length in zip(rows, lengths, strict=True)]
 
     def _run(self, timelines: Sequence[Timeline], seeds: Sequence[int], sampling: Sampling, progress: Progress) -> Run:
+        self.network.eval()
         return Run(
             timelines=timelines, seeds=seeds, sampling=sampling, progress=progress, device=self.device, fps=self.fps,
             schedule=self.schedule, layout=self.representation.layout, statistics=self.motion_statistics,
@@ -383,9 +381,9 @@ class Model:
         """Return the arguments that predictors of crops and of sequences share."""
         guidance = self.own_sampling.guidance if guidance is None else guidance
         assert guidance is not None  # a model has a default of every setting that applies
-        steps = self.schedule.steps
-        start: dict[str, Any] = {} if ape_steps is None else {"absolute_from": round((1 - ape_steps) * steps)}
-        return partial(self._denoise, **start), self.schedule, plans, self._encode(plans), guidance, self.prediction
+        start = None if ape_steps is None else round((1 - ape_steps) * self.schedule.steps)
+        denoise = self._denoise if start is None else partial(self._denoise, absolute_from=start)
+        return denoise, self.schedule, plans, self._encode(plans), guidance, self.prediction
 
     def _encode(self, plans: Sequence[Plan]) -> dict[str, Float[Tensor, "words encoded"]]:
         with self._autocast(self.precision == "bf16"):
@@ -393,8 +391,7 @@ class Model:
             return {text: self.network.encode_text(words[None].to(self.device))[0].float() for text, words in texts}
 
     def _denoise(self, x: Tensor, t: Tensor, *others: Any, **settings: Any) -> Tensor:
-        """Run the network, at the model's own last step in fp32. Later steps remove the rounding of earlier ones, so
-        only that of the last remains; in bf16 it adds two fifths to the mean jerk, and every layer contributes."""
+        """Run the network, the last step in fp32: only its rounding remains, which in bf16 adds two fifths of jerk."""
         last = self.schedule.spaced(self.sampling.steps)[0]
         with self._autocast(self.precision == "bf16" and bool((t > last).any())):
             return self.network.denoise(x, t, *others, **settings)

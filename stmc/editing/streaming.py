@@ -183,8 +183,10 @@ class MotionStream(Iterator[Frame]):
             >>> stmc.load().stream("walk # 0 # 4", steps=1).take(30)
             Motion(30 frames at 20 fps, 1.50 s)
         """
-        poses = zip(*(next(self)[2:] for _ in range(frames)), strict=True)
-        return Motion(*map(torch.stack, poses), self.fps)
+        poses = [next(self) for _ in range(frames)]
+        rotations = torch.stack([pose.rotations for pose in poses])
+        translation = torch.stack([pose.translation for pose in poses])
+        return Motion(rotations, translation, torch.stack([pose.joints for pose in poses]), self.fps)
 
     def _follow(self) -> None:
         """Follow an edit: if it changes what the frames of the block need, the block ends before the next frame."""
@@ -296,8 +298,9 @@ class MotionStream(Iterator[Frame]):
 
 
 def _concatenate(first: Motion, second: Motion) -> Motion:
-    pairs = ((getattr(first, name), getattr(second, name)) for name in ("rotations", "translation", "joints"))
-    return Motion(*map(torch.cat, pairs), first.fps)
+    rotations = torch.cat([first.rotations, second.rotations])
+    translation = torch.cat([first.translation, second.translation])
+    return Motion(rotations, translation, torch.cat([first.joints, second.joints]), first.fps)
 
 
 def _check(request: GenerateRequest, representation: Representation) -> None:

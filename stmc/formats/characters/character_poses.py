@@ -5,6 +5,8 @@ Knows the nodes of glTF and the world in which our motions are shown: metres, y 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -33,7 +35,7 @@ def stage_poses(moved: CharacterMotion, motion: Motion) -> bytes:
     rotations, pelvis = body.local_pose(moved.motion, moved.character.standing)
     driven = list(rotations)
     turn = torch.from_numpy(Z_UP_TO_Y_UP @ moved.character.standing.turn)
-    nodes = [{"name": f"n{body.nodes[node]}", "extras": _extras(rig, node)} for node in driven]
+    nodes: list[dict[str, Any]] = [{"name": f"n{body.nodes[node]}", "extras": _extras(rig, node)} for node in driven]
     nodes += [{"name": joint} for joint in JOINTS]
     scale = 1 / moved.motion.scale
     nodes.append({"name": "stage", "rotation": _quaternion(turn), "scale": [scale] * 3})
