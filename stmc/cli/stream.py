@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from queue import Empty, Queue
 from threading import Event, Thread
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from rich.console import Console
 
@@ -78,11 +78,14 @@ def main(settings: Settings) -> None:
 
 def open_stream(settings: Settings, timelines: list[stmc.Timeline]) -> MotionStream:
     """Load the model and open the stream."""
-    model = stmc.load(settings.model, device=settings.device, precision=settings.precision, trusted=settings.trusted)
-    own = {"seed": settings.seed, "method": settings.method, "clean_feet": settings.clean_feet}
+    precision = cast(Precision, settings.precision)  # one of its choices
+    model = stmc.load(settings.model, device=settings.device, precision=precision, trusted=settings.trusted)
+    own: dict[str, Any] = {"seed": settings.seed, "method": settings.method, "clean_feet": settings.clean_feet}
     sampling = {name: getattr(settings, name) for name in Sampling.__dataclass_fields__}
     own |= {name: value for name, value in sampling.items() if value is not None}
-    return model.stream(*timelines, **own)
+    if timelines:
+        own["timeline"] = timelines[0]
+    return model.stream(**own)
 
 
 def play(settings: Settings, stream: MotionStream, output: Output, console: Console) -> None:

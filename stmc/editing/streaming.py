@@ -184,7 +184,8 @@ class MotionStream(Iterator[Frame]):
             Motion(30 frames at 20 fps, 1.50 s)
         """
         poses = zip(*(next(self)[2:] for _ in range(frames)), strict=True)
-        return Motion(*map(torch.stack, poses), self.fps)
+        rotations, translation, joints = map(torch.stack, poses)
+        return Motion(rotations, translation, joints, self.fps)
 
     def _follow(self) -> None:
         """Follow an edit: if it changes what the frames of the block need, the block ends before the next frame."""
@@ -297,7 +298,8 @@ class MotionStream(Iterator[Frame]):
 
 def _concatenate(first: Motion, second: Motion) -> Motion:
     pairs = ((getattr(first, name), getattr(second, name)) for name in ("rotations", "translation", "joints"))
-    return Motion(*map(torch.cat, pairs), first.fps)
+    rotations, translation, joints = map(torch.cat, pairs)
+    return Motion(rotations, translation, joints, first.fps)
 
 
 def _check(request: GenerateRequest, representation: Representation) -> None:

@@ -28,11 +28,12 @@ class Remembered:
 
     def __call__(self, texts: Sequence[str]) -> tuple[Float[Tensor, "batch words width"], Int[Tensor, " batch"]]:
         """Encode texts; see `TextEncoder`."""
-        known = {text: self._words.pop(text, None) for text in dict.fromkeys(texts)}
-        if missing := [text for text, words in known.items() if words is None]:
+        distinct = dict.fromkeys(texts)
+        known = {text: self._words.pop(text) for text in distinct if text in self._words}
+        if missing := [text for text in distinct if text not in known]:
             rows, lengths = self._encode(missing)
             known |= {text: row[:length] for text, row, length in zip(missing, rows, lengths.tolist(), strict=True)}
-        self._words |= known  # the latest last
+        self._words |= {text: known[text] for text in distinct}  # the latest last
         for text in list(self._words)[: -self._most]:
             del self._words[text]
         return pad([known[text] for text in texts])
