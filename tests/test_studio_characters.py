@@ -159,10 +159,8 @@ def test_mutated_files_are_taken_or_refused_and_what_is_taken_can_be_exported(cl
         if answer.status_code == 201:
             taken += 1
             name = told(answer)["id"]
-            assert client.get(f"/api/motions/{walk}.glb", params={"character": json.dumps(name)}).status_code in (
-                200,
-                422,
-            )
+            settings = {"character": json.dumps(name)}
+            assert client.get(f"/api/motions/{walk}.glb", params=settings).status_code in (200, 422)
             assert client.get(f"/api/characters/{name}/poses/{walk}").status_code in (200, 422)
             client.delete(f"/api/characters/{name}")
     assert 0 < taken < 60
