@@ -60,7 +60,7 @@ export function createActions(studio, tab, say) {
     return answer && !answer.error && answer.document === studio.present() ? answer : null;
   }
 
-  // ---- what is made anew ------------------------------------------------------------------------------------------------
+  // ---- what is regenerated ------------------------------------------------------------------------------------------------
   const length = () => duration(studio.present());
 
   // After an edit: only what it has touched where the motion is not what the seed alone gives; else all.
@@ -78,7 +78,7 @@ export function createActions(studio, tab, say) {
   }
 
   // `wanted(plan)`, with other seeds.
-  function anew(wanted, plan) {
+  function changesOf(wanted, plan) {
     const base = studio.chosen();
     if (!base) return everything(plan);
     return { base, change: unlockedOf(wanted(plan), studio.present(), plan, length()), fresh: true };
@@ -122,7 +122,7 @@ export function createActions(studio, tab, say) {
     if (kind === "motion") return arrived(data, about);
     finish();
     if (kind === "failed") say(server.sentence(data.error), "Try again", () => generate(about.scope));
-    if (kind === "lost") later("generate", AGAIN_AFTER, () => generate(about.scope)); // the server began anew
+    if (kind === "lost") later("generate", AGAIN_AFTER, () => generate(about.scope)); // the server restarted
     if (kind === "done" && next) [next, timers.next] = [null, setTimeout(next)];
   }
 
@@ -153,8 +153,8 @@ export function createActions(studio, tab, say) {
   }
 
   // What is kept of a motion should be its full quality: waits for it where it is on its way.
-  function makeAnew(wanted) {
-    const act = () => generate((plan) => anew(wanted, plan));
+  function regenerate(wanted) {
+    const act = () => generate((plan) => changesOf(wanted, plan));
     if (running !== null && studio.chosen()?.steps === "preview") next = act;
     else act();
   }
@@ -187,8 +187,8 @@ export function createActions(studio, tab, say) {
   return {
     generate: () => generate(),
     cancel,
-    makePromptAnew: (id) => makeAnew((plan) => decidedBy(id, plan)),
-    makeSpanAnew: ({ start, end }) => makeAnew(() => [{ start, end, parts: PARTS }]),
+    regeneratePrompt: (id) => regenerate((plan) => decidedBy(id, plan)),
+    regenerateSpan: ({ start, end }) => regenerate(() => [{ start, end, parts: PARTS }]),
     argued,
   };
 }

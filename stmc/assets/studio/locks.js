@@ -1,4 +1,4 @@
-// What is made anew of a motion: times and body parts that nothing locks, that one prompt decides, or that an edit has
+// The parts of a motion to regenerate: times and body parts that nothing locks, that one prompt decides, or that an edit has
 // touched. Spans are {start, end} in seconds. A `plan` is what the server says of a timeline: `owners`, for each body part
 // [[prompt id or null, start, end], …], and `prompts`, by id, with the body parts that each claims.
 

@@ -272,7 +272,7 @@ async function start() {
 }
 addEventListener("hashchange", () => {
   const id = location.hash.slice(1);
-  if (id.startsWith("token=")) location.reload(); // the address of a studio that was started anew
+  if (id.startsWith("token=")) location.reload(); // the address of a restarted studio
   else if (id && id !== store.get().id) saving.open(id);
 });
 start();

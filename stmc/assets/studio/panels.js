@@ -40,7 +40,7 @@ export function createPromptPanel(studio, player, work, tracks) {
         number(`end-${id}`, "End (s)", end, (value) => edit({ kind: "place", id, start: Math.min(start, Math.max(0, value - 0.1)), end: value }))),
       chips(prompt, told),
       make("div", { class: "actions" },
-        button("Make anew", () => work.makePromptAnew(id), { "data-key": "anew", title: "Sample what this prompt decides again and keep the rest (M)" }, "dice"),
+        button("Regenerate", () => work.regeneratePrompt(id), { "data-key": "regenerate", title: "Sample what this prompt decides again and keep the rest (M)" }, "dice"),
         button(locked ? "Unlock" : "Lock", () => edit({ kind: "lockPrompt", id }), { "aria-pressed": String(Boolean(locked)), "data-key": "lock", title: "Keep what this prompt decides as it is (L)" }, "lock"),
         button("Split", () => studio.make({ kind: "split", id, at: player.time() }), { "data-key": "split", title: "In two at the cursor (S)" }, "split"),
         button("Duplicate", () => studio.make({ kind: "duplicate", id }), { "data-key": "duplicate", title: "Once more behind it (D)" }, "copy"),
@@ -153,7 +153,7 @@ export function createSamplesPanel(studio, work, page) {
       ...prompts.filter(({ locked }) => locked).map(({ text }) => `“${text}”`), ...locks.parts,
       ...locks.spans.map(({ start, end }) => `${written(start)} to ${written(end)}`),
     ];
-    return held.length ? `Locked: ${held.join(", ")}.` : "Lock prompts, body parts (their names beneath the tracks) or an interval, and only the rest is made anew.";
+    return held.length ? `Locked: ${held.join(", ")}.` : "Lock prompts, body parts (their names beneath the tracks) or an interval, and only the rest is regenerated.";
   }
 
   function ofSample(sample, on, favourites) {

@@ -88,7 +88,7 @@ export function createPreview(studio, stage) {
     stage.refresh();
   }
 
-  // A server that began anew knows the motion no more.
+  // A restarted server has lost the motion.
   function forget(id) {
     const samples = store.get().samples.filter(({ motion }) => motion.id !== id);
     store.set({ samples, chosen: samples[0]?.key ?? null });

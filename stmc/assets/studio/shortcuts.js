@@ -121,7 +121,7 @@ export function listenToShortcuts(studio, player, work, tracks, page) {
     s: () => make("split", { at: player.time() }),
     d: () => make("duplicate"),
     l: () => edit("lockPrompt"),
-    m: () => (store.get().span ? work.makeSpanAnew(store.get().span) : id() && work.makePromptAnew(id())),
+    m: () => (store.get().span ? work.regenerateSpan(store.get().span) : id() && work.regeneratePrompt(id())),
     ",": () => player.seek(player.time() - 1 / page.fps()),
     ".": () => player.seek(Math.min(player.time() + 1 / page.fps(), studio.duration())),
     Home: () => player.seek(0),

@@ -40,7 +40,7 @@ export const INITIAL = {
   job: null, // {stage, seed, step, steps}
   auto: true,
   quality: "full",
-  saved: "saved", // or "saving", "away", "stranger" (to a server that was started anew), "conflict"
+  saved: "saved", // or "saving", "away", "stranger" (to a restarted server), "conflict"
 };
 
 export function createStudio() {
@@ -96,7 +96,7 @@ export function createStudio() {
       store.set({ chosen: key });
       if (results.has(present())) results.set(present(), { samples: store.get().samples, chosen: key });
     },
-    // Another document from its content; its history begins anew.
+    // Another document from its content; its history starts over.
     load(document, rest) {
       const { model, characters } = store.get();
       store.set({ ...INITIAL, model, characters, auto: store.get().auto, ...rest, history: historyOf(document) });

@@ -202,7 +202,7 @@ export function createTracks(studio, player, work) {
     const tools = find("span-tools");
     fill(tools,
       make("span", { class: "faint" }, `${written(span.start)} to ${written(span.end)}`),
-      button("Make anew", () => work.makeSpanAnew(span), { "data-key": "anew" }, "dice"),
+      button("Regenerate", () => work.regenerateSpan(span), { "data-key": "regenerate" }, "dice"),
       button("Lock", () => studio.edit({ kind: "lockSpan", ...span }), { "data-key": "lock" }, "lock"),
       button("", () => store.set({ span: null }), { "aria-label": "Clear the interval", "data-key": "clear" }, "close"));
   }
