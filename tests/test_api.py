@@ -467,11 +467,16 @@ def module_of(path: Path) -> types.ModuleType:
 
 def test_a_client_that_stops_listening_cancels_its_job(program):
     studio = module_of(ASSETS / "client.py").Studio(program.address, program.token_file.read_text().strip())
+    requests, send = [], studio._open
+    studio._open = lambda method, path, *body: requests.append((method, path)) or send(method, path, *body)
     events = studio.sample("walk # 0 # 60")
     assert next(events)[0] == "progress"
     events.close()
-    told = list(studio.sample(WALK, preview=True))
-    assert told[-1][0] == "done"
+    method, path = requests[-1]
+    assert method == "DELETE"
+    with studio._open("GET", f"{path}/events") as stream:
+        assert stream.read().decode().strip().endswith("event: cancelled\ndata: {}")
+    assert list(studio.sample(WALK, preview=True))[-1][0] == "done"
 
 
 class Stub:

@@ -157,7 +157,7 @@ def main() -> int:
     parser.add_argument("--token-file", type=Path, help=f"by default {TOKEN_FILE}")
     try:
         run(parser.parse_args())
-    except StudioError as error:
+    except (StudioError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
