@@ -24,7 +24,7 @@ from stmc.timeline import (
     timeline_files,
 )
 from stmc.timeline.planning import assign, plan
-from stmc.timeline.planning.plans import _Window
+from stmc.timeline.planning.plans import _Widening
 from stmc.timeline.rows import crowded, first_fit
 
 HOUR = 3600
@@ -99,7 +99,7 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path, name):
 # The same as before, in less time
 
 
-def split_by_trying(window: _Window, start: int, end: int) -> list[tuple[int, int]]:
+def split_by_trying(window: _Widening, start: int, end: int) -> list[tuple[int, int]]:
     """Every number of pieces from the fewest that could do."""
     for pieces in range(math.ceil((end - start) / window.longest), end - start + 1):
         spans = list(pairwise(start + (end - start) * piece // pieces for piece in range(pieces + 1)))
@@ -114,7 +114,7 @@ def test_long_prompts_are_split_as_if_every_number_of_pieces_were_tried():
         frames = rng.randint(1, 300)
         start, end = sorted(rng.sample(range(frames + 1), 2))
         overlap = rng.choice((0, 1, 2, 3, 10, 25))
-        window = _Window(frames, overlap, min(overlap, frames - 1) + rng.randint(1, rng.choice((3, 20, 300))))
+        window = _Widening((0, frames), overlap, min(overlap, frames - 1) + rng.randint(1, rng.choice((3, 20, 300))))
         assert window.split(start, end) == split_by_trying(window, start, end), (window, start, end)
 
 
