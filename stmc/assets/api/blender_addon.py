@@ -1,7 +1,7 @@
 """Motions of timelines on the selected armature, sampled by a `stmc studio` on this machine.
 
 Edit > Preferences > Add-ons > Install from Disk; then the tab "stmc" in the sidebar (N) of the 3D view. Nothing but the
-joints of the armature at rest and the timeline is sent, and only to this machine. Blender 3.6 or newer.
+joints of the armature at rest and the timeline is sent, and only to this machine. Blender 3.4 or newer.
 """
 
 import json
@@ -22,7 +22,7 @@ bl_info = {
     "name": "stmc: motions of timelines",
     "author": "The stmc authors",
     "version": (0, 1, 0),
-    "blender": (3, 6, 0),
+    "blender": (3, 4, 0),
     "location": "3D View > Sidebar > stmc",
     "description": "Sample a timeline with stmc studio, and bring the motion onto the selected armature",
     "category": "Animation",
@@ -40,6 +40,8 @@ PAUSE, SHARE = 0.1, 0.03
 """Seconds between two looks at the task, and seconds that one may take."""
 
 LEAST_FPS, MOST_FPS = 1, 240
+LETTER = 7
+"""Pixels of a letter of a message, about."""
 
 
 # ---- the studio ------------------------------------------------------------------------------------------------------
@@ -498,8 +500,8 @@ class STMC_PT_panel(bpy.types.Panel):
         """Show the panel."""
         layout, settings = self.layout, context.scene.stmc
         preferences = context.preferences.addons[__name__].preferences
-        layout.prop(preferences, "address")
-        layout.prop(preferences, "token_file")
+        layout.prop(preferences, "address", text="", icon="URL")
+        layout.prop(preferences, "token_file", text="", icon="LOCKED")
         box = layout.box()
         for index, line in enumerate(settings.lines):
             row = box.row(align=True)
@@ -521,7 +523,8 @@ class STMC_PT_panel(bpy.types.Panel):
             layout.operator(
                 "stmc.generate", text=f"Generate onto {armature.name}" if armature else "Select an armature"
             )
-        for number, part in enumerate(textwrap.wrap(State.message, 44)):
+        letters = max(16, int((context.region.width - 60) / LETTER / context.preferences.system.ui_scale))
+        for number, part in enumerate(textwrap.wrap(State.message, letters)):
             layout.label(text=part, icon="NONE" if number else "ERROR" if State.failed else "INFO")
 
 
