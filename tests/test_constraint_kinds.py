@@ -53,7 +53,7 @@ def test_no_code_asks_which_kind_of_constraint_it_has():
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "isinstance":
                 assert not kinds & {each.id for each in ast.walk(node) if isinstance(each, ast.Name)}, path.name
-    for name in ("constraints", "constraint_panel", "marks", "locks", "tracks", "work", "state"):
+    for name in ("constraints", "constraint_panel", "gizmos", "locks", "tracks", "actions", "state"):
         script = (ROOT / f"stmc/assets/studio/{name}.js").read_text("utf-8")
         assert not re.search(r"kind\)? === \"(path|heading|keyframe|target|hold)\"", script), name
 

@@ -17,7 +17,7 @@ from stmc import GenerateRequest
 from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import names
 from stmc.settings.records import SettingError, defaults, field_infos
-from stmc.viewing.studio import Documents, Motions, Sessions
+from stmc.viewing.studio import Characters, Documents, Motions, Sessions
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.server import Answers
 
@@ -29,7 +29,8 @@ TEXT = "walk # 0 # 2 # legs"
 def answers(tmp_path_factory) -> Answers:
     folder = tmp_path_factory.mktemp("studio")
     motions = Motions(folder / "motions")
-    return Answers(knowing(), motions, Documents(folder / "documents"), Sessions(), steps=4)
+    documents, characters = Documents(folder / "documents"), Characters(folder / "characters")
+    return Answers(knowing(), motions, documents, characters, Sessions(), steps=4)
 
 
 @pytest.fixture(scope="module")

@@ -141,7 +141,12 @@ class MotionStream(Iterator[Frame]):
         return self._live.prompts
 
     def add(self, prompt: Prompt) -> int:
-        """Add a prompt and return its number. Raises `TimelineError` if it starts before the next frame."""
+        """Add a prompt and return its number. Raises `TimelineError` if it starts before the next frame.
+
+        Examples:
+            >>> stmc.load().stream("walk # 0 # 4", steps=1).add(stmc.Prompt("wave", 1, 3, ["left arm"]))
+            1
+        """
         number = self._live.add(prompt)
         self._follow()
         return number
@@ -156,12 +161,25 @@ class MotionStream(Iterator[Frame]):
 
         Raises:
             TimelineError: If the prompt or one of its new times is before the next frame, or the times are invalid.
+
+        Examples:
+            >>> stream = stmc.load().stream("walk # 0 # 4", steps=1)
+            >>> stream.move(0, 1, 3)
+            >>> stream.prompts[0].end
+            3
         """
         self._live.move(number, start, end)
         self._follow()
 
     def remove(self, number: int) -> None:
-        """Take a prompt back; one that has begun ends at the next frame. Raises `TimelineError` if it has ended."""
+        """Take a prompt back; one that has begun ends at the next frame. Raises `TimelineError` if it has ended.
+
+        Examples:
+            >>> stream = stmc.load().stream("walk # 0 # 4", steps=1)
+            >>> stream.remove(0)
+            >>> len(stream.prompts)
+            0
+        """
         self._live.remove(number)
         self._follow()
 

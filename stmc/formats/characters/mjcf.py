@@ -8,7 +8,6 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from stmc.formats.characters.gltf_file import CharacterError
 from stmc.formats.characters.mjcf_text import Mjcf, turn_from_z
@@ -193,6 +192,8 @@ class _Reader:
 
 def read_mjcf(path: Path) -> Robot:
     """Read a robot. Raise `CharacterError`, which says what is missing, for a file that is none."""
+    from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
     reader = _Reader(Mjcf.read(path))
     for section in reader.model.sections:
         if section.tag == "worldbody":

@@ -12,7 +12,6 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from stmc.formats.characters.gltf_file import CharacterError
 from stmc.formats.characters.robot_xml import MOST_ELEMENTS, numbers, read_xml, unit
@@ -73,6 +72,8 @@ class Mjcf:
 
     def orientation(self, element: Element, place: str) -> Float[np.ndarray, "3 3"]:
         """Return the rotation that an element's `quat`, `axisangle`, `xyaxes`, `zaxis` or `euler` describes."""
+        from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
         if (quat := numbers(element, "quat", (4,), place)) is not None:
             if not np.linalg.norm(quat) > 1e-9:
                 raise CharacterError(f"quat of {place} is {shown(quat.tolist())}, which is no rotation")
@@ -95,6 +96,8 @@ class Mjcf:
 
 def turn_from_z(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """Return the smallest rotation that brings z to an axis of length 1."""
+    from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
     cross = np.array([-axis[1], axis[0], 0.0])
     length = np.linalg.norm(cross)
     if length < 1e-12:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from stmc.formats.axes import continued
 from stmc.formats.characters.gltf_file import CharacterError
@@ -63,6 +62,8 @@ class RobotRig:
         return text.getvalue()
 
     def _rows(self, motion: RigMotion, standing: Standing) -> Float[np.ndarray, "frames values"]:
+        from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
         assert motion.curves is not None, "a robot's motion has angles"
         rows = np.tile(self.robot.resting, (len(motion.curves.angles), 1))
         turns = dict(zip(self.hinges, motion.curves.angles.T, strict=True))
@@ -76,7 +77,7 @@ class RobotRig:
                     rows[:, hinge.column] = hinge.zero + angles
             for column in {hinge.column for hinge in link.hinges} & set(self.robot.balls):
                 euler = np.stack([angles for hinge, angles in local if hinge.column == column], axis=1)
-                rows[:, column : column + 4] = _continued(Rotation.from_euler("XYZ", euler))
+                rows[:, column : column + 4] = _continued(Rotation.from_euler("XYZ", euler).as_quat())
         for mimic in self.robot.mimics:
             followed = mimic.ratio * rows[:, mimic.leader] + mimic.offset
             rows[:, mimic.column] = np.clip(followed, mimic.lower, mimic.upper)
@@ -89,17 +90,19 @@ class RobotRig:
 
     def _base(self, motion: RigMotion, standing: Standing) -> Float[np.ndarray, "frames 7"]:
         """Return the base's place and quaternion in a world of robots, with the floor at 0."""
+        from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
         assert motion.curves is not None
         link, curves = self.robot.links[self.base], motion.curves
         rest = standing.turn @ link.place - np.array([0.0, 0.0, standing.floor])
         places = (curves.turns @ rest + curves.places) @ _FACING.T
         turns = _FACING @ curves.turns @ standing.turn @ link.turn
-        return np.concatenate([places, _continued(Rotation.from_matrix(turns))], axis=1)
+        return np.concatenate([places, _continued(Rotation.from_matrix(turns).as_quat())], axis=1)
 
 
-def _continued(turns: Rotation) -> Float[np.ndarray, "frames 4"]:
-    quaternions = torch.from_numpy(turns.as_quat()[:, None, [3, 0, 1, 2]])
-    return continued(quaternions)[:, 0]
+def _continued(quaternions: Float[np.ndarray, "frames 4"]) -> Float[np.ndarray, "frames 4"]:
+    """Turn quaternions x y z w into w x y z without changes of sign."""
+    return continued(torch.from_numpy(quaternions[:, None, [3, 0, 1, 2]]))[:, 0]
 
 
 def _plain(name: str) -> str:

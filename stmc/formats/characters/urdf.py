@@ -10,7 +10,6 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from stmc.formats.characters.gltf_file import CharacterError
 from stmc.formats.characters.robot import (
@@ -120,6 +119,8 @@ def _posed(
     place: Float[np.ndarray, " 3"], turn: Float[np.ndarray, "3 3"], origin: Element | None, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a place and turn further on by an `<origin>`."""
+    from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
     if origin is None:
         return place, turn
     xyz, rpy = (

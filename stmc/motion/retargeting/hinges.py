@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import lsq_linear
-from scipy.spatial.transform import Rotation
 
 from stmc.motion.retargeting.linkage import Base, Linkage, Pose
 from stmc.motion.retargeting.rig import LIMBS, SIDES, Rig
@@ -189,6 +187,8 @@ def _bend(rig: Rig, linkage: Linkage, places: np.ndarray, side: str) -> tuple[np
 
     An arm that is straight cannot tell, without it, to which side its elbow has to be turned before it bends.
     """
+    from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
     shoulder, elbow, wrist = (rig.place(f"{side}_{joint}") for joint in LIMBS[1])
     upper, lower = places[:, elbow] - places[:, shoulder], places[:, wrist] - places[:, elbow]
     bend = np.cross(_unit(upper), _unit(lower))
@@ -238,6 +238,8 @@ def _frame(
     leg: float,
 ) -> tuple[np.ndarray, Base]:
     """Solve one frame, beginning at the angles and the base of the one before."""
+    from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
     before, angles = angles, np.clip(angles, *bounds)
     for _ in range(_FIRST if frame == 0 else _STEPS):
         pose = linkage.pose(angles, base)
@@ -262,6 +264,9 @@ def _step(
     leg: float,
 ) -> Float[np.ndarray, " unknowns"]:
     """Return the step of base and angles to the least squares of the problem that is linear around a pose."""
+    from scipy.optimize import lsq_linear  # imported late: it is slow to import
+    from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
     points = pose.points(goals.rest, goals.movers)
     moves = pose.moves(points, goals.movers)
     weights = goals.weights[frame][:, None]

@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +51,8 @@ class Linkage:
 
     def pose(self, angles: Float[np.ndarray, " hinges"], base: Base) -> Pose:
         """Return where hinges at these angles bring the links."""
+        from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
         own = Rotation.from_rotvec(self.axes * angles[:, None]).as_matrix()
         shifts = self.anchors - np.einsum("hij,hj->hi", own, self.anchors)
         turns, places = np.empty((len(angles) + 1, 3, 3)), np.empty((len(angles) + 1, 3))
