@@ -166,7 +166,7 @@ class MotionStream(Iterator[Frame]):
             >>> stream = stmc.load().stream("walk # 0 # 4", steps=1)
             >>> stream.move(0, 1, 3)
             >>> stream.prompts[0].end
-            3
+            3.0
         """
         self._live.move(number, start, end)
         self._follow()
