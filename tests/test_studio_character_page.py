@@ -22,7 +22,6 @@ from test_studio_page import (
     picture,
     press,
     ready,
-    saved,
     serving,
     shown,
     write,
@@ -72,6 +71,7 @@ def figure(tab: browser.Tab, other_than: str) -> str:
 
 def wear(tab: browser.Tab, key: str) -> None:
     click(tab, "#character")
+    tab.wait("document.getElementById('character').ariaExpanded === 'true'")
     click(tab, f"[data-key=wear-{key}]")
 
 
@@ -113,14 +113,8 @@ def constraints(tab: browser.Tab) -> list[str]:
 
 
 def document(tab: browser.Tab) -> dict:
-    """The open document as the server has it."""
-    saved(tab)
-    return tab.call(
-        "Runtime.evaluate",
-        expression=f"fetch(`/api/documents/${{location.hash.slice(1)}}`, {KEY}).then((answer) => answer.json())",
-        awaitPromise=True,
-        returnByValue=True,
-    )["result"]["value"]["content"]["document"]
+    """The open document as the page keeps it."""
+    return tab.ask("JSON.parse(localStorage.getItem(`stmc-studio/${location.hash.slice(1)}`)).content.document")
 
 
 def test_a_character_is_dropped_sampled_switched_exported_and_there_again_after_a_reload(tab, tmp_path):

@@ -61,11 +61,11 @@ export function createCharacterMenu(studio) {
     find("character-file").accept = (model?.characters.receives ?? []).join();
   }
 
-  menu.addEventListener("toggle", ({ newState }) => {
+  menu.addEventListener("beforetoggle", () => {
     const { left, top } = opener.getBoundingClientRect();
     Object.assign(menu.style, { left: `${left}px`, bottom: `${innerHeight - top + 8}px` });
-    opener.setAttribute("aria-expanded", String(newState === "open"));
   });
+  menu.addEventListener("toggle", ({ newState }) => opener.setAttribute("aria-expanded", String(newState === "open")));
   find("character-file").onchange = ({ target }) => {
     const [file] = target.files;
     target.value = "";

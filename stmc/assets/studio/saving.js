@@ -35,6 +35,7 @@ export function createSaving(studio, conflict) {
   let timer = null;
   let busy = false;
   let saved = null; // the content that is on the server
+  let unsaved = false; // whether this browser keeps another one
   let loading = false;
 
   const contentOf = ({ history, samples, chosen, favourites, auto, quality }) => ({
@@ -110,9 +111,12 @@ export function createSaving(studio, conflict) {
   }
 
   store.subscribe(({ id }) => {
-    if (loading || id === null || written() === saved) return;
-    keep(id, { base: version, content: contentOf(store.get()), dirty: true });
-    if (store.get().saved === "conflict") return;
+    if (loading || id === null) return;
+    const dirty = written() !== saved;
+    if (!dirty && !unsaved) return;
+    unsaved = dirty; // an edit that was undone leads back to what the server has
+    keep(id, { base: version, content: contentOf(store.get()), dirty });
+    if (!dirty || store.get().saved === "conflict") return;
     clearTimeout(timer);
     timer = setTimeout(push, SAVE_AFTER);
   });

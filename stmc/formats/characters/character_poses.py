@@ -57,6 +57,8 @@ def _extras(rig: Rig, node: int) -> dict[str, str]:
     joint = next((joint for joint, other in rig.joints.items() if other == node), None)
     if joint is None:
         return {"part": BodyPart.HEAD}  # the necks, which alone are left
+    if joint.endswith("_collar"):
+        return {"part": BodyPart.SPINE, "joint": joint}  # it carries half of the chest, though arms own its turns
     return {"part": next(part for part in BodyPart if joint in part.joints), "joint": joint}
 
 
