@@ -204,6 +204,16 @@ WRONG = {
     "rows": ("train", "data.sampling.rows=many", "data.sampling.rows='many': must be a whole number"),
     "no rows": ("train", "data.sampling.rows=0", "data.sampling cannot be built: rows=0: must be at least 1"),
     "another recipe's setting": ("train", "+data.sampling.drop_last=true", "BalancedBatches has no such argument"),
+    "an auxiliary loss": (
+        "train",
+        "data.auxiliary_loss={_target_: stmc.training.data.limb_velocity.LimbVelocity, feet: 1}",
+        "data.auxiliary_loss.feet: stmc.training.data.limb_velocity.LimbVelocity has no such argument",
+    ),
+    "prolonging": (
+        "train",
+        "data.prolonging={_target_: stmc.training.data.prolonging.Prolonging, seconds: long}",
+        "data.prolonging.seconds='long': must be a number",
+    ),
     "temperature": ("train_tmr", "+objective.temperature=warm", "objective.temperature='warm': must be a number"),
 }
 

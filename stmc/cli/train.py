@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -129,7 +129,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
 
 
 def check_parts(config: DictConfig) -> None:
-    """Check that denoiser, schedule and objective can be built, before the data are read."""
+    """Check that the parts can be built, before the data are read, which takes minutes."""
     described = resolve_config(config)
     reading = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
     widths = {"features": reading["representation"].width, "text_width": reading["text_encoder"].width}
@@ -144,6 +144,10 @@ def check_parts(config: DictConfig) -> None:
     settings.pop("weights", None)  # may name fields that only the data add
     checked = OmegaConf.create({"objective": {TARGET: "stmc.training.Denoising", PARTIAL: True} | settings})
     build_part(checked, "objective")(schedule=built["schedule"])
+    unbuilt: dict[str, Any] = {PARTIAL: True}  # names and settings; the data are missing yet
+    for part in ("data.dataset", "data.prolonging", "data.auxiliary_loss"):
+        if OmegaConf.select(config, part) is not None:
+            build_part(config, part, **unbuilt)
 
 
 def check_steps(config: DictConfig, schedule: Schedule, teacher_steps: int | None) -> None:
