@@ -37,10 +37,7 @@ from stmc.training.loss import Teacher
 if TYPE_CHECKING:  # an extra, which the help does without
     import accelerate
 
-DRAWN_TIMELINES = (
-    "walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm",
-    "turn left # 0 # 5 # legs",
-)
+DRAWN_TIMELINES = ("walk forwards # 0 # 6 # legs\nraise the right arm # 2 # 5 # right arm", "turn left # 0 # 5 # legs")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,8 +39,7 @@ class Settings(Trained):
 
     objective: Mapping = setting({"_target_": "stmc.training.TmrObjective"}, "training objective")
     false_negative_encoder: Mapping | None = setting(
-        None,
-        "sentence encoder for data without shared texts (+text_encoder@false_negative_encoder=minilm)",
+        None, "sentence encoder for data without shared texts (+text_encoder@false_negative_encoder=minilm)"
     )
     false_negative_threshold: float | int = setting(
         0.8, "cosine of two texts above which they are no negatives of each other", at_most=1

@@ -226,12 +226,7 @@ METHODS: Mapping[str, Method] = {
         tracks="Single",
         crops="Single",
     ),
-    "single_track": stitched(
-        baseline=_one_track,
-        label="DiffCollage",
-        fixed=_COMPOSED_FROM_THE_START,
-        tracks="Single",
-    ),
+    "single_track": stitched(baseline=_one_track, label="DiffCollage", fixed=_COMPOSED_FROM_THE_START, tracks="Single"),
     INDEPENDENT: Method(sample_independent_prompts, "Independent prompts", fixed=_WITHOUT_OVERLAP),
     "sinc": Method(Run.independent, "SINC w/o Lerp", fixed=_WITHOUT_OVERLAP),
     "sinc_lerp": Method(sample_sinc_lerp, "SINC w/ Lerp", fixed=_NOT_COMPOSED),

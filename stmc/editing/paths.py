@@ -51,10 +51,7 @@ _TURN, _SLOW = 2.0, 6.0
 
 
 def bend_path(
-    motion: Motion,
-    angle: float | int | None = None,
-    radius: float | int | None = None,
-    ramp: float | int = 0.0,
+    motion: Motion, angle: float | int | None = None, radius: float | int | None = None, ramp: float | int = 0.0
 ) -> Motion:
     """Bend the straight line from a motion's beginning to its end into a curve: a walk becomes a walk in a circle.
 

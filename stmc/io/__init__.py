@@ -5,7 +5,4 @@ Independent of motions.
 
 from lazy_loader import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    submodules=["arrays", "bounds", "filenames", "files", "untrusted"],
-)
+__getattr__, __dir__, __all__ = attach(__name__, submodules=["arrays", "bounds", "filenames", "files", "untrusted"])

@@ -123,10 +123,7 @@ def joints_to_rotations(joints: Float[Tensor, "frames joints 3"], skeleton: Skel
 
 
 def arm_rotations(
-    joints: Float[Tensor, "frames 24 3"],
-    side: str,
-    chest: Float[Tensor, "frames 3 3"],
-    skeleton: Skeleton,
+    joints: Float[Tensor, "frames 24 3"], side: str, chest: Float[Tensor, "frames 3 3"], skeleton: Skeleton
 ) -> Float[Tensor, "frames 2 3 3"]:
     """Compute world rotations of the upper arm and forearm of one side that match the directions of `joints`.
 

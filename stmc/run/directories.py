@@ -152,11 +152,7 @@ def load_evaluator(
 
 
 def save(
-    model: Model,
-    folder: str | Path,
-    card: str,
-    dtype: torch.dtype = torch.float32,
-    trusted: Sequence[str] = (),
+    model: Model, folder: str | Path, card: str, dtype: torch.dtype = torch.float32, trusted: Sequence[str] = ()
 ) -> Path:
     """Write a model as a run directory, and return the folder.
 
@@ -183,11 +179,7 @@ def save(
 
 
 def save_evaluator(
-    evaluator: Evaluator,
-    folder: str | Path,
-    card: str,
-    dtype: torch.dtype = torch.float32,
-    trusted: Sequence[str] = (),
+    evaluator: Evaluator, folder: str | Path, card: str, dtype: torch.dtype = torch.float32, trusted: Sequence[str] = ()
 ) -> Path:
     """Write an evaluator as a run directory, and return the folder. The arguments are those of `save`."""
     return _write(Path(folder).expanduser(), evaluator, check(evaluator, trusted), card, dtype)

@@ -5,7 +5,4 @@ Independent of commands.
 
 from lazy_loader import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    submodules=["records", "renamed", "shards"],
-)
+__getattr__, __dir__, __all__ = attach(__name__, submodules=["records", "renamed", "shards"])

@@ -90,9 +90,7 @@ WITHOUT_EFFECT: Mapping[str, Mapping[str, tuple[Any, ...] | None]] = {
         "compose_legs_prob": (0,),
         "texts_per_row": ([1, 1],),
     },
-    RECORDED: dict.fromkeys(
-        ("order", *_CROPPING, *_BALANCING, "compose_prob", "compose_legs_prob", "texts_per_row"),
-    ),
+    RECORDED: dict.fromkeys(("order", *_CROPPING, *_BALANCING, "compose_prob", "compose_legs_prob", "texts_per_row")),
 }
 """Settings of `ONE_RECORD` that a current recipe lacks, with the values that had no effect; None: no value had any."""
 

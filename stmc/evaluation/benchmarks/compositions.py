@@ -223,11 +223,7 @@ class Compositions:
         return self._measurements(segments, crops, windows, jerks)
 
     def _measurements(
-        self,
-        segments: tuple[Segment, ...],
-        crops: Sequence[Tensor],
-        windows: Sequence[Tensor],
-        jerks: Sequence[Tensor],
+        self, segments: tuple[Segment, ...], crops: Sequence[Tensor], windows: Sequence[Tensor], jerks: Sequence[Tensor]
     ) -> Measurements:
         distinct = {text: row for row, text in enumerate(dict.fromkeys(segment.text for segment in segments))}
         texts = self.evaluator.texts(list(distinct))[[distinct[segment.text] for segment in segments]]

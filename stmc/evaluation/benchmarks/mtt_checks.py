@@ -68,9 +68,7 @@ _SIDED = {
         lambda motion: legs.half_turn(motion, "right"), ("half-turn-left-on-right-foot",)
     ),
     "turn left": Check(
-        lambda motion: legs.turns(motion, 45, 145),
-        ("walk-turn-left",),
-        ("walk in a quarter circle to the left",),
+        lambda motion: legs.turns(motion, 45, 145), ("walk-turn-left",), ("walk in a quarter circle to the left",)
     ),
     "low kick with the left foot": Check(legs.kicks_low, ("low-kick-left",)),
     "high kick with the left foot": Check(legs.kicks_high, ("high-kick-left",)),

@@ -5,12 +5,7 @@ This package knows names and numbers; it knows no motion, no model and no formul
 """
 
 from stmc.evaluation.results.intervals import Estimate, estimate
-from stmc.evaluation.results.paper_results import (
-    published_results,
-    repetition_table,
-    single_text_table,
-    with_published,
-)
+from stmc.evaluation.results.paper_results import published_results, repetition_table, single_text_table, with_published
 from stmc.evaluation.results.result_records import Result, ResultError, by_setting, read_results, write_results
 from stmc.evaluation.results.tables import Table, comparison_table, sweep_table
 

@@ -115,12 +115,7 @@ def _honeypot(kind: Kind, pair: Pair, wrong: Clip, rng: random.Random) -> tuple[
 
 
 def _question(
-    kind: Kind,
-    pair: Pair,
-    clips: tuple[Clip, Clip],
-    behind: tuple[str, str],
-    first_left: bool,
-    rng: random.Random,
+    kind: Kind, pair: Pair, clips: tuple[Clip, Clip], behind: tuple[str, str], first_left: bool, rng: random.Random
 ) -> tuple[Question, Entry]:
     ids = (_id(rng), _id(rng))
     first, second = zip(ids, clips, strict=True)

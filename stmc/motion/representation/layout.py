@@ -111,10 +111,6 @@ HUMANML3D_LAYOUT = Layout(
 """The 263 features of HumanML3D (Guo et al. 2022); see `HumanML3DRepresentation`."""
 
 BABEL_LAYOUT = Layout(
-    (
-        Field("root_height", 1),
-        Field("root_velocity", 2),
-        Field("rotations", 6, JOINTS[:NUM_ROTATIONS]),
-    )
+    (Field("root_height", 1), Field("root_velocity", 2), Field("rotations", 6, JOINTS[:NUM_ROTATIONS]))
 )
 """The 135 features of models trained on BABEL; see `BabelRepresentation`."""

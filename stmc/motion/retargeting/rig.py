@@ -54,11 +54,7 @@ class Rig:
 
     @classmethod
     def mapped(
-        cls,
-        names: Sequence[str],
-        parents: Sequence[int],
-        rest: Float[Tensor, "nodes 3"],
-        joints: Mapping[str, int],
+        cls, names: Sequence[str], parents: Sequence[int], rest: Float[Tensor, "nodes 3"], joints: Mapping[str, int]
     ) -> Rig:
         """Return the rig whose limbs and head are `joints`.
 

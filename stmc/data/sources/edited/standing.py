@@ -20,17 +20,7 @@ from stmc.motion.kinematics import joint
 from stmc.motion.motion import Motion
 
 WAVES = ("wave-left-hand", "wave-right-hand")
-BUSY = (
-    "bye",
-    "byebye",
-    "guide",
-    "respond",
-    "stand",
-    "direct-traffic",
-    "referee-signals",
-    "drink",
-    "wash-window",
-)
+BUSY = ("bye", "byebye", "guide", "respond", "stand", "direct-traffic", "referee-signals", "drink", "wash-window")
 """Actions of the arms in which people stand, shift their weight and look about."""
 
 _DRAWS = 40
