@@ -101,7 +101,7 @@ def edits(model: stmc.Model, steps: int) -> None:
 
 def _kept(old: Motion, new: Motion, changes) -> str:
     """How equal what is kept is, and how smooth its borders are beside everything else."""
-    weights = Kept.but(list(changes), old, new.frames).weights
+    weights = Kept.all_but(list(changes), old, new.frames).weights
     whole, frames = (weights == 1).all(dim=1), min(old.frames, new.frames)
     first, last = int((~whole).nonzero()[0]), int((~whole).nonzero()[-1]) + 1
     before = float((new.joints[:first] - old.joints[:first]).abs().max()) if first else 0.0

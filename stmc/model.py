@@ -18,7 +18,7 @@ from torch import Tensor
 
 from stmc.composing import Method, Progress, Rule, Run, distinct_texts, find_method, guided_crops, guided_sequences
 from stmc.composing.batching import Guided
-from stmc.composing.methods import refuse, settled
+from stmc.composing.methods import check_settings, resolve_settings
 from stmc.composing.sampling import DEFAULT, Sampling, SamplingArguments
 from stmc.denoisers import Denoiser, Network, as_network
 from stmc.diffusion import Prediction, Schedule
@@ -223,8 +223,8 @@ class Model:
             (50, None)
         """
         requested, method, defaults = record_of(Sampling, settings), find_method(method), self.own_sampling
-        refuse(requested, method, defaults)
-        resolved = settled(requested, method, defaults)
+        check_settings(requested, method, defaults)
+        resolved = resolve_settings(requested, method, defaults)
         if resolved.steps is not None and resolved.steps > self.schedule.steps:
             raise SettingError(f"steps={resolved.steps}: must be at most {self.schedule.steps}, as many as in training")
         self._frames(resolved.overlap or 0.0)

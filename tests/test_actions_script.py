@@ -78,7 +78,7 @@ def test_a_content_is_found_where_the_evaluator_has_it_among_its_best_three():
             return torch.stack(features)
 
     nearest = [torch.arange(len(texts)).float().roll(place + 1 + best) for best in (0, 2, 3)]
-    assert loaded("actions").Finder(OneHot(), CONTENTS).found(
+    assert loaded("actions").Finder(OneHot(), CONTENTS).recall(
         "squat", list(map(standing_still, (1, 2, 3)))
     ) == pytest.approx(2 / 3)
 

@@ -14,7 +14,7 @@ from test_body_model import write_body
 from torch.testing import assert_close
 
 from stmc.data import preparation
-from stmc.data.cache import TABLE, Cache, CacheError, merged
+from stmc.data.cache import TABLE, Cache, CacheError, merge_caches
 from stmc.data.preparation import LayoutError
 from stmc.data.report import NUMBERS, TEXT, write_report
 from stmc.data.sources.amass.amass_recordings import read_recording
@@ -265,9 +265,9 @@ def test_the_report_counts_all_that_is_there_and_all_that_is_not(source, tmp_pat
 
 
 def test_caches_of_two_kinds_or_with_two_texts_under_one_name_are_not_merged(cache):
-    assert len(merged([cache, replace(cache, texts=cache.texts)]).clips) == 12
+    assert len(merge_caches([cache, replace(cache, texts=cache.texts)]).clips) == 12
     with pytest.raises(CacheError, match="caches must have one kind"):
-        merged([cache, replace(cache, fps=30)])
+        merge_caches([cache, replace(cache, fps=30)])
     other = cache.texts | {"000000": (("something else", 1.0),)}
     with pytest.raises(CacheError, match="the texts of 000000 differ"):
-        merged([cache, replace(cache, texts=other)])
+        merge_caches([cache, replace(cache, texts=other)])

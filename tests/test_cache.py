@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers.toy_data import cache as toy
 
-from stmc.data.cache import FEATURES, TABLE, Cache, CacheError, Clip, assemble, fingerprint, fresh, read_caches
+from stmc.data.cache import FEATURES, TABLE, Cache, CacheError, Clip, assemble, fingerprint, is_current, read_caches
 from stmc.diffusion.statistics import Statistics
 from stmc.motion.body_model import Skeleton
 
@@ -39,16 +39,16 @@ def test_a_table_from_before_clips_had_a_start_is_read(tmp_path):
 
 def test_a_cache_is_fresh_for_the_inputs_it_was_made_from_and_for_no_others(tmp_path):
     written(tmp_path)
-    assert fresh(tmp_path, "inputs")
-    assert not fresh(tmp_path, "other inputs")
-    assert not fresh(tmp_path / "nowhere", "inputs")
+    assert is_current(tmp_path, "inputs")
+    assert not is_current(tmp_path, "other inputs")
+    assert not is_current(tmp_path / "nowhere", "inputs")
 
 
 @pytest.mark.parametrize("lost", [FEATURES, TABLE])
 def test_a_folder_that_lacks_one_of_its_files_is_no_cache(lost, tmp_path):
     written(tmp_path)
     (tmp_path / lost).unlink()
-    assert not fresh(tmp_path, "inputs")
+    assert not is_current(tmp_path, "inputs")
     with pytest.raises(CacheError, match=r"holds no prepared data; make it with stmc prepare"):
         Cache.read(tmp_path)
 
@@ -58,8 +58,8 @@ def test_writing_that_is_killed_between_its_files_leaves_no_cache_of_the_old_inp
     monkeypatch.setattr("stmc.data.cache.json.dumps", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         dataclasses.replace(toy(seed=1), fingerprint="new inputs").write(tmp_path)
-    assert not fresh(tmp_path, "inputs")
-    assert not fresh(tmp_path, "new inputs")
+    assert not is_current(tmp_path, "inputs")
+    assert not is_current(tmp_path, "new inputs")
     with pytest.raises(CacheError):
         Cache.read(tmp_path)
 
@@ -100,7 +100,7 @@ def test_a_damaged_table_is_not_fresh(tmp_path):
     written(tmp_path)
     for text in ("", "[]", "{}", '{"finger'):
         (tmp_path / TABLE).write_text(text)
-        assert not fresh(tmp_path, "inputs")
+        assert not is_current(tmp_path, "inputs")
 
 
 def test_features_must_be_finite_and_the_clip_that_is_not_is_named():

@@ -11,7 +11,7 @@ from test_cmu import actor
 
 from stmc.data import preparation
 from stmc.data.preparation import LayoutError
-from stmc.data.sources.amass.amass_recordings import reposed
+from stmc.data.sources.amass.amass_recordings import repose
 from stmc.data.sources.amass.annotated_amass import AnnotatedAmass
 from stmc.data.sources.amass.annotations import Segment, read_annotations
 from stmc.data.sources.cmu import catalogue as cmu
@@ -77,7 +77,7 @@ def prepared(source, annotations, scratch, **settings):
 def whole(source: Path, name: str, mirrored: bool = False) -> torch.Tensor:
     text, skeleton = (source / "16" / f"{name}.amc").read_text(), (source / "16" / "16.asf").read_text()
     motion = cmu.read(cmu.Source(name, text, skeleton), Skeleton(Skeleton.default().offsets.double()), 20)
-    return cmu_clips.encoded(reposed(motion, Skeleton(Skeleton.default().offsets.double()), mirrored))
+    return cmu_clips.encode_above_floor(repose(motion, Skeleton(Skeleton.default().offsets.double()), mirrored))
 
 
 def test_humanml3d_s_own_files_are_annotations_with_the_seconds_of_the_recording(tmp_path):

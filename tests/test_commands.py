@@ -17,7 +17,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 import stmc
-from stmc.cli.arguments import parse_arguments, quoted
+from stmc.cli.arguments import parse_arguments, quote_override
 from stmc.cli.commands import Command
 from stmc.cli.dispatch import module_summaries, program
 from stmc.cli.exit_codes import MAX_CHARACTERS, explain_error, run_guarded
@@ -95,7 +95,7 @@ def test_what_is_quoted_reads_back_as_it_was():
     for _ in range(300):
         text = "".join(draw.choices("ab'\"\\ (),=[]{}:#$", k=draw.randint(1, 9)))
         if text[0] != text[-1] or text[0] not in "'\"":
-            assert OverridesParser.create().parse_override(f"key={quoted(text)}").value() == text
+            assert OverridesParser.create().parse_override(f"key={quote_override(text)}").value() == text
 
 
 def test_a_folder_of_one_s_own_wins_over_ours(sample, tmp_path):

@@ -198,7 +198,7 @@ def test_constraints_leave_alone_what_is_kept(model):
 def test_feet_are_cleaned_of_what_is_new_alone_and_without_a_pop_at_its_border(parts):
     drift = torch.linspace(0, 0.3, 60, dtype=SEEN.translation.dtype)[:, None] * torch.tensor([1.0, 0.0, 0.0])
     slid = Motion.posed(SEEN.rotations, SEEN.translation + drift, 20, Skeleton.default())
-    [clean] = clean_motions([slid], [Kept.but([Change(1, 2, parts)], slid, 60)], [])
+    [clean] = clean_motions([slid], [Kept.all_but([Change(1, 2, parts)], slid, 60)], [])
     kept = torch.ones(60, dtype=torch.bool)
     kept[20:40] = False
     assert torch.equal(clean.joints[kept], slid.joints[kept])

@@ -346,7 +346,7 @@ def composing(composed: float) -> ClipBatches:
 
 def rows_of(batches: ClipBatches) -> tuple[BatchPlan, torch.Tensor]:
     [plan] = batches.plans(0)
-    return plan, batches.dataset._composed(batches.dataset._cut(plan.body), plan)
+    return plan, batches.dataset._compose(batches.dataset._cut(plan.body), plan)
 
 
 def arm() -> torch.Tensor:
@@ -518,7 +518,7 @@ def test_contents_of_two_data_sets_are_drawn_as_one_and_compose_with_each_other(
     drawn = Counter(dataset.clips[clip].content for plan in batches.plans(0) for clip in plan.body.clip)
     assert set(drawn) == {"walk", "drink"}
     rows = [
-        (plan, row, dataset._composed(dataset._cut(plan.body), plan)[row])
+        (plan, row, dataset._compose(dataset._cut(plan.body), plan)[row])
         for plan in batches.plans(0)
         for row in np.flatnonzero(plan.donor.frames)
     ]

@@ -10,7 +10,7 @@ from helpers.motions import walking
 from stmc.data import preparation
 from stmc.data.cache import Cache, Clip
 from stmc.data.preparation import LayoutError
-from stmc.data.sources.cmu.cmu_clips import encoded
+from stmc.data.sources.cmu.cmu_clips import encode_above_floor
 from stmc.data.sources.contents import CONTENTS
 from stmc.data.sources.edited import RECIPES, edited_clips
 from stmc.data.sources.edited.edited_clips import EditedClips, RecordedBases, make
@@ -31,7 +31,7 @@ def recorded(splits=("train", "train", "val", "test"), content="walk") -> Cache:
         for mirrored in (False, True):
             motion = walking(seconds=4.0, turn=0.0, speed=1.0 + 0.1 * number)
             motion = motion.mirrored() if mirrored else motion
-            rows = encoded(Motion.posed(motion.rotations, motion.translation, motion.fps, BODY))
+            rows = encode_above_floor(Motion.posed(motion.rotations, motion.translation, motion.fps, BODY))
             name = f"{'M/' if mirrored else ''}0{number}_01/0"
             place = {"start": start, "end": start + len(rows)}
             clips.append(Clip(name, content, "normal", "key", ("legs",), True, mirrored, split, **place))

@@ -141,11 +141,11 @@ def test_what_a_prompt_decides_and_where_timelines_differ():
 
 
 def test_weights_are_one_outside_and_fade_within(motion):
-    weights = Kept.but([Change(1, 2, ["right arm"], border=0.2)], motion, 80).weights
+    weights = Kept.all_but([Change(1, 2, ["right arm"], border=0.2)], motion, 80).weights
     assert (weights[:20] == 1).all() and (weights[40:] == 1).all() and (weights[:, LEGS] == 1).all()
     arm = weights[20:40, ARM]
     assert torch.allclose(arm[:5], torch.tensor([0.8, 0.6, 0.4, 0.2, 0.0])) and torch.equal(arm, arm.flip(0))
-    at_start = Kept.but([Change(0, 1)], motion, 80).weights
+    at_start = Kept.all_but([Change(0, 1)], motion, 80).weights
     assert (at_start[:15] == 0).all()  # nothing stands before it
 
 

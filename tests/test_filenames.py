@@ -2,7 +2,7 @@
 
 import pytest
 
-from stmc.io.filenames import MOST, distinct, name_of_texts, safe
+from stmc.io.filenames import MOST, distinct_names, name_of_texts, safe_name
 
 
 @pytest.mark.parametrize(
@@ -24,20 +24,20 @@ from stmc.io.filenames import MOST, distinct, name_of_texts, safe
     ],
 )
 def test_a_name_becomes_one_that_all_systems_take(name, expected):
-    assert safe(name) == expected
+    assert safe_name(name) == expected
 
 
 @pytest.mark.parametrize("letter", ["n", "走", "\U0001f9cd"])
 def test_a_long_name_is_cut_and_stays_its_own(letter):
-    first, second = safe(letter * 240 + "a"), safe(letter * 240 + "b")
+    first, second = safe_name(letter * 240 + "a"), safe_name(letter * 240 + "b")
     assert len(first.encode()) <= MOST
     assert first != second or letter == "\U0001f9cd"  # which is no letter, so nothing of it is left
-    assert safe(first) == first
+    assert safe_name(first) == first
 
 
 def test_no_two_names_differ_in_case_alone():
     names = ["a", "A", "", "a", "a_0001", "ß", "SS", "CON"]
-    found = list(distinct(names, "file"))
+    found = list(distinct_names(names, "file"))
     assert found == ["a", "A_0001", "file_0002", "a_0003", "a_0001_0004", "ß", "SS_0006", "CON_"]
     assert len({name.casefold() for name in found}) == len(names)
 
@@ -57,4 +57,4 @@ def test_a_name_says_texts_and_other_texts_have_another():
         ["走る"],
     )
     assert len({name_of_texts(each) for each in texts}) == len(texts)
-    assert all(safe(name_of_texts(each)) == name_of_texts(each) != "" for each in texts)
+    assert all(safe_name(name_of_texts(each)) == name_of_texts(each) != "" for each in texts)

@@ -156,10 +156,10 @@ def the_layout_of_training_and_its_loss_are_as_published(folder, name):
     )
     x_t = schedule.q_sample(motion, t, noise)
     close(x_t[present], frames(data["x_t"])[present])
-    out = batch.denoised(denoiser, x_t, t)
+    out = batch.denoise(denoiser, x_t, t)
     close(out[present], frames(data["out_on_x_t"])[present])
     if "out_direct" in data:
-        close(batch.denoised(denoiser, motion, t)[present], frames(data["out_direct"])[present])
+        close(batch.denoise(denoiser, motion, t)[present], frames(data["out_direct"])[present])
     losses = [(out - motion)[row][present[row]].square().mean() for row in range(len(motion))]
     close(torch.stack(losses), torch.from_numpy(data["loss"]))
     errors = squared_errors(denoiser, schedule, batch, t, noise)

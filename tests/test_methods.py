@@ -225,7 +225,7 @@ def arms(guidance: float, guidance_from: float) -> tuple[Tensor, Schedule]:
         return text[:, :1].expand_as(x)
 
     def begun(run: Run) -> Tensor:
-        x = run.begun_independently(run.steps_before(0.5))
+        x = run.sample_independent_start(run.steps_before(0.5))
         found.append((x[0, :, list(run.columns[BodyPart.RIGHT_ARM])], run.schedule.respaced(run.times)))
         return x
 

@@ -12,8 +12,8 @@ from stmc.data.sources.contents import CONTENTS
 from stmc.evaluation.benchmarks.atomic_prompts import read_texts
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words, same_meaning
 from stmc.evaluation.benchmarks.published_timelines import sample_published_timelines
-from stmc.evaluation.metrics.gestures import longest, looked_left, reversals, visits
-from stmc.evaluation.metrics.steps import jumps_with_both_feet, path_length, turned
+from stmc.evaluation.metrics.gestures import head_turn_left, longest, reversals, visits
+from stmc.evaluation.metrics.steps import heading_change, jumps_with_both_feet, path_length
 from stmc.motion.body import JOINTS, NUM_ROTATIONS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix, rotation_z
@@ -262,8 +262,8 @@ def test_a_jump_needs_a_landing_and_rest():
 @given(degrees=st.integers(-720, 720))
 def test_a_turn_is_counted_in_full_and_looking_to_the_right_is_no_look_to_the_left(degrees):
     motion = moved(heading=math.radians(degrees) * TIME / TIME[-1])
-    assert math.degrees(float(turned(motion)[-1])) == pytest.approx(degrees, abs=0.1)
-    assert math.degrees(float(looked_left(motion)[-1])) == pytest.approx(max(0, degrees), abs=0.1)
+    assert math.degrees(float(heading_change(motion)[-1])) == pytest.approx(degrees, abs=0.1)
+    assert math.degrees(float(head_turn_left(motion)[-1])) == pytest.approx(max(0, degrees), abs=0.1)
 
 
 def test_measures_are_what_their_names_say():

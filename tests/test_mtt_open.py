@@ -106,7 +106,7 @@ def test_timelines_are_drawn_from_the_texts_and_recordings_come_from_prepared_da
     clips = (Clip("a", "walk", "normal", "walk", ("legs",), True, False, "train", 0, 60),)
     Cache(20, "smpl", features, clips, {"walk": (("walk", 1.0),)}).write(tmp_path / "data")
     benchmark = mtt_open(Judge(), texts, cache=tmp_path / "data", first=7)
-    assert len(benchmark.asked) == 7 and {text: len(each) for text, each in benchmark.recorded.items()} == {WALK: 1}
+    assert len(benchmark.requested) == 7 and {text: len(each) for text, each in benchmark.recorded.items()} == {WALK: 1}
     assert mtt_open(Judge(), texts).recorded == {}
 
 

@@ -266,7 +266,7 @@ def test_the_open_benchmark_takes_its_real_motion_from_held_out_clips_of_several
     for name, some in (("one", texts[::2]), ("other", texts[1::2])):
         prepared(some).write(tmp_path / name)
     opened = open_mtt(AnyText(), [tmp_path / "one", tmp_path / "other"], first=3)
-    assert len(opened.asked) == 3
+    assert len(opened.requested) == 3
     assert len(opened.truth.real) == 2 * len(texts)
 
 

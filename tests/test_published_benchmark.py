@@ -15,7 +15,7 @@ from test_evaluators import SIZES, drawn, evaluator, small
 from torch.testing import assert_close
 
 import stmc
-from stmc.data.sources.amass.amass_recordings import read_recording, unmirrored
+from stmc.data.sources.amass.amass_recordings import read_recording, strip_mirror_prefix
 from stmc.diffusion.statistics import Statistics
 from stmc.evaluation.benchmarks.atomic_prompts import read_atomic_prompts
 from stmc.evaluation.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions
@@ -287,7 +287,7 @@ def test_a_name_with_m_is_the_mirror_image(work, reference_motions, name):
 
 def test_the_mirror_images_of_the_published_atomic_prompts_are_known_by_their_names():
     paths = [line.split("#")[0].strip() for line in data_file("mtt/motions.txt").read_text().splitlines()]
-    known = [unmirrored(path) for path in paths]
+    known = [strip_mirror_prefix(path) for path in paths]
     assert sum(image for _, image in known) == 22
     assert [f"M/{path}" if image else path for path, image in known] == paths
 

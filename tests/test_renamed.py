@@ -5,7 +5,7 @@ from helpers.scripts import configured
 from omegaconf import OmegaConf
 
 from stmc.settings.renamed import with_new_names, with_new_paths
-from stmc.training.resuming import deciding, differences
+from stmc.training.resuming import deciding_settings, differences
 
 
 def test_old_keys_have_todays_names_wherever_they_stand_and_todays_win():
@@ -62,11 +62,11 @@ BEGUN = {
 
 
 def begun(sampling: dict) -> dict:
-    return with_new_paths(deciding({"data": {"sampling": sampling}}))
+    return with_new_paths(deciding_settings({"data": {"sampling": sampling}}))
 
 
 def today(name: str, *overrides: str) -> dict:
-    return deciding({"data": {"sampling": OmegaConf.to_container(configured(name, *overrides).data.sampling)}})
+    return deciding_settings({"data": {"sampling": OmegaConf.to_container(configured(name, *overrides).data.sampling)}})
 
 
 @pytest.mark.parametrize("name", BEGUN)

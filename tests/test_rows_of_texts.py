@@ -88,7 +88,7 @@ def test_joined_rows_are_the_crops_and_straight_lines_between_them():
         mixed.append(len(frames))
         return frames
 
-    found = rows.joined(crops.clone(), blended)
+    found = rows.cross_fade(crops.clone(), blended)
     fade = [1 + 4 * k / 5 for k in (1, 2, 3, 4)]
     torch.testing.assert_close(found[0, :, 0], torch.tensor([1.0] * 4 + fade + [5.0] * 5 + [7.0] * 5))
     torch.testing.assert_close(found[1, :7, 0], torch.full((7,), 2.0))
@@ -99,7 +99,7 @@ def test_joined_rows_are_the_crops_and_straight_lines_between_them():
 def test_crops_alone_in_their_rows_are_left_as_they_are():
     crops = torch.randn(3, 5, 2)
     alone = Arrangement(np.arange(3), np.array([5, 4, 3]), np.zeros(3, dtype=int))
-    assert alone.joined(crops, lambda frames: frames) is crops
+    assert alone.cross_fade(crops, lambda frames: frames) is crops
 
 
 # What follows what -------------------------------------------------------------------------------------------------

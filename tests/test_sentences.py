@@ -16,8 +16,8 @@ from stmc.data.sources.contents import (
     STYLES,
     content,
     describe,
+    mirror_content,
     mirrored,
-    mirrored_content,
 )
 from stmc.data.sources.joined import PER_PAIR, join, joined_sentences
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
@@ -210,13 +210,13 @@ def test_any_text_can_be_mirrored(text):
 def test_a_mirrored_clip_is_described_by_the_mirrored_sentences(style):
     for name in LABELS:
         expected = {(mirrored(text), weight) for text, weight in describe(name, style)}
-        assert set(describe(mirrored_content(name), style)) == expected
+        assert set(describe(mirror_content(name), style)) == expected
 
 
 def test_sides_change_places_and_what_has_no_side_stays():
-    assert mirrored_content("wave-left-hand") == "wave-right-hand"
-    assert mirrored_content("walk-turn-right") == "walk-turn-left"
-    assert mirrored_content("raise-up-both-hands") == "raise-up-both-hands"
+    assert mirror_content("wave-left-hand") == "wave-right-hand"
+    assert mirror_content("walk-turn-right") == "walk-turn-left"
+    assert mirror_content("raise-up-both-hands") == "raise-up-both-hands"
 
 
 def test_unknown_labels_are_refused_with_the_choices():
@@ -225,7 +225,7 @@ def test_unknown_labels_are_refused_with_the_choices():
     with pytest.raises(ValueError, match=r"unknown style 'purple'.*chimpira"):
         describe("walk", "purple")
     with pytest.raises(ValueError, match="unknown content 'float-left'"):
-        mirrored_content("float-left")
+        mirror_content("float-left")
 
 
 def test_no_phrase_of_a_style_contains_the_name_of_a_side():

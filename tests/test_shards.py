@@ -16,7 +16,7 @@ import stmc
 from stmc.evaluation.benchmarks.samples import Samples
 from stmc.io.files import FolderInUse, locked
 from stmc.settings.records import SettingError
-from stmc.settings.shards import Shard, listed
+from stmc.settings.shards import Shard, describe_shards
 
 counts = st.integers(min_value=1, max_value=80)
 
@@ -30,7 +30,7 @@ def test_every_item_is_in_one_share_and_shares_differ_by_one_at_most(count, item
 
 @given(counts, st.sets(st.integers(min_value=0, max_value=199)))
 def test_what_is_missing_is_told_of_the_shares_that_should_have_made_it(count, missing):
-    lacking = Shard(None, count).lacking(range(200), missing)
+    lacking = Shard(None, count).count_missing(range(200), missing)
     expected = {
         Shard(number, count): len({*Shard(number, count).of(range(200))} & missing) for number in range(1, count + 1)
     }
@@ -59,9 +59,9 @@ def test_a_process_that_was_launched_with_others_has_its_share():
 
 def test_shares_are_listed_in_words_and_not_without_end():
     lacking = {Shard(number, 20): number for number in range(1, 12)}
-    assert listed({Shard(2, 4): 5}) == "shard 2/4 (5)"
-    assert listed({Shard(2, 4): 5, Shard(3, 4): 1}) == "shards 2/4 (5) and 3/4 (1)"
-    assert listed(lacking).endswith("8/20 (8) and 3 more")
+    assert describe_shards({Shard(2, 4): 5}) == "shard 2/4 (5)"
+    assert describe_shards({Shard(2, 4): 5, Shard(3, 4): 1}) == "shards 2/4 (5) and 3/4 (1)"
+    assert describe_shards(lacking).endswith("8/20 (8) and 3 more")
 
 
 def test_a_lock_is_waited_for_as_long_as_there_is_patience(tmp_path):

@@ -377,6 +377,6 @@ def test_a_web_socket_is_refused(port):
 
 
 def test_a_browser_is_led_to_the_address_by_a_file_that_nobody_else_can_read(tmp_path):
-    with loaded("studio").opening(tmp_path, "http://127.0.0.1:1/#token=secret") as page:
+    with loaded("studio").redirect_file(tmp_path, "http://127.0.0.1:1/#token=secret") as page:
         assert stat.S_IMODE(page.stat().st_mode) == 0o600 and "#token=secret" in page.read_text()
     assert not page.exists()

@@ -360,8 +360,10 @@ def test_another_seed_cannot_go_on_with_a_run(tmp_path):
 def test_a_run_of_an_earlier_version_goes_on_under_todays_names(tmp_path, monkeypatch):
     with monkeypatch.context() as before:
         old = {"training.lr": "training.rate", "training.ema_decay": "training.decay"}
-        renamed = loop.deciding
-        before.setattr(loop, "deciding", lambda now: {old.get(path, path): v for path, v in renamed(now).items()})
+        renamed = loop.deciding_settings
+        before.setattr(
+            loop, "deciding_settings", lambda now: {old.get(path, path): v for path, v in renamed(now).items()}
+        )
         trainer(tmp_path, steps=2).run()
     table = tmp_path / "train.csv"
     table.write_text(table.read_text().replace(",lr,", ",rate,"))

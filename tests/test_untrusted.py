@@ -9,7 +9,7 @@ import pytest
 from stmc.data.sources.humanml3d.humanml3d_clips import read_captioned_clips
 from stmc.data.sources.humanml3d.humanml3d_texts import read_captions, read_index
 from stmc.evaluation.benchmarks.atomic_prompts import _fields
-from stmc.io.untrusted import UnreadableError, cut, load_json, read_bytes, read_text, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, read_bytes, read_text, truncate
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="links and pipes")
 
@@ -30,7 +30,7 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="links and pipes")
     ids=lambda value: type(value).__name__,
 )
 def test_a_value_is_shown_on_one_line_in_characters_that_can_be_seen(value, text):
-    assert shown(value) == text
+    assert quote(value) == text
 
 
 def nested(depth: int) -> list:
@@ -46,8 +46,8 @@ def nested(depth: int) -> list:
     ids=lambda value: type(value).__name__,
 )
 def test_a_value_is_shown_in_few_characters(value):
-    assert len(shown(value)) <= 62
-    assert len(cut(str("\x00" * 1000), 60)) == 60
+    assert len(quote(value)) <= 62
+    assert len(truncate(str("\x00" * 1000), 60)) == 60
 
 
 def test_a_key_that_an_object_has_twice_is_refused():

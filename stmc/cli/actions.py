@@ -38,7 +38,7 @@ from stmc.evaluation.metrics.retrieval import cosines, ranks
 from stmc.evaluators import Evaluator
 from stmc.io.extras import require
 from stmc.io.files import write_text, write_whole
-from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text, shown
+from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, quote, read_text
 from stmc.model import Precision
 from stmc.motion.kinematics import foot_sliding, hand_step
 from stmc.motion.motion import Motion
@@ -114,8 +114,8 @@ def main(config: DictConfig) -> None:
         answers = check_geometry(name, motions, real)
         sampled = [motion for several in motions.values() for motion in several]
         plausible = {"sampled": measure_plausibility(sampled), "real": measure_plausibility(real[name])}
-        found = {text: finder.found(name, several) for text, several in motions.items()}
-        heard = {"found": fmean(found.values()), "real_found": finder.found(name, real[name])}
+        found = {text: finder.recall(name, several) for text, several in motions.items()}
+        heard = {"found": fmean(found.values()), "real_found": finder.recall(name, real[name])}
         results[name] = answers | heard | plausible
         for text, several in motions.items():
             trials[text] = make_trial(config, model, name, several, answers["sentences"].get(text), found[text])
@@ -208,7 +208,7 @@ class Finder:
         self.texts = list(dict.fromkeys(shown))
         self.latents = evaluator.texts(self.texts)
 
-    def found(self, name: str, motions: Sequence[Motion]) -> float:
+    def recall(self, name: str, motions: Sequence[Motion]) -> float:
         """Return the share of motions of the content `name` for which the evaluator finds it."""
         features = [self.evaluator.features(motion) for motion in motions]
         scores = cosines(self.evaluator.motions(features), self.latents)
@@ -327,7 +327,7 @@ def read_paraphrases(path: str | None, prompts: Sequence[AtomicPrompt]) -> dict[
     except UnreadableError as error:
         raise SettingError(f"paraphrases={path}: {error}") from None
     if not isinstance(table, dict):
-        raise SettingError(f"paraphrases={path}: must be an object of text: paraphrase, not {shown(table)}")
+        raise SettingError(f"paraphrases={path}: must be an object of text: paraphrase, not {quote(table)}")
     if missing := [prompt.text for prompt in prompts if not isinstance(table.get(prompt.text), str)]:
         raise SettingError(f"paraphrases={path}: has no sentence for {missing[0]!r}")
     return {prompt.text: table[prompt.text] for prompt in prompts}

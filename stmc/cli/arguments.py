@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
-from stmc.settings.records import SettingError, check_name, shown
+from stmc.settings.records import SettingError, check_name, quote
 
 _OVERRIDE = re.compile(r"([+~]{0,2})([A-Za-z_][\w./@-]*)=(.*)", re.DOTALL)
 _DELETED = re.compile(r"~[A-Za-z_][\w./@-]*")
@@ -68,7 +68,7 @@ def parse_arguments(
             value = value if equals else _flag_value(remaining, flag, hints.get(key))
             overrides.append(_as_override("", key, value, hints, multirun))
         elif argument.startswith("--"):
-            raise SettingError(f"unknown setting {shown(flag)}; --help lists all settings")
+            raise SettingError(f"unknown setting {quote(flag)}; --help lists all settings")
         elif found := _OVERRIDE.fullmatch(argument):
             check_name(re.split(r"[.@/]", found[2])[0], [*hints, *groups])
             sign, key, value = found.groups()
@@ -78,7 +78,7 @@ def parse_arguments(
         elif (name := next(names, None)) is not None:
             overrides.append(_as_override("", name, argument, hints, multirun))
         else:
-            raise SettingError(f"{shown(argument)} is not a setting; write settings as key=value, --help lists them")
+            raise SettingError(f"{quote(argument)} is not a setting; write settings as key=value, --help lists them")
     folder = Path(flags.pop("folder")).expanduser() if "folder" in flags else None
     return Arguments(tuple(overrides), folder=folder, multirun=multirun, **flags)
 
@@ -110,13 +110,13 @@ def _as_override(sign: str, key: str, value: str, hints: Mapping[str, Any], mult
     if multirun and "," in value and _parses(plain, sweeps=True):
         return plain
     if hint is not None and str in setting_types(hint) and value != "null":
-        return f"{sign}{key}={quoted(value)}"
+        return f"{sign}{key}={quote_override(value)}"
     if get_origin(hint) is tuple and value != "null" and _parses(f"{key}=[{value}]") and not value.startswith("["):
         return f"{sign}{key}=[{value}]"
-    return plain if _parses(plain) else f"{sign}{key}={quoted(value)}"
+    return plain if _parses(plain) else f"{sign}{key}={quote_override(value)}"
 
 
-def quoted(value: str) -> str:
+def quote_override(value: str) -> str:
     """Quote a text for Hydra's grammar; a quoted text is unchanged."""
     if len(value) > 1 and value[0] == value[-1] and value[0] in "'\"":
         return value

@@ -24,7 +24,7 @@ from omegaconf import OmegaConf, open_dict
 
 from stmc.cli.arguments import Arguments, parse_arguments
 from stmc.cli.config_folder import find_configs
-from stmc.cli.config_parts import check_plugins, check_trust, described, record_of_part, resolve_config
+from stmc.cli.config_parts import check_plugins, check_trust, describe_part, record_of_part, resolve_config
 from stmc.cli.exit_codes import run_guarded
 from stmc.cli.help import format_help
 from stmc.settings.records import SettingError, defaults, field_infos, record_of
@@ -133,7 +133,7 @@ class Command:
         with self._initialise_hydra(parsed) as (name, overrides):
             config = compose(name, overrides)
         records = {part: record_of_part(config, place) for part, place in within.items()}
-        return {part: (record, described(config, within[part])) for part, record in records.items() if record}
+        return {part: (record, describe_part(config, within[part])) for part, record in records.items() if record}
 
     @cached_property
     def parts(self) -> dict[str, tuple[str, list[str]]]:

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 
 from stmc.run import Part, construct, signature_of
 from stmc.run.configs import TARGET
-from stmc.settings.records import SettingError, field_infos, shown
+from stmc.settings.records import SettingError, field_infos, quote
 
 _PLUGINS, _LOGS = ("hydra._internal.", "hydra_plugins."), ("logging.", "colorlog.")
 _SOURCES = "stmc.data.sources"
@@ -82,12 +82,12 @@ def build_part(config: Any, place: str, kind: type = object, **given: Any) -> An
         kind: Class that the part must be an instance of.
         **given: Arguments that override those of the configuration.
     """
-    return construct(described(config, place) | given, place, _part(kind), _trusted(config))
+    return construct(describe_part(config, place) | given, place, _part(kind), _trusted(config))
 
 
 def signature_of_part(config: Any, place: str) -> Signature:
     """Return the signature of the part at `place`. Raises the errors of `build_part`."""
-    return signature_of(described(config, place), place, _part(object), _trusted(config))
+    return signature_of(describe_part(config, place), place, _part(object), _trusted(config))
 
 
 def record_of_part(config: Any, place: str) -> type | None:
@@ -101,11 +101,11 @@ def record_of_part(config: Any, place: str) -> type | None:
     return record if is_record else None
 
 
-def described(config: Any, place: str) -> dict[str, Any]:
+def describe_part(config: Any, place: str) -> dict[str, Any]:
     """Return the description of the part at `place` as plain data. Raises `SettingError` if there is none."""
     node = OmegaConf.select(config, place)
     if not OmegaConf.is_dict(node):
-        raise SettingError(f"{place}={shown(node)}: must be a table with `_target_`")
+        raise SettingError(f"{place}={quote(node)}: must be a table with `_target_`")
     return resolve_config(node)
 
 
@@ -135,7 +135,7 @@ def check_plugins(node: Any, place: str = "hydra") -> None:
             or key == "()"
             or (key == "class" and not _starts(value, _LOGS))
         ):
-            raise SettingError(f"{place}.{key}={shown(value)}: is not a part of Hydra")
+            raise SettingError(f"{place}.{key}={quote(value)}: is not a part of Hydra")
         check_plugins(value, f"{place}.{key}")
 
 
@@ -151,5 +151,5 @@ def check_trust(config: Mapping[str, Any], overrides: Sequence[str]) -> None:
     granted = any(each.lstrip("+").partition("=")[0] == "trusted" for each in overrides)
     if config.get("trusted") and not granted:
         raise SettingError(
-            f"trusted={shown(list(config['trusted']))}: a file cannot grant trust; set trusted= on the command line"
+            f"trusted={quote(list(config['trusted']))}: a file cannot grant trust; set trusted= on the command line"
         )

@@ -28,7 +28,7 @@ import stmc
 from stmc.cli.commands import command
 from stmc.cli.config_parts import build_part
 from stmc.cli.shared_settings import OnDevice, Sharded, Threaded
-from stmc.composing import find_method, settled
+from stmc.composing import find_method, resolve_settings
 from stmc.composing.sampling import Sampling
 from stmc.evaluation.benchmarks import Benchmark
 from stmc.evaluation.benchmarks.samples import Samples
@@ -39,7 +39,7 @@ from stmc.io.files import locked, write_text, write_whole
 from stmc.model import Precision
 from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
 from stmc.settings.records import record_of, setting
-from stmc.settings.shards import Incomplete, Shard, listed
+from stmc.settings.shards import Incomplete, Shard, describe_shards
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ class Settings(OnDevice, Threaded, Sharded):
     )
 
     def __post_init__(self) -> None:
-        Shard.asked(self.shard)
+        Shard.read(self.shard)
 
 
 PATIENCE = math.inf
@@ -71,7 +71,7 @@ PATIENCE = math.inf
 @command("evaluate", Settings, ("output",))
 def main(config: DictConfig) -> None:
     """Run everything that the output lacks, then write the table and the figure of the experiment."""
-    console, folder, shard = Console(), Path(config.output).expanduser(), Shard.asked(config.shard)
+    console, folder, shard = Console(), Path(config.output).expanduser(), Shard.read(config.shard)
     models = {
         name: stmc.load(place, device=config.device, precision=config.precision, trusted=config.trusted)
         for name, place in config.models.items()
@@ -120,7 +120,7 @@ def choose_settings(
         own = experiment.of_methods.get(method, {}), experiment.of_models.get(name, {})
         if model.network.per_frame_text or not methods[method].per_frame_text:
             for each in combinations({**experiment.settings, **own[0], **own[1]}):
-                yield Setting(method, name, settled(each, methods[method], model.own_sampling))
+                yield Setting(method, name, resolve_settings(each, methods[method], model.own_sampling))
 
 
 def combinations(settings: Mapping) -> list[Sampling]:
@@ -269,12 +269,12 @@ def conclude(runs: list[Run], shard: Shard, config: DictConfig, console: Console
     """Report complete results, or list missing ones. Raises `Incomplete` if only completeness was to be checked."""
     missing: Counter[Shard] = Counter()
     for run in runs:
-        missing.update(shard.lacking(run.order, measure(run)))
+        missing.update(shard.count_missing(run.order, measure(run)))
     if not missing:
         results = read_records(runs[0].folder)
         report([results[run.setting, run.seed] for run in runs], config, console)
         return
-    message = f"{config.output}: motions are missing of {listed(missing)}"
+    message = f"{config.output}: motions are missing of {describe_shards(missing)}"
     if shard.number is None:
         raise Incomplete(f"{message}; run these shards, or omit shard= to sample all missing motions")
     console.print(f"shard {shard} is complete; {message}", markup=False, soft_wrap=True)

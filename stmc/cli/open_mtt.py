@@ -83,11 +83,11 @@ def main(config: DictConfig) -> None:
     console.print(f"{len(prompts)} atomic prompts, {len(timelines)} timelines in {folder.resolve()}")
     console.print(f"no held-out clip shows {', '.join(find_omitted(cache, prompts)) or 'nothing'}")
     evaluator = stmc.load_evaluator(config.evaluator)
-    print_report(console, prompts, found(evaluator, prompts, single_motions(cache, prompts)), "alone")
+    print_report(console, prompts, rank_texts(evaluator, prompts, single_motions(cache, prompts)), "alone")
     print_report(
         console,
         prompts,
-        found(evaluator, prompts, composed_motions(cache, prompts)),
+        rank_texts(evaluator, prompts, composed_motions(cache, prompts)),
         "with another clip on other body parts",
     )
 
@@ -190,7 +190,7 @@ def compose_clips(cache: Cache, clip: Clip, partner: Clip) -> torch.Tensor:
     return body
 
 
-def found(
+def rank_texts(
     evaluator: Evaluator, prompts: list[AtomicPrompt], motions: dict[str, list[torch.Tensor]]
 ) -> dict[str, Found]:
     """Rank all texts for the motions of each prompt; prompts without motions are left out."""

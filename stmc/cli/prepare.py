@@ -18,7 +18,7 @@ from rich.progress import track
 
 from stmc.cli.commands import command
 from stmc.cli.config_parts import build_part, signature_of_part
-from stmc.data.cache import fresh
+from stmc.data.cache import is_current
 from stmc.data.preparation import Preparation
 from stmc.data.report import TEXT, lines, write_report
 from stmc.io.files import locked
@@ -54,7 +54,7 @@ def main(config: DictConfig) -> None:
 def prepare(preparation: Preparation, folder: Path, workers: int, console: Console) -> None:
     """Fill the folder; write the report first, since the cache marks the folder as complete."""
     scratch, inputs = folder / "pieces", preparation.fingerprint()
-    if fresh(folder, inputs):
+    if is_current(folder, inputs):
         shutil.rmtree(scratch, ignore_errors=True)  # an earlier run may have been killed at its last step
         console.print(f"{folder} is up to date")
         return

@@ -41,12 +41,12 @@ from stmc.composing import find_method
 from stmc.composing.sampling import Sampling
 from stmc.diffusion.tensors import found_device
 from stmc.editing.generate_request import GenerateRequest, names
-from stmc.io.filenames import distinct
+from stmc.io.filenames import distinct_names
 from stmc.io.files import probe, remove_leftovers, sha256
 from stmc.model import Precision
 from stmc.run import fingerprint
-from stmc.settings.records import SettingError, as_in, setting, shown
-from stmc.settings.shards import Incomplete, Shard, listed
+from stmc.settings.records import SettingError, as_in, quote, setting
+from stmc.settings.shards import Incomplete, Shard, describe_shards
 from stmc.timeline import PromptWarning, advise_prompt
 from stmc.viewing.exports import EXPORTS
 
@@ -91,7 +91,7 @@ class Settings(Sampling, OnModel, Sharded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        Shard.asked(self.shard)
+        Shard.read(self.shard)
         find_method(self.method, self.trusted)
 
 
@@ -100,21 +100,21 @@ def main(settings: Settings) -> None:
     console = Console(stderr=settings.json, soft_wrap=True, highlight=False)
     check(settings)
     character = read_settings_character(settings.character, settings.joint_map, settings.formats, console)
-    folder, shard = open_folder(settings, character), Shard.asked(settings.shard)
+    folder, shard = open_folder(settings, character), Shard.read(settings.shard)
     everything = read_jobs(settings, folder, console)
     wanted = everything if shard.number is None else shard.of(everything)
     missing = {job.name for job in wanted if not folder.finished(job)}
     if missing and shard.number is None:
-        lacking = shard.lacking([job.name for job in everything], missing)
-        raise Incomplete(f"{settings.output}: motions are missing of {listed(lacking)}")
+        lacking = shard.count_missing([job.name for job in everything], missing)
+        raise Incomplete(f"{settings.output}: motions are missing of {describe_shards(lacking)}")
     if not missing:
-        console.print(f"every motion{of_share(shard)} is in {folder.path.resolve()} already", markup=False)
+        console.print(f"every motion{name_shard(shard)} is in {folder.path.resolve()} already", markup=False)
         return
     precision = cast(Precision, settings.precision)  # one of its choices
     model = stmc.load(settings.model, device=settings.device, precision=precision, trusted=settings.trusted)
     size = settings.batch or BATCH_SIZES.get(model.device.type, 1)
     make(model, folder, wanted, missing, size, console, settings.json)
-    console.print(f"motions{of_share(shard)} in {folder.path.resolve()}{hint(folder.formats)}", markup=False)
+    console.print(f"motions{name_shard(shard)} in {folder.path.resolve()}{hint(folder.formats)}", markup=False)
 
 
 def make(
@@ -153,7 +153,7 @@ def hint(formats: Sequence[str]) -> str:
     return f": open {', '.join(hints)}" if hints else ""
 
 
-def of_share(shard: Shard) -> str:
+def name_shard(shard: Shard) -> str:
     """Name the shard for a message; empty if there is only one."""
     return "" if shard.count == 1 or shard.number is None else f" of share {shard}"
 
@@ -186,7 +186,7 @@ def read_jobs(settings: Settings, folder: MotionFolder, console: Console) -> lis
         print_suggestions(timelines, console)
         timelines = [stmc.with_suggested_parts(each) for each in timelines]
     stem = stem or folder.free_name(timelines[0])
-    found = distinct((timeline.name or (stem if len(timelines) == 1 else "") for timeline in timelines), stem)
+    found = distinct_names((timeline.name or (stem if len(timelines) == 1 else "") for timeline in timelines), stem)
     seeds = range(settings.seed, settings.seed + settings.samples)
     pairs = [(name, timeline, seed) for name, timeline in zip(found, timelines, strict=True) for seed in seeds]
     pairs.sort(key=lambda pair: -pair[1].duration)
@@ -211,14 +211,14 @@ def read_timelines(timeline: str | None) -> tuple[list[stmc.Timeline], str | Non
         return [stmc.Timeline.parse(timeline.replace("\\n", "\n"))], None
     path = Path(timeline or str(files("stmc") / "assets/timelines/walk_jump_sit.json")).expanduser()
     if timeline is not None and not path.suffix and "/" not in timeline and not path.exists():
-        raise SettingError(f"timeline={shown(timeline)}: no such file; with its seconds it is a timeline: {EXAMPLE}")
+        raise SettingError(f"timeline={quote(timeline)}: no such file; with its seconds it is a timeline: {EXAMPLE}")
     return list(stmc.Timeline.read_all(path)), path.stem
 
 
 def print_suggestions(timelines: list[stmc.Timeline], console: Console) -> None:
     """Print the suggested body parts of every prompt that lists none, once per text."""
     for text in dict.fromkeys(prompt.text for each in timelines for prompt in each.prompts if not prompt.parts):
-        console.print(f"suggested for {shown(text)}: {stmc.suggest_parts(text)}", markup=False)
+        console.print(f"suggested for {quote(text)}: {stmc.suggest_parts(text)}", markup=False)
 
 
 def sample_missing(

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from stmc.editing.streaming import Frame, MotionStream
 from stmc.io.extras import require
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.motion.geometry import matrix_to_quaternion
 from stmc.settings.records import SettingError
@@ -133,9 +133,9 @@ def _address(to: str, allow_remote: bool) -> tuple[str, int]:
     except ValueError:
         host = port = None
     if host is None or port is None or parts.scheme != "osc" or parts.path not in ("", "/"):
-        raise SettingError(f"to={shown(to)}: must be json, or osc://HOST:PORT such as osc://127.0.0.1:9000")
+        raise SettingError(f"to={quote(to)}: must be json, or osc://HOST:PORT such as osc://127.0.0.1:9000")
     if not allow_remote and not _is_loopback(host):
-        raise SettingError(f"to={shown(to)}: not this machine; allow_remote=true sends the motion there")
+        raise SettingError(f"to={quote(to)}: not this machine; allow_remote=true sends the motion there")
     return host, port
 
 

@@ -69,7 +69,7 @@ def serve(settings: Settings, folder: Path, listening: socket.socket) -> None:
     sessions, port = Sessions(), listening.getsockname()[1]
     sessions.allow(program_token(folder))
     with console.status("loading the model"):
-        model = loaded(settings)
+        model = load_model(settings)
     app = application(model, folder, sessions, port, settings.steps)
     console.print(
         f"the studio is at http://127.0.0.1:{port}/#token={sessions.invite()}\n"
@@ -77,14 +77,14 @@ def serve(settings: Settings, folder: Path, listening: socket.socket) -> None:
         f"programs: http://127.0.0.1:{port}/api says how; their token is in {Path(settings.folder) / 'api_token'}",
         markup=False,
     )
-    with opening(folder, f"http://127.0.0.1:{port}/#token={sessions.invite()}") as page:
+    with redirect_file(folder, f"http://127.0.0.1:{port}/#token={sessions.invite()}") as page:
         if settings.open:
             Timer(0.5, webbrowser.open, [page.as_uri()]).start()
         server_of(app).run(sockets=[listening])
 
 
 @contextmanager
-def opening(folder: Path, address: str) -> Iterator[Path]:
+def redirect_file(folder: Path, address: str) -> Iterator[Path]:
     """Write a private file that redirects a browser to `address`, and delete it at the end.
 
     The address holds a token, and other users of the machine can read the arguments of a browser process.
@@ -113,7 +113,7 @@ def listen(port: int) -> socket.socket:
     return listening
 
 
-def loaded(settings: Settings) -> stmc.Model:
+def load_model(settings: Settings) -> stmc.Model:
     """Load the model in the requested precision, by default in the faster one."""
 
     def load(precision: Precision) -> stmc.Model:
@@ -121,20 +121,20 @@ def loaded(settings: Settings) -> stmc.Model:
 
     if settings.precision:
         return load(cast(Precision, settings.precision))  # one of its choices
-    return min(map(load, get_args(Precision)), key=seconds)
+    return min(map(load, get_args(Precision)), key=time_steps)
 
 
-def seconds(model: stmc.Model) -> float:
+def time_steps(model: stmc.Model) -> float:
     """Measure two denoising steps, in seconds, after a warm-up."""
 
     def try_out() -> None:
         model.generate("walk # 0 # 5", steps=2)
 
     try_out()
-    return timed(try_out)
+    return time_call(try_out)
 
 
-def timed(work: Callable[[], None]) -> float:
+def time_call(work: Callable[[], None]) -> float:
     """Measure the duration of a call, in seconds."""
     began = time.perf_counter()
     work()

@@ -25,7 +25,7 @@ from stmc.io.files import write_whole
 from stmc.model import Model
 from stmc.run import PARTS, build, check
 from stmc.run.configs import PARTIAL, TARGET
-from stmc.settings.records import SettingError, check_value, record_of, setting, shown
+from stmc.settings.records import SettingError, check_value, quote, record_of, setting
 from stmc.text import Cached, TextEncoder
 from stmc.text.vocabulary import sentence_encoder
 from stmc.training import Denoising, GuidedTeacher, MultistepTeacher
@@ -131,7 +131,7 @@ def check_parts(config: DictConfig) -> None:
     reading = build(described, {part: PARTS[part] for part in ("representation", "text_encoder")}, config.trusted)
     widths = {"features": reading["representation"].width, "text_width": reading["text_encoder"].width}
     if not isinstance(described["denoiser"], dict):
-        raise SettingError(f"denoiser={shown(described['denoiser'])}: must be a table with `_target_`")
+        raise SettingError(f"denoiser={quote(described['denoiser'])}: must be a table with `_target_`")
     described["denoiser"] |= widths
     with torch.random.fork_rng(devices=[]):
         built = build(described, {part: PARTS[part] for part in ("denoiser", "schedule")}, config.trusted)

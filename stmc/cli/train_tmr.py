@@ -144,7 +144,7 @@ def measure_retrieval(evaluator: Evaluator, pairs: PairBatches, split: str) -> d
     longest = int(pairs.batches.recipe.longest * dataset.fps)
     motions = evaluator.motions([dataset.features[clip.start : clip.end][:longest].cpu() for clip in chosen])
     texts = evaluator.texts([dataset.sentences[sentence] for sentence in sentences])
-    table, right = cosines(texts, motions), pairs.true_of(sentences, clips)
+    table, right = cosines(texts, motions), pairs.belongs(sentences, clips)
     ways = {"all": t2m_m2t(table), "true": t2m_m2t(table, right)}
     if len(chosen) >= 32:
         ways["guo"] = small_batches(table, [clip.name for clip in chosen])

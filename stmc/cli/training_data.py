@@ -17,7 +17,7 @@ from stmc.data.cache import Cache, read_caches
 from stmc.data.sources.joined import joined_sentences
 from stmc.diffusion.statistics import Statistics
 from stmc.run import PARTS, build
-from stmc.settings.records import SettingError, shown
+from stmc.settings.records import SettingError, quote
 from stmc.text import Cached
 from stmc.training.data.dataset import Dataset
 from stmc.training.data.prolonging import Prolonging
@@ -69,5 +69,5 @@ def folders(config: Config) -> str | list[str]:
     folder = OmegaConf.to_container(folder) if OmegaConf.is_config(folder) else folder
     names = [folder] if isinstance(folder, str) else list(folder or ())
     if not names or not all(isinstance(name, str) and name for name in names):
-        raise SettingError(f"data.folder={shown(folder)}: must be the folder of a prepared cache, or a list of them")
+        raise SettingError(f"data.folder={quote(folder)}: must be the folder of a prepared cache, or a list of them")
     return names

@@ -5,7 +5,7 @@ from stmc.composing.double_take import kept_shares
 from stmc.composing.guided import NULL, SequenceDenoiser, distinct_texts, guided_crops, guided_sequences
 from stmc.composing.inpainting import Known, impute, inpaint
 from stmc.composing.interpolation import slerp, smooth_seams
-from stmc.composing.methods import METHODS, Method, Rule, find_method, settled, stitched
+from stmc.composing.methods import METHODS, Method, Rule, find_method, resolve_settings, stitched
 from stmc.composing.retiming import retimed
 from stmc.composing.running import Progress, Run
 from stmc.composing.sequences import body_sequences, compose_tracks
@@ -35,8 +35,8 @@ __all__ = [
     "impute",
     "inpaint",
     "kept_shares",
+    "resolve_settings",
     "retimed",
-    "settled",
     "sinc",
     "slerp",
     "smooth_seams",

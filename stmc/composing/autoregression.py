@@ -56,7 +56,7 @@ def _actions_in_order(timeline: int, plan: Plan) -> list[Action]:
     return [Action(timeline, number, plan.crops[number], starts[number]) for number in order]
 
 
-def seen_before(
+def observed_features(
     actions: Sequence[Action], lengths: Sequence[int], made: Float[Tensor, "batch _ features"], known: Known | None
 ) -> Known:
     """Return the observed features of the actions of one round.

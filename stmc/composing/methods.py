@@ -26,7 +26,7 @@ from stmc.composing.sampling import INDEPENDENT, Sampling
 from stmc.composing.sequences import compose_tracks
 from stmc.diffusion import SAMPLERS, Predict
 from stmc.diffusion.tensors import mask
-from stmc.settings.records import SettingError, shown
+from stmc.settings.records import SettingError, quote
 from stmc.timeline import Timeline, one_text, single_track
 from stmc.timeline.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, second_take
 
@@ -138,7 +138,7 @@ def stitch(run: Run, plans: Sequence[Plan], predict: Predict | None = None) -> F
     remaining = len(run.times) - independent
     noise = draw()
     x = run.schedule.q_sample(torch.zeros_like(noise), run.times[remaining - 1], noise)  # the frames after the ends
-    crops = run.begun_independently(independent)
+    crops = run.sample_independent_start(independent)
     inside = mask(torch.tensor([plan.frames for plan in plans]))[..., None].to(crops.device)
     x[:, : crops.shape[1]] = torch.where(inside, crops, x[:, : crops.shape[1]])
     return run.denoise(predict, x, draw, remaining)
@@ -263,7 +263,7 @@ def find_method(method: str | Method | Rule, trusted: Iterable[str] = ()) -> Met
     if isinstance(method, Method):
         return method
     if not callable(method):
-        raise SettingError(f"method={shown(method)}: pass a name, a Method or a rule Plan → Plan")
+        raise SettingError(f"method={quote(method)}: pass a name, a Method or a rule Plan → Plan")
     return stitched(method)
 
 
@@ -274,51 +274,51 @@ def _import_method(name: str, trusted: Sequence[str]) -> Any:
         )
     home, _, attribute = name.rpartition(".")
     if not home:
-        raise SettingError(f"method={shown(name)}: choose from {', '.join(METHODS)}, or pass a dotted name")
+        raise SettingError(f"method={quote(name)}: choose from {', '.join(METHODS)}, or pass a dotted name")
     package = name.partition(".")[0]
     if package not in trusted:
-        raise SettingError(f"method={shown(name)}: {shown(package)} is not among the trusted packages")
+        raise SettingError(f"method={quote(name)}: {quote(package)} is not among the trusted packages")
     try:
         result = getattr(import_module(home), attribute)
     except (ImportError, AttributeError, ValueError) as error:
-        raise SettingError(f"method={shown(name)}: {str(error)[:120]}") from error
+        raise SettingError(f"method={quote(name)}: {str(error)[:120]}") from error
     is_defined_there = f"{getattr(result, '__module__', '')}".partition(".")[0] == package
     if callable(result) and not isinstance(result, Method) and not is_defined_there:
-        raise SettingError(f"method={shown(name)}: {package} defines no such rule Plan → Plan")
+        raise SettingError(f"method={quote(name)}: {package} defines no such rule Plan → Plan")
     return result
 
 
-def settled(asked: Sampling, method: Method, own: Sampling) -> Sampling:
+def resolve_settings(requested: Sampling, method: Method, own: Sampling) -> Sampling:
     """Resolve the settings of a run: those that the method fixes, then the request, then the model's defaults.
 
     A setting that does not apply to the method, the sampler or the model becomes None.
 
     Args:
-        asked: Requested settings.
+        requested: Requested settings.
         method: The method.
         own: Complete defaults of the model.
     """
-    resolved = replace(asked.over(own), **method.fixed)
+    resolved = replace(requested.over(own), **method.fixed)
     taken = settings_taken(resolved.sampler)
     absent = {name for name in _SAMPLER_SETTINGS if name not in taken} | {
-        name for name in asked.given if getattr(own, name) is None and name not in _SAMPLER_SETTINGS
+        name for name in requested.given if getattr(own, name) is None and name not in _SAMPLER_SETTINGS
     }
     return replace(resolved, **dict.fromkeys(absent))
 
 
-def refuse(asked: Sampling, method: Method, own: Sampling) -> None:
+def check_settings(requested: Sampling, method: Method, own: Sampling) -> None:
     """Raise `SettingError` if a requested setting would be ignored by this method, sampler or model.
 
     Args:
-        asked: Requested settings.
+        requested: Requested settings.
         method: The method.
         own: Complete defaults of the model.
     """
-    resolved = settled(asked, method, own)
-    for name, value in asked.given.items():
+    resolved = resolve_settings(requested, method, own)
+    for name, value in requested.given.items():
         used = getattr(resolved, name)
         if value != used and not (used is None and value == 0):
-            raise SettingError(f"{name}={shown(value)}: {_reason(name, used, method)}")
+            raise SettingError(f"{name}={quote(value)}: {_reason(name, used, method)}")
 
 
 def _reason(name: str, used: Any, method: Method) -> str:

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.composing.autoregression import Action, action_rounds, seen_before
+from stmc.composing.autoregression import Action, action_rounds, observed_features
 from stmc.composing.batching import Guided
 from stmc.composing.inpainting import Known, impute
 from stmc.composing.sampling import Sampling
@@ -183,7 +183,7 @@ class Run:
         """Sample the crops of a round of actions, each with its context in `made`."""
         plans = [action.plan for action in actions]
         lengths = crop_lengths(plans, self.fixed_length)
-        observed = seen_before(actions, lengths, made, self.known)
+        observed = observed_features(actions, lengths, made, self.known)
         draw = self._noise([(self.seeds[action.timeline], action.number) for action in actions], lengths)
         return self.denoise(impute(self.guided(plans, self.guidance), *observed), draw(), draw)
 
@@ -193,7 +193,7 @@ class Run:
                 "constraints need a method that composes at every step; this method combines finished crops"
             )
 
-    def begun_independently(self, steps: int) -> Float[Tensor, "batch frames features"]:
+    def sample_independent_start(self, steps: int) -> Float[Tensor, "batch frames features"]:
         """Sample crops independently for the noisiest `steps` steps.
 
         The result is as noisy as the next step.

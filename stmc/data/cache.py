@@ -22,7 +22,7 @@ from torch import Tensor
 
 from stmc.diffusion.statistics import Statistics
 from stmc.io.files import write_whole
-from stmc.io.untrusted import UnreadableError, cut, load_json, read_text
+from stmc.io.untrusted import UnreadableError, load_json, read_text, truncate
 from stmc.motion.body_model import Skeleton
 
 FEATURES, TABLE = "clips.safetensors", "clips.json"
@@ -178,10 +178,10 @@ class Cache:
         except SafetensorError as error:
             raise CacheError(f"{folder / FEATURES} is damaged: {error}; run stmc prepare again") from error
         except (AttributeError, KeyError, TypeError) as error:
-            raise CacheError(f"{folder / TABLE} is not a cache's table: {cut(repr(error), 200)}") from error
+            raise CacheError(f"{folder / TABLE} is not a cache's table: {truncate(repr(error), 200)}") from error
 
 
-def fresh(folder: Path, fingerprint: str) -> bool:
+def is_current(folder: Path, fingerprint: str) -> bool:
     """Return whether `folder` holds a complete cache made from exactly these inputs."""
     try:
         table = _table(Path(folder))
@@ -223,16 +223,16 @@ def assemble(rows: Sequence[tuple[Clip, Float[Tensor, "_ features"]]]) -> tuple[
 def read_caches(folders: str | Path | Sequence[str | Path]) -> Cache:
     """Read the prepared data set in a folder, or those in several folders as one.
 
-    Raises `CacheError` as `Cache.read` and `merged` do.
+    Raises `CacheError` as `Cache.read` and `merge_caches` do.
     """
     paths = [folders] if isinstance(folders, str | Path) else list(folders)
     caches = [Cache.read(Path(path).expanduser()) for path in paths]
     if len(caches) == 1:
         return caches[0]
-    return dataclasses.replace(merged(caches), fingerprint=" ".join(cache.fingerprint for cache in caches))
+    return dataclasses.replace(merge_caches(caches), fingerprint=" ".join(cache.fingerprint for cache in caches))
 
 
-def merged(caches: Sequence[Cache]) -> Cache:
+def merge_caches(caches: Sequence[Cache]) -> Cache:
     """Merge caches of one kind, with their clips in the given order and without a fingerprint.
 
     Statistics of single caches are dropped, because they do not describe all of them. Raises `CacheError` if caches

@@ -18,7 +18,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import torch
 
-from stmc.data.cache import Cache, fresh, merged
+from stmc.data.cache import Cache, is_current, merge_caches
 
 Watch = Callable[[Iterable, int], Iterable]
 """(items, number of items) → the same items; displays progress."""
@@ -83,7 +83,7 @@ class Piece:
     convert: Callable[[], Cache]
 
 
-def converted(
+def convert_pieces(
     pieces: Iterable[Piece],
     total: int,
     scratch: Path,
@@ -112,7 +112,7 @@ def converted(
     def jobs() -> Iterator[tuple[str, Job | None]]:
         for piece in pieces:
             folders.append(folder := scratch / piece.fingerprint[:32])
-            yield piece.name, None if fresh(folder, piece.fingerprint) else (write_piece, piece, folder)
+            yield piece.name, None if is_current(folder, piece.fingerprint) else (write_piece, piece, folder)
 
     for name, reason in watch(in_parallel(jobs(), workers), total):
         folder = folders.popleft()
@@ -124,7 +124,7 @@ def converted(
     if not any(cache.clips for cache in caches):
         first = f"; the first: {skipped[0][0]}: {skipped[0][1]}" if skipped else ""
         raise ValueError(f"no clip could be used; {len(skipped)} were skipped{first}")
-    return replace(merged(caches), skipped=tuple(skipped))
+    return replace(merge_caches(caches), skipped=tuple(skipped))
 
 
 def in_parallel(jobs: Iterable[tuple[str, Job | None]], workers: int) -> Iterator[tuple[str, Any]]:

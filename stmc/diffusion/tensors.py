@@ -12,7 +12,7 @@ from einops import rearrange
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 
 Value = TypeVar("Value")
 
@@ -79,6 +79,6 @@ def found_device(device: torch.device | str) -> torch.device | str:
     except (RuntimeError, AssertionError, NotImplementedError, TypeError, ValueError) as error:
         choices = ", ".join(["auto", "cpu", *["cuda"] * cuda, *["mps"] * mps])
         raise ValueError(
-            f"device {shown(str(device))} is unknown or not available here; choose from {choices}"
+            f"device {quote(str(device))} is unknown or not available here; choose from {choices}"
         ) from error
     return device

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stmc.io.bounds import MOST_SECONDS
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS, BodyPart
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
@@ -53,10 +53,10 @@ class Change:
         times = [self.start, self.border, *([] if self.end is None else [self.end])]
         valid = all(isinstance(time, (int, float)) and 0 <= time <= MOST_SECONDS for time in times)
         if not valid or (self.end is not None and self.end <= self.start):
-            interval = f"{shown(self.start)}..{shown(self.end)} s, border {shown(self.border)} s"
+            interval = f"{quote(self.start)}..{quote(self.end)} s, border {quote(self.border)} s"
             raise SettingError(f"change {interval}: must be from 0 to {MOST_SECONDS:,} s, the end after the start")
         if not isinstance(self.parts, Collection):
-            raise SettingError(f"change: the body parts must be a list of names, not {shown(self.parts)}")
+            raise SettingError(f"change: the body parts must be a list of names, not {quote(self.parts)}")
         try:
             names = (self.parts,) if isinstance(self.parts, str) else self.parts
             object.__setattr__(self, "parts", frozenset(map(BodyPart.parse, names)) or frozenset(BodyPart))
@@ -140,7 +140,7 @@ class Kept:
     weights: Float[Tensor, "frames 5"]
 
     @classmethod
-    def but(cls, changes: Sequence[Change], motion: Motion, frames: int) -> Kept:
+    def all_but(cls, changes: Sequence[Change], motion: Motion, frames: int) -> Kept:
         """Keep all of a motion except some intervals, and except the frames after its end.
 
         Args:

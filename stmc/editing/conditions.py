@@ -222,7 +222,7 @@ def prepare_kept(request: GenerateRequest, frames: Sequence[int], skeleton: Skel
     kept = []
     for motion, timeline, count in zip(request.keep, request.timelines, frames, strict=bool(request.keep)):
         changes = [changed_prompt(timeline, item) if isinstance(item, Prompt) else (item,) for item in request.change]
-        kept.append(Kept.but(list(chain.from_iterable(changes)), bodies[id(motion)], count))
+        kept.append(Kept.all_but(list(chain.from_iterable(changes)), bodies[id(motion)], count))
         if bool((kept[-1].weights == 1).all()):
             advice = "pass `change`, or make the timeline longer than the motion"
             raise SettingError(f"keep: every frame is kept, so there is nothing to generate; {advice}")

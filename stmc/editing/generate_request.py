@@ -20,7 +20,7 @@ from stmc.composing.sampling import INDEPENDENT, Sampling
 from stmc.editing.changes import Change
 from stmc.editing.constraints import Constraint, constraint_of
 from stmc.formats import READABLE
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom
 from stmc.settings.records import SettingError, check, check_name, check_value, field_infos, record_of, setting
@@ -210,7 +210,7 @@ def _read_timeline(value: Any) -> Timeline:
     if isinstance(value, str):
         return Timeline.parse(value)
     if not isinstance(value, Timeline):
-        raise SettingError(f"timelines={shown(value)}: must be a Timeline or its text")
+        raise SettingError(f"timelines={quote(value)}: must be a Timeline or its text")
     return value
 
 
@@ -232,7 +232,7 @@ def _read_keep(keep: Any, count: int, find: Find | None) -> tuple[Motion, ...]:
     if keep is None:
         return ()
     if not all(isinstance(motion, Motion) for motion in motions):
-        raise SettingError(f"keep={shown(keep)}: must be a motion, or one per timeline; read files with stmc.read")
+        raise SettingError(f"keep={quote(keep)}: must be a motion, or one per timeline; read files with stmc.read")
     return tuple(motions if several else motions * count)
 
 
@@ -244,7 +244,7 @@ def _read_change(value: Any) -> Change | Prompt:
         check_value("parts", tuple(parts) if isinstance(parts, list) else parts, tuple[str, ...])
         return record_of(Change, value)
     if not isinstance(value, (Change, Prompt)):
-        raise SettingError(f"change={shown(value)}: must be start # end # body parts, in seconds")
+        raise SettingError(f"change={quote(value)}: must be start # end # body parts, in seconds")
     return value
 
 
@@ -271,7 +271,7 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     name = f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '<nameless>')}"
     if "<" in name:
-        raise SettingError(f"{shown(str(value))} cannot be recorded: use a function of a module, or a dataclass")
+        raise SettingError(f"{quote(str(value))} cannot be recorded: use a function of a module, or a dataclass")
     return name
 
 

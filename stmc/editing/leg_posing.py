@@ -26,7 +26,7 @@ def joint(side: str, name: str) -> int:
     return JOINTS.index(f"{side}_{name}")
 
 
-def of_legs(values: Float[Tensor, "frames joints *width"], name: str) -> Float[Tensor, "frames 2 *width"]:
+def select_legs(values: Float[Tensor, "frames joints *width"], name: str) -> Float[Tensor, "frames 2 *width"]:
     """Select the values of a joint of the legs, left and right."""
     return torch.stack([values[:, joint(side, name)] for side in SIDES], dim=1)
 
@@ -46,7 +46,7 @@ def reach_with_legs(
         skeleton: Body of the motion.
     """
     world, joints = global_rotations(motion.rotations, PARENTS), motion.joints
-    hips, knees, before = (of_legs(joints, name) for name in LEG)
+    hips, knees, before = (select_legs(joints, name) for name in LEG)
     down = torch.zeros_like(motion.translation)
     down[:, 2] = -sinking(hips, knees, before, ankles, round(_SINK * motion.fps))
     rotations = motion.rotations.clone()
@@ -86,6 +86,6 @@ def exact(motion: Motion) -> tuple[Motion, Skeleton]:
     return motion, Skeleton.measured(motion.rotations, motion.joints)
 
 
-def like(motion: Motion, old: Motion) -> Motion:
+def match_dtype(motion: Motion, old: Motion) -> Motion:
     """Return a motion with the dtype and on the device of `old`."""
     return motion.to(old.joints.device, old.joints.dtype)

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.editing.leg_posing import exact, like, of_legs, reach_with_legs, smooth, turn_joint
+from stmc.editing.leg_posing import exact, match_dtype, reach_with_legs, select_legs, smooth, turn_joint
 from stmc.motion.body import JOINTS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import (
@@ -87,7 +87,9 @@ def bend_path(
     along = line.coordinates(body.translation[:, :2])[:, 0]
     speed = smooth(torch.gradient(along)[0] * body.fps, _SLOW * body.fps / 20) if body.frames > 1 else 0 * along
     turning = speed * torch.from_numpy(np.interp(along.numpy(), curve.positions, curve.curvature))
-    return like(_lean(bent, skeleton, speed, smooth(turning, _SLOW * body.fps / 20), line.angle, curve, along), motion)
+    return match_dtype(
+        _lean(bent, skeleton, speed, smooth(turning, _SLOW * body.fps / 20), line.angle, curve, along), motion
+    )
 
 
 def change_pace(motion: Motion, tempo: float | int = 1.0, stride: float | int = 1.0) -> Motion:
@@ -118,7 +120,7 @@ def change_pace(motion: Motion, tempo: float | int = 1.0, stride: float | int = 
         body = _move_ground(body, skeleton, _Line.of(body).map(forward=stride, sideways=0.0))
     if stride < 1:
         body = _reduce_arm_swing(body, stride, skeleton)
-    return like(body if tempo == 1 else _warp_time(body, tempo, skeleton), motion)
+    return match_dtype(body if tempo == 1 else _warp_time(body, tempo, skeleton), motion)
 
 
 def reverse(motion: Motion) -> Motion:
@@ -155,7 +157,7 @@ def shift_sideways(motion: Motion, distance: float | int, forward: float | int =
         raise SettingError(f"distance={distance}, forward={forward}: both must be finite")
     body, skeleton = exact(motion)
     line = _Line.of(body)
-    return like(_move_ground(body, skeleton, line.map(forward, distance / line.length)), motion)
+    return match_dtype(_move_ground(body, skeleton, line.map(forward, distance / line.length)), motion)
 
 
 @dataclass(frozen=True)
@@ -246,21 +248,24 @@ def _integrate(values: np.ndarray, zero: int) -> np.ndarray:
 
 def _move_ground(motion: Motion, skeleton: Skeleton, move: Callable[[Tensor], Moved]) -> Motion:
     """Move the ground of a motion; pelvis and ankles move with the ground below them."""
-    world, ankles = global_rotations(motion.rotations, PARENTS), of_legs(motion.joints, "ankle")
+    world, ankles = global_rotations(motion.rotations, PARENTS), select_legs(motion.joints, "ankle")
     ground = torch.cat([motion.translation[:, None], ankles], dim=1)
     moved, turn = move(ground[..., :2])
     positions = torch.cat([moved, ground[..., 2:]], dim=-1)
     rotations = motion.rotations.clone()
     rotations[:, 0] = rotation_z(smooth(turn[:, 0], _TURN * motion.fps / 20)) @ rotations[:, 0]
     posed = Motion.posed(rotations, positions[:, 0], motion.fps, skeleton)
-    return reach_with_legs(posed, positions[:, 1:], rotation_z(turn[:, 1:]) @ of_legs(world, "ankle"), skeleton)
+    return reach_with_legs(posed, positions[:, 1:], rotation_z(turn[:, 1:]) @ select_legs(world, "ankle"), skeleton)
 
 
 def _lean(
     motion: Motion, skeleton: Skeleton, speed: Tensor, turning: Tensor, angle: float, curve: _Curve, along: Tensor
 ) -> Motion:
     """Lean the body into the curve about its tangent, with the feet in place, and turn the head ahead."""
-    feet, ankles = of_legs(global_rotations(motion.rotations, PARENTS), "ankle"), of_legs(motion.joints, "ankle")
+    feet, ankles = (
+        select_legs(global_rotations(motion.rotations, PARENTS), "ankle"),
+        select_legs(motion.joints, "ankle"),
+    )
     tangent = angle + torch.from_numpy(np.interp(along.numpy(), curve.positions, curve.direction))
     axis = torch.stack([tangent.cos(), tangent.sin(), torch.zeros_like(tangent)], dim=1)
     lean = _LEAN * torch.atan(speed * turning / _GRAVITY)

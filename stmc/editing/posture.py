@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.editing.keys import Timing, blend_keys, check_order, frame_times, replace_frames
-from stmc.editing.leg_posing import SIDES, joint, of_legs
+from stmc.editing.leg_posing import SIDES, joint, select_legs
 from stmc.editing.reaching import Triple, body_frame
 from stmc.motion.body import JOINTS, PARENTS
 from stmc.motion.body_model import Skeleton
@@ -133,7 +133,7 @@ def shift_pelvis(motion: Motion, keys: Sequence[PelvisKey]) -> Motion:
     axes = body_frame(exact, "ground", "left")[1]
     root = axes @ axis_angle_to_matrix(values[:, 3:]) @ axes.mT @ exact.rotations[:, 0]
     pelvis = exact.translation + (axes @ values[:, :3, None])[..., 0]
-    ankles = of_legs(exact.joints, "ankle")
+    ankles = select_legs(exact.joints, "ankle")
     edited = _pose_legs(exact, root, pelvis, ankles)
     return replace_frames(motion, edited, range(len(JOINTS)), values.any(dim=1), path=True)
 
@@ -158,7 +158,7 @@ def step(motion: Motion, side: str, keys: Sequence[FootKey]) -> Motion:
         offsets[:, 1] += key.lift * 16 * (fraction * (1 - fraction)) ** 2
     exact = motion.to("cpu", torch.float64)
     axes = body_frame(exact, "ground", "left")[1]
-    ankles = of_legs(exact.joints, "ankle")
+    ankles = select_legs(exact.joints, "ankle")
     ankles[:, SIDES.index(side)] += (axes @ offsets[..., None])[..., 0]
     edited = _pose_legs(exact, exact.rotations[:, 0], exact.translation, ankles)
     joints = [joint(side, name) for name in (*LEG, "foot")]

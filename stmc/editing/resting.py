@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.editing.leg_posing import exact, like, of_legs, reach_with_legs
+from stmc.editing.leg_posing import exact, match_dtype, reach_with_legs, select_legs
 from stmc.editing.paths import reverse
 from stmc.motion.body import PARENTS
 from stmc.motion.body_model import Skeleton
@@ -59,7 +59,7 @@ def follow(motion: Motion, following: Motion) -> Motion:
     rotations, translation, joints = (
         torch.cat([getattr(first, name), getattr(after, name)]) for name in ("rotations", "translation", "joints")
     )
-    return like(Motion(rotations, translation, joints, first.fps), motion)
+    return match_dtype(Motion(rotations, translation, joints, first.fps), motion)
 
 
 def add_rest(motion: Motion, rest: Motion, before: float | int = 0.0, after: float | int = 0.0) -> Motion:
@@ -100,8 +100,14 @@ def _place_after(following: Motion, motion: Motion, skeleton: Skeleton) -> Motio
 
 def _plant_feet(first: Motion, second: Motion) -> tuple[Float[Tensor, "frames 2 3 3"], Float[Tensor, "frames 2 3"]]:
     """Return world rotations and ankles of the second motion's feet; until lifted, each stays as the first left it."""
-    feet, ankles = of_legs(global_rotations(second.rotations, PARENTS), "ankle"), of_legs(second.joints, "ankle")
-    last = of_legs(global_rotations(first.rotations[-1:], PARENTS), "ankle"), of_legs(first.joints[-1:], "ankle")
+    feet, ankles = (
+        select_legs(global_rotations(second.rotations, PARENTS), "ankle"),
+        select_legs(second.joints, "ankle"),
+    )
+    last = (
+        select_legs(global_rotations(first.rotations[-1:], PARENTS), "ankle"),
+        select_legs(first.joints[-1:], "ankle"),
+    )
     lifted = ((ankles - ankles[:1]).norm(dim=-1) > _LIFTED).int().cummax(dim=0).values
     since = (lifted.cumsum(dim=0) / (_LANDING * second.fps)).clamp(0, 1)
     weight = 1 - since**2 * (3 - 2 * since)

@@ -67,7 +67,7 @@ class _Sheet:
     def end(self) -> int:
         return self.start + len(self.features)
 
-    def cut(self, start: int, end: int) -> _Sheet:
+    def slice(self, start: int, end: int) -> _Sheet:
         """Return the frames [start, end)."""
         first, last = start - self.start, end - self.start
         return _Sheet(start, self.features[first:last], self.motion.trimmed(first, last))
@@ -209,13 +209,13 @@ class MotionStream(Iterator[Frame]):
     def _follow(self) -> None:
         """Follow an edit: if it changes what the frames of the block need, the block ends before the next frame."""
         end = self._ready + self._frames(LOOKAHEAD_SECONDS)
-        before = self._needed(end)
+        before = self._needed_tiles(end)
         self._timeline = self._live.timeline or EMPTY
         self._once = self._one_shot([self._timeline])
-        if self._needed(end) != before:
+        if self._needed_tiles(end) != before:
             self._ready = self.cursor
 
-    def _needed(self, end: int) -> set[tuple]:
+    def _needed_tiles(self, end: int) -> set[tuple]:
         """Return the tiles of the frames from the next one to `end`, with their crops, in frames of the stream."""
         if self.cursor >= self._ready:
             return set()
@@ -272,7 +272,7 @@ class MotionStream(Iterator[Frame]):
         """Return the frames that are out with weight 1, and the next frames of the sheet with fading weights."""
         if not self._sheet or not self.cursor:
             return None
-        run, values = self._run, self._sheet.cut(first, min(last, self._sheet.end)).features
+        run, values = self._run, self._sheet.slice(first, min(last, self._sheet.end)).features
         content = torch.full((last - first + (run.fixed_length or 0), run.layout.width), torch.nan)
         content[: len(values)] = run.statistics.normalise(values).float()
         frame = torch.arange(len(content)) - (self.cursor - 1) + first
@@ -283,7 +283,7 @@ class MotionStream(Iterator[Frame]):
         """Append features of the next frames to the frames that are out, at the place where those end."""
         if not self._sheet or not self.cursor:
             return _Sheet(0, features, self._representation.decode(features, self.fps, self.skeleton))
-        past = self._sheet.cut(max(self._sheet.start, self.cursor - self._run.longest), self.cursor)
+        past = self._sheet.slice(max(self._sheet.start, self.cursor - self._run.longest), self.cursor)
         place, angle = past.motion.translation[-1, :2], float(past.motion.heading[-1])
         step = torch.cat([past.features[-1:], features])
         moved = self._representation.decode(step, self.fps, self.skeleton, angle)
@@ -294,7 +294,7 @@ class MotionStream(Iterator[Frame]):
 
     def _clean_feet(self, sheet: _Sheet) -> _Sheet:
         """Keep standing feet in place, without changing frames that are out."""
-        recent = sheet.cut(max(sheet.start, self.cursor - self._frames(FEET_SECONDS)), sheet.end)
+        recent = sheet.slice(max(sheet.start, self.cursor - self._frames(FEET_SECONDS)), sheet.end)
         free = torch.arange(recent.start, recent.end) >= self.cursor
         clean = clean_feet(recent.motion, free=free)
         features = sheet.features.clone()

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.editing.keys import frame_times, minimum_jerk
-from stmc.editing.leg_posing import SIDES, exact, like, of_legs, reach_with_legs, smooth, turn_joint
+from stmc.editing.leg_posing import SIDES, exact, match_dtype, reach_with_legs, select_legs, smooth, turn_joint
 from stmc.motion.body import PARENTS
 from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, rotation_z
 from stmc.motion.motion import Motion
@@ -77,7 +77,7 @@ def turn_on_spot(
     plan = _Plan(frame_times(body), angle, steps, start, seconds)
     side = SIDES.index(pivot)
     world, balls, ankles = (
-        of_legs(values, name)
+        select_legs(values, name)
         for values, name in (
             (global_rotations(body.rotations, PARENTS), "ankle"),
             (body.joints, "foot"),
@@ -95,7 +95,9 @@ def turn_on_spot(
     speed = torch.gradient(turn)[0] * body.fps
     for name, ahead in (("spine3", _CHEST), ("neck", (_HEAD - _CHEST) / 2), ("head", (_HEAD - _CHEST) / 2)):
         rotations = turn_joint(rotations, name, ahead * smooth(speed, 0.1 * body.fps))
-    return like(reach_with_legs(Motion.posed(rotations, pelvis, body.fps, skeleton), ankles, feet, skeleton), motion)
+    return match_dtype(
+        reach_with_legs(Motion.posed(rotations, pelvis, body.fps, skeleton), ankles, feet, skeleton), motion
+    )
 
 
 def _turn_feet(

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.io.bounds import BoundsError, check_frames
-from stmc.io.untrusted import cut, shown
+from stmc.io.untrusted import quote, truncate
 
 MOST_VALUES = 2_000_000
 """Limit of frames times joints: a hundred times a minute of a hundred joints at 3 frames per second."""
@@ -95,13 +95,13 @@ def parse_bvh(text: str) -> Bvh:
     joints = _hierarchy(header.splitlines())
     words = rest[0].split(maxsplit=5)
     if len(words) < 5 or words[0] != "Frames:" or words[2:4] != ["Frame", "Time:"]:
-        raise BvhError(f"expected 'Frames: N Frame Time: S' after MOTION, found {shown(' '.join(words[:5]))}")
+        raise BvhError(f"expected 'Frames: N Frame Time: S' after MOTION, found {quote(' '.join(words[:5]))}")
     frames, seconds = _number(words[1], int), _number(words[4], float)
     if frames < 1 or not 0.001 <= seconds <= 1:
         valid = "must be at least one frame of 0.001 to 1 s"
-        raise BvhError(f"{shown(frames)} frames of {seconds:g} s: {valid}")
+        raise BvhError(f"{quote(frames)} frames of {seconds:g} s: {valid}")
     if frames * len(joints) > MOST_VALUES:
-        raise BvhError(f"{shown(frames)} frames of {len(joints)} joints are more than {MOST_VALUES:,}, the limit")
+        raise BvhError(f"{quote(frames)} frames of {len(joints)} joints are more than {MOST_VALUES:,}, the limit")
     try:
         check_frames(frames, 1 / seconds)
     except BoundsError as error:
@@ -137,11 +137,11 @@ def _hierarchy(lines: Sequence[str]) -> list[_Joint]:
                     raise ValueError("not a line of a BVH hierarchy")
         except (IndexError, ValueError) as error:
             wrong = "no brace is open here" if isinstance(error, IndexError) else error
-            raise BvhError(f"HIERARCHY, line {number}: {shown(line.strip())}: {cut(str(wrong), 100)}") from error
+            raise BvhError(f"HIERARCHY, line {number}: {quote(line.strip())}: {truncate(str(wrong), 100)}") from error
     if not joints or path:
         raise BvhError(f"HIERARCHY has {len(joints)} joints, and {len(path)} braces that are never closed")
     if missing := [joint.name for joint in joints if not joint.offset]:
-        raise BvhError(f"joints without an OFFSET: {cut(', '.join(missing), 100)}")
+        raise BvhError(f"joints without an OFFSET: {truncate(', '.join(missing), 100)}")
     return joints
 
 
@@ -155,13 +155,13 @@ def _values(text: str, frames: int, joints: Sequence[_Joint]) -> np.ndarray:
     try:
         values = np.array(words, dtype=np.float64)
     except ValueError as error:
-        raise BvhError(f"MOTION holds something that is not a number: {cut(str(error), 100)}") from error
+        raise BvhError(f"MOTION holds something that is not a number: {truncate(str(error), 100)}") from error
     values = values.reshape(frames, len(columns))
     finite = np.abs(values) <= _LARGEST  # NaN is not
     if not finite.all():
         frame, column = np.argwhere(~finite)[0]
         channel, joint = columns[column]
-        number = f"{cut(channel)} of {shown(joint)} is {values[frame, column]} in frame {frame}"
+        number = f"{truncate(channel)} of {quote(joint)} is {values[frame, column]} in frame {frame}"
         raise BvhError(f"{number}: values must be finite, in float32 too")
     return values
 
@@ -177,7 +177,7 @@ def _motion(joints: Sequence[_Joint], values: np.ndarray, fps: float | int) -> B
         for channel in joint.channels:
             axis, kind = channel[:1], channel[1:]
             if axis not in _AXES or kind not in ("position", "rotation"):
-                raise BvhError(f"unknown channel {shown(channel)} at joint {shown(joint.name)}")
+                raise BvhError(f"unknown channel {quote(channel)} at joint {quote(joint.name)}")
             if kind == "position":
                 positions[:, index, _AXES[axis]] = values[:, column]
             else:
@@ -201,15 +201,15 @@ def _rotations(order: str, angles: Sequence[np.ndarray], joint: _Joint) -> np.nd
 
         return Rotation.from_euler(order, np.stack(angles, axis=-1), degrees=True).as_matrix()  # upper case: intrinsic
     except ValueError as error:
-        channels = f"the rotation channels of joint {shown(joint.name)} are {cut(', '.join(order))}"
-        raise BvhError(f"{channels}: {cut(str(error), 100)}") from error
+        channels = f"the rotation channels of joint {quote(joint.name)} are {truncate(', '.join(order))}"
+        raise BvhError(f"{channels}: {truncate(str(error), 100)}") from error
 
 
 def _number(word: str, kind: type[Number]) -> Number:
     try:
         return kind(word)
     except ValueError as error:
-        raise BvhError(f"expected a number, found {shown(word)}") from error
+        raise BvhError(f"expected a number, found {quote(word)}") from error
 
 
 def _single(word: str) -> float:

@@ -20,7 +20,7 @@ from torch.nn.functional import normalize
 from stmc.formats.axes import Z_UP_TO_Y_UP
 from stmc.formats.bvh_parser import Bvh, BvhError, parse_bvh
 from stmc.io.bounds import check_metres
-from stmc.io.untrusted import cut, read_text
+from stmc.io.untrusted import read_text, truncate
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import global_rotations, shortest_arc
@@ -168,7 +168,7 @@ def _mapped(names: Sequence[str]) -> dict[str, int]:
             return {joint: place for joint, place in found.items() if place is not None}
         lacking.append(missing)
     least = min(lacking, key=len)
-    has = cut(", ".join(names[:30]), 200)
+    has = truncate(", ".join(names[:30]), 200)
     raise BvhError(f"no joints are known for {', '.join(least)}; the file's joints are {has}")
 
 

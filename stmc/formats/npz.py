@@ -13,7 +13,7 @@ from torch import Tensor
 
 from stmc.io.arrays import ArraysError, Header, npz_headers, read_npz
 from stmc.io.bounds import MOST_COLUMNS, BoundsError, check_frames, check_metres
-from stmc.io.untrusted import cut
+from stmc.io.untrusted import truncate
 from stmc.motion.body import JOINTS, NUM_ROTATIONS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle
@@ -84,7 +84,7 @@ def load_npz(path: Path, skeleton: Skeleton) -> Motion:
 def _check_headers(headers: Mapping[str, Header], path: Path, rate: str) -> None:
     """Raise `ValueError` unless all arrays are present and numeric, with consistent shapes."""
     if missing := [name for name in ("poses", "trans", rate) if name not in headers]:
-        has = cut(", ".join(headers), 200) or "none"
+        has = truncate(", ".join(headers), 200) or "none"
         raise ArraysError(f"{path} has no array {', '.join(missing)}; it has {has}")
     frames = headers["poses"].shape[:1]
     needed = {"poses": (*frames, None), "trans": (*frames, 3), rate: (), "joints": (*frames, len(JOINTS), 3)}
@@ -93,7 +93,7 @@ def _check_headers(headers: Mapping[str, Header], path: Path, rate: str) -> None
         if len(shape) != len(needed[name]) or not all(map(_fits, needed[name], shape)):
             raise ValueError(f"{path}: {name} has shape {shape}; need {needed[name]}")
         if dtype.kind not in "fiu":
-            raise ValueError(f"{path}: {name} holds {cut(str(dtype))}; need numbers")
+            raise ValueError(f"{path}: {name} holds {truncate(str(dtype))}; need numbers")
     columns = headers["poses"].shape[1]
     if not 3 * NUM_ROTATIONS <= columns <= MOST_COLUMNS:
         raise ValueError(f"{path}: poses has {columns} columns; need {3 * NUM_ROTATIONS} to {MOST_COLUMNS}")

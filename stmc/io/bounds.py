@@ -6,7 +6,7 @@ tensors.
 
 from __future__ import annotations
 
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 
 LEAST_FPS, MOST_FPS = 1, 1000
 """Frames per second; motion capture has 20 to 250."""
@@ -31,7 +31,7 @@ class BoundsError(ValueError):
 def check_fps(fps: float | int) -> None:
     """Raise `BoundsError` unless the frame rate is from `LEAST_FPS` to `MOST_FPS`."""
     if not LEAST_FPS <= fps <= MOST_FPS:  # NaN is not
-        raise BoundsError(f"fps must be from {LEAST_FPS} to {MOST_FPS}, not {shown(fps)}")
+        raise BoundsError(f"fps must be from {LEAST_FPS} to {MOST_FPS}, not {quote(fps)}")
 
 
 def check_frames(frames: float | int, fps: float | int) -> None:
@@ -41,9 +41,9 @@ def check_frames(frames: float | int, fps: float | int) -> None:
     """
     check_fps(fps)
     if frames > MOST_FRAMES:
-        raise BoundsError(f"{shown(frames)} frames are more than {MOST_FRAMES:,}, the limit of a motion")
+        raise BoundsError(f"{quote(frames)} frames are more than {MOST_FRAMES:,}, the limit of a motion")
     if frames / fps > MOST_SECONDS:
-        raise BoundsError(f"{shown(frames)} frames at {fps:g} fps last more than {MOST_SECONDS:,} s, the limit")
+        raise BoundsError(f"{quote(frames)} frames at {fps:g} fps last more than {MOST_SECONDS:,} s, the limit")
 
 
 def check_metres(name: str, largest: float) -> None:

@@ -14,7 +14,7 @@ MOST = 150
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(10))}
 
 
-def safe(name: str) -> str:
+def safe_name(name: str) -> str:
     """Turn a name into a file name of letters, digits, `_`, `.` and `-`.
 
     The result does not begin with a dot, a dash or an underscore, is not a Windows device, and has at most `MOST`
@@ -30,7 +30,7 @@ def safe(name: str) -> str:
     return f"{encoded[: MOST - 9].decode(errors='ignore')}_{hashlib.sha256(encoded).hexdigest()[:8]}"
 
 
-def distinct(names: Iterable[str], stem: str) -> Iterator[str]:
+def distinct_names(names: Iterable[str], stem: str) -> Iterator[str]:
     """Yield a safe name for each name; all differ, regardless of case.
 
     A name that is taken already gets its index as a suffix. A name without a valid character becomes `stem` and its
@@ -38,7 +38,7 @@ def distinct(names: Iterable[str], stem: str) -> Iterator[str]:
     """
     taken: set[str] = set()
     for index, name in enumerate(names):
-        base = safe(name) or f"{safe(stem) or 'timeline'}_{index:04d}"
+        base = safe_name(name) or f"{safe_name(stem) or 'timeline'}_{index:04d}"
         candidates = chain([base], (f"{base}_{number:04d}" for number in count(index)))
         chosen = next(candidate for candidate in candidates if candidate.casefold() not in taken)
         taken.add(chosen.casefold())
@@ -55,4 +55,4 @@ def name_of_texts(texts: Iterable[str]) -> str:
     name = "_".join(words)
     if [word.replace("-", " ") for word in words] != texts:
         name += f"-{hashlib.sha256(chr(0).join(texts).encode(errors='surrogatepass')).hexdigest()[:6]}"
-    return safe(name)
+    return safe_name(name)

@@ -36,7 +36,9 @@ def read_bytes(path: Path, most: int) -> bytes:
     except FileNotFoundError:
         raise
     except (OSError, ValueError) as error:  # a loop of links, a long name; a NUL or a lone surrogate
-        raise UnreadableError(f"not a path to a file ({cut(getattr(error, 'strerror', None) or str(error))})") from None
+        raise UnreadableError(
+            f"not a path to a file ({truncate(getattr(error, 'strerror', None) or str(error))})"
+        ) from None
     if not stat.S_ISREG(status.st_mode):
         kind = "a directory" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
         raise UnreadableError(f"{kind}, not a file")
@@ -83,7 +85,7 @@ def load_json(document: str) -> Any:
     except UnreadableError:
         raise
     except (ValueError, RecursionError) as error:  # thousands of digits or brackets
-        raise UnreadableError(f"not JSON that can be read ({cut(str(error), 100)})") from None
+        raise UnreadableError(f"not JSON that can be read ({truncate(str(error), 100)})") from None
 
 
 def _build_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -91,12 +93,12 @@ def _build_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     data: dict[str, Any] = {}
     for key, value in pairs:
         if key in data:
-            raise UnreadableError(f"the key {shown(key)} is duplicated in an object")
+            raise UnreadableError(f"the key {quote(key)} is duplicated in an object")
         data[key] = value
     return data
 
 
-def shown(value: Any, most: int = SHOWN) -> str:
+def quote(value: Any, most: int = SHOWN) -> str:
     """Quote a value for a message: on one line, escaped, truncated after `most` characters; data as JSON."""
     if isinstance(value, str):
         quoted = repr(value[: most + 1])
@@ -110,10 +112,14 @@ def shown(value: Any, most: int = SHOWN) -> str:
         text += chunk[: most + 1]
         if len(text) > most:
             break
-    return cut(text, most)
+    return truncate(text, most)
 
 
-def cut(text: str, most: int = SHOWN) -> str:
+def truncate(text: str, most: int = SHOWN) -> str:
     """Truncate a text to `most` printable characters, with … for the rest; other characters are escaped."""
     escaped = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text[: most + 1])
     return escaped if len(escaped) <= most else escaped[: most - 1] + "…"
+
+
+shown, cut = quote, truncate
+"""The former names, for callers that are not renamed yet."""

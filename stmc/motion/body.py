@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 
 JOINTS: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
@@ -77,11 +77,11 @@ class BodyPart(StrEnum):
             <BodyPart.LEFT_ARM: 'left arm'>
         """
         if not isinstance(text, str):
-            raise ValueError(f"a body part must be a text, not {shown(text)}; choose from {', '.join(cls)}")
+            raise ValueError(f"a body part must be a text, not {quote(text)}; choose from {', '.join(cls)}")
         name = " ".join(text.lower().replace("_", " ").replace("-", " ").split())
         name = _SYNONYMS.get(name, name)
         if name not in set(cls):
-            raise ValueError(f"unknown body part {shown(text)}; choose from {', '.join(cls)}")
+            raise ValueError(f"unknown body part {quote(text)}; choose from {', '.join(cls)}")
         return cls(name)
 
 

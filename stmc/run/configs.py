@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from stmc.settings.records import shown
+from stmc.settings.records import quote
 
 LARGEST, DEEPEST = 2**16, 16
 """Maximum size of a config in bytes, and maximum depth of nested collections. Real configs have a thousand bytes and
@@ -33,9 +33,9 @@ class _Loader(yaml.SafeLoader):
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                raise RunError(f"line {key_node.start_mark.line + 1}: the key {shown(key)} is not a text")
+                raise RunError(f"line {key_node.start_mark.line + 1}: the key {quote(key)} is not a text")
             if key in mapping:
-                raise RunError(f"line {key_node.start_mark.line + 1}: {shown(key)} is duplicated")
+                raise RunError(f"line {key_node.start_mark.line + 1}: {quote(key)} is duplicated")
             mapping[key] = self.construct_object(value_node, deep=True)
         return mapping
 
@@ -77,7 +77,7 @@ def read_config(path: Path) -> dict[str, Any]:
         _check_syntax(text)
         config = yaml.load(text, _Loader)
         if not isinstance(config, dict):
-            raise RunError(f"it must hold settings by name, not {shown(config)}")
+            raise RunError(f"it must hold settings by name, not {quote(config)}")
         check_plain(config)
     except RunError as error:
         raise RunError(f"{path}: {error}") from error
@@ -104,7 +104,7 @@ def check_plain(value: Any, place: str = "", depth: int = 0) -> None:
         depth: Depth of the value, at most `DEEPEST`.
     """
     if depth > DEEPEST:
-        raise RunError(f"{shown(place)}: more than {DEEPEST} levels of nested collections")
+        raise RunError(f"{quote(place)}: more than {DEEPEST} levels of nested collections")
     if isinstance(value, Mapping):
         for key, inner in value.items():
             _check_key(key, place)
@@ -117,7 +117,7 @@ def check_plain(value: Any, place: str = "", depth: int = 0) -> None:
     elif isinstance(value, (int, float)):
         if not abs(value) <= LARGEST_NUMBER:  # also true for NaN
             raise RunError(
-                f"{place}={shown(value)}: must be a finite number with absolute value at most {LARGEST_NUMBER}"
+                f"{place}={quote(value)}: must be a finite number with absolute value at most {LARGEST_NUMBER}"
             )
     elif value is not None:
         raise RunError(f"{place} must be a number, a text or a list, not a {type(value).__name__}")
@@ -126,21 +126,21 @@ def check_plain(value: Any, place: str = "", depth: int = 0) -> None:
 def _check_key(key: Any, place: str) -> None:
     prefix = f"{place}: " if place else ""
     if not isinstance(key, str):
-        raise RunError(f"{prefix}the key {shown(key)} is not a text")
+        raise RunError(f"{prefix}the key {quote(key)} is not a text")
     _check_text(key, place)
     if key.startswith("_") and key != TARGET:
-        raise RunError(f"{prefix}the key {shown(key)} is invalid: only {TARGET} may begin with an underscore")
+        raise RunError(f"{prefix}the key {quote(key)} is invalid: only {TARGET} may begin with an underscore")
 
 
 def _check_text(text: str, place: str) -> None:
     if "${" in text:
         raise RunError(
-            f"{place}={shown(text)}: a run directory does not resolve interpolations; write the value itself"
+            f"{place}={quote(text)}: a run directory does not resolve interpolations; write the value itself"
         )
     if text == "???":
         raise RunError(f"{place} has no value (???)")
     if len(text) > LONGEST_TEXT or not text.isprintable():
-        raise RunError(f"{place}={shown(text)}: must have at most {LONGEST_TEXT} characters, all of them printable")
+        raise RunError(f"{place}={quote(text)}: must have at most {LONGEST_TEXT} characters, all of them printable")
 
 
 def _check_syntax(text: str) -> None:
@@ -151,7 +151,7 @@ def _check_syntax(text: str) -> None:
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
             raise RunError(f"line {line}: anchors and aliases are not allowed")
         if getattr(event, "tag", None) is not None:
-            raise RunError(f"line {line}: the tag {shown(event.tag)} is not allowed")
+            raise RunError(f"line {line}: the tag {quote(event.tag)} is not allowed")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
             raise RunError(f"line {line}: more than {DEEPEST} levels of nested collections")

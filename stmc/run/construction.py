@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from stmc.io.extras import missing_extra
 from stmc.run.configs import PARTIAL, TARGET, RunError, brief
-from stmc.settings.records import SettingError, check_value, shown
+from stmc.settings.records import SettingError, check_value, quote
 
 _TARGET = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+", re.ASCII)
 
@@ -55,7 +55,7 @@ def construct(description: Any, place: str, part: Part, trusted: Sequence[str] =
         RunError: If the class is neither of the part's home nor of a trusted package, or arguments do not fit.
     """
     if not isinstance(description, Mapping) or TARGET not in description:
-        raise RunError(f"{place} must name the class to build as `{TARGET}`; got {shown(description)}")
+        raise RunError(f"{place} must name the class to build as `{TARGET}`; got {quote(description)}")
     constructor = _constructor(description[TARGET], place, part, trusted)
     partial = bool(part.names) and description.get(PARTIAL) is True
     settings = {name: value for name, value in description.items() if name not in (TARGET, PARTIAL)}
@@ -105,7 +105,7 @@ def _constructor(target: Any, place: str, part: Part, trusted: Sequence[str]) ->
         return _Constructor(target, _import_trusted(target, place, packages, bool(part.names)), True)
     hint = f"; name your own package as trusted: {_TRUST}" if not packages else ""
     kind = "a legal target of this configuration" if part.names else f"a class of {part.home}"
-    raise RunError(f"{place}: {shown(target)} is not {kind}{hint}")
+    raise RunError(f"{place}: {quote(target)} is not {kind}{hint}")
 
 
 _TRUST = 'trusted=("mylab",)'
@@ -116,7 +116,7 @@ def _packages(trusted: Sequence[str]) -> tuple[str, ...]:
     names = (trusted,) if isinstance(trusted, str) else tuple(trusted)
     for name in names:
         if not isinstance(name, str) or not _TARGET.fullmatch(f"{name}.x"):
-            raise RunError(f"trusted: {shown(name)} is not the name of a package, as in {_TRUST}")
+            raise RunError(f"trusted: {quote(name)} is not the name of a package, as in {_TRUST}")
     return tuple(f"{name}." for name in names)
 
 
@@ -159,7 +159,7 @@ def _import_trusted(target: str, place: str, packages: tuple[str, ...], function
                 return value
             if names[-1] in _class_methods(value):
                 return getattr(value, names[-1])
-    raise RunError(f"{place}: {shown(target)} is not a class that {' or '.join(packages).replace('.', '')} defines")
+    raise RunError(f"{place}: {quote(target)} is not a class that {' or '.join(packages).replace('.', '')} defines")
 
 
 def _module(name: str, place: str) -> Any:

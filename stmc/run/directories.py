@@ -38,7 +38,7 @@ from stmc.run.model_vocabulary import (
 from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting, check_widths, sketch_fitting
 from stmc.run.run_record import EvaluatorSettings, ModelSettings, settings_of
 from stmc.run.weights import misfit, read_specs, specs_of
-from stmc.settings.records import shown
+from stmc.settings.records import quote
 from stmc.settings.renamed import with_new_names
 from stmc.text.vocabulary import Calibration
 
@@ -109,7 +109,7 @@ def load(
         [Motion(20 frames at 20 fps, 1.00 s)]
     """
     if precision not in get_args(Precision):
-        raise ValueError(f"unknown precision {shown(precision)}; choose from {', '.join(get_args(Precision))}")
+        raise ValueError(f"unknown precision {quote(precision)}; choose from {', '.join(get_args(Precision))}")
     resolved_device = found_device(device)
     folder = _run_directory(folder)
     config = _config(folder, PARTS)
@@ -313,7 +313,7 @@ def _check_digest(folder: Path, config: Mapping[str, Any]) -> None:
         return
     if not isinstance(expected, Mapping) or not _NEEDED <= set(expected) <= set(_DIGESTED):
         raise RunError(
-            f"{folder / CONFIG}: digest={shown(expected)} must give weights and statistics, and may give vocabulary"
+            f"{folder / CONFIG}: digest={quote(expected)} must give weights and statistics, and may give vocabulary"
         )
     actual = _digest(folder)
     for name, digest in expected.items():

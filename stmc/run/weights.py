@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 from stmc.run.configs import RunError, brief
-from stmc.settings.records import shown
+from stmc.settings.records import quote
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -66,12 +66,12 @@ def misfit(expected: Mapping[str, Spec], found: Mapping[str, Spec]) -> str:
         ],
         "of another type": [name for name in common if not _same_type(found[name].dtype, expected[name].dtype)],
     }
-    return listed(wrong)
+    return list_problems(wrong)
 
 
-def listed(wrong: Mapping[str, list[str]]) -> str:
+def list_problems(wrong: Mapping[str, list[str]]) -> str:
     """Format problems and the first few tensors that have each."""
-    return "; ".join(f"{kind}: {_few(names)}" for kind, names in wrong.items() if names)
+    return "; ".join(f"{kind}: {_shorten(names)}" for kind, names in wrong.items() if names)
 
 
 def sketch(build: Callable[[], Network], tensors: int, meta: bool = True) -> Network:
@@ -112,6 +112,6 @@ def _same_type(found: torch.dtype | None, expected: torch.dtype | None) -> bool:
     return found == expected or (found in _FLOATING.values() and expected in _FLOATING.values())
 
 
-def _few(names: list[str]) -> str:
+def _shorten(names: list[str]) -> str:
     more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-    return ", ".join(shown(name)[1:-1] if not name.isprintable() else name[:120] for name in names[:_MAX_NAMES]) + more
+    return ", ".join(quote(name)[1:-1] if not name.isprintable() else name[:120] for name in names[:_MAX_NAMES]) + more

@@ -16,7 +16,7 @@ from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 
 Record = TypeVar("Record")
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -156,7 +156,7 @@ def check_name(name: Any, valid: Iterable[str], kind: str = "setting") -> None:
     if name not in valid:
         matches = get_close_matches(str(name), valid, 1)
         advice = f"did you mean {matches[0]}?" if matches else f"choose from {', '.join(valid)}"
-        raise SettingError(f"unknown {kind} {shown(name)}: {advice}")
+        raise SettingError(f"unknown {kind} {quote(name)}: {advice}")
 
 
 def _check_values(kind: type, values: Mapping[str, Any]) -> None:
@@ -187,13 +187,13 @@ def check_value(name: str, value: Any, hint: Any, info: FieldInfo | None = None)
         return
     if not any(_is(value, kind) for kind in kinds):
         words = " or ".join(dict.fromkeys(map(_words, kinds)))
-        raise SettingError(f"{name}={shown(value)}: must be {words}{f', {info.fits}' if info.fits else ''}")
+        raise SettingError(f"{name}={quote(value)}: must be {words}{f', {info.fits}' if info.fits else ''}")
     items = value if isinstance(value, tuple) else (value,)
     if info.choices and (bad := [item for item in items if isinstance(item, str) and item not in info.choices]):
-        raise SettingError(f"{name}={shown(bad[0])}: choose from {', '.join(info.choices)}")
+        raise SettingError(f"{name}={quote(bad[0])}: choose from {', '.join(info.choices)}")
     for item in items:
         if isinstance(item, (int, float)) and not all(_LIMITS[limit][1](item, at) for limit, at in info.limits):
-            raise SettingError(f"{name}={shown(item)}: must be {info.fits}")
+            raise SettingError(f"{name}={quote(item)}: must be {info.fits}")
 
 
 _WORDS: Mapping[Any, str] = {

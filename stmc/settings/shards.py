@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from stmc.settings.records import SettingError, shown
+from stmc.settings.records import SettingError, quote
 
 Item = TypeVar("Item")
 
@@ -60,7 +60,7 @@ class Shard:
         """
         match = re.fullmatch(rf"({ALL}|\d{{1,9}})/(\d{{1,9}})", text)
         if match is None:
-            raise SettingError(f"shard={shown(text)}: must be like 3/64, the third of 64 shards, or {ALL}/64")
+            raise SettingError(f"shard={quote(text)}: must be like 3/64, the third of 64 shards, or {ALL}/64")
         return cls(None if match[1] == ALL else int(match[1]), int(match[2]))
 
     @classmethod
@@ -77,15 +77,15 @@ class Shard:
         if rank is None or size is None:
             return cls()
         if not (rank.isdecimal() and size.isdecimal()):
-            raise SettingError(f"RANK={shown(rank)}, WORLD_SIZE={shown(size)}: must be whole numbers")
+            raise SettingError(f"RANK={quote(rank)}, WORLD_SIZE={quote(size)}: must be whole numbers")
         return cls(int(rank) + 1, int(size))
 
     @classmethod
-    def asked(cls, text: str | None) -> Shard:
+    def read(cls, text: str | None) -> Shard:
         """Return the shard that a text names, or that of this process if there is no text.
 
         Examples:
-            >>> stmc.Shard.asked(None)
+            >>> stmc.Shard.read(None)
             Shard(number=1, count=1)
         """
         return cls.of_process() if text is None else cls.parse(text)
@@ -99,11 +99,11 @@ class Shard:
         """
         return [] if self.number is None else list(items[self.number - 1 :: self.count])
 
-    def lacking(self, items: Sequence[Item], missing: Collection[Item]) -> dict[Shard, int]:
+    def count_missing(self, items: Sequence[Item], missing: Collection[Item]) -> dict[Shard, int]:
         """Count the missing items of each shard that has any.
 
         Examples:
-            >>> {str(shard): count for shard, count in stmc.Shard(1, 3).lacking("abcde", missing="be").items()}
+            >>> {str(shard): count for shard, count in stmc.Shard(1, 3).count_missing("abcde", missing="be").items()}
             {'2/3': 2}
         """
         missing = set(missing)
@@ -112,7 +112,7 @@ class Shard:
         return {shard: count for shard, count in counts.items() if count}
 
 
-def listed(lacking: Mapping[Shard, int], most: int = 8) -> str:
+def describe_shards(lacking: Mapping[Shard, int], most: int = 8) -> str:
     """Describe shards and the number of missing items of each: "shards 2/4 (5) and 3/4 (125)"."""
     words = [f"{shard} ({count})" for shard, count in lacking.items()]
     if len(words) > most:

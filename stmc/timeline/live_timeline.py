@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.timeline.advice import TimelineWarning
 from stmc.timeline.prompts import Prompt, Timeline
 from stmc.timeline.timeline_files import TimelineError
@@ -75,9 +75,9 @@ class LiveTimeline:
         if not self._began(before):
             self._check_start(after)
         elif self._frame(after.start) != self._frame(before.start):
-            raise TimelineError(f"{shown(before.text)} has begun at {before.start:g} s; only its end can move")
+            raise TimelineError(f"{quote(before.text)} has begun at {before.start:g} s; only its end can move")
         elif self._frame(after.end) < self.cursor:
-            raise TimelineError(f"{shown(before.text)} cannot end at {after.end:g} s: {self._open_from()}")
+            raise TimelineError(f"{quote(before.text)} cannot end at {after.end:g} s: {self._open_from()}")
         self._change({**self._prompts, number: after})
 
     def remove(self, number: int) -> None:
@@ -89,7 +89,7 @@ class LiveTimeline:
     def _find(self, number: int) -> Prompt:
         if not 0 <= number < self._next:
             choices = f"they have the numbers 0 to {self._next - 1}" if self._next else "there are none"
-            raise TimelineError(f"there is no prompt {shown(number)}: {choices}")
+            raise TimelineError(f"there is no prompt {quote(number)}: {choices}")
         prompt = self._prompts.get(number)
         if prompt is None or self._frame(prompt.end) <= self.cursor:
             raise TimelineError(f"prompt {number} has been removed or has ended: {self._open_from()}")
@@ -97,7 +97,7 @@ class LiveTimeline:
 
     def _check_start(self, prompt: Prompt) -> None:
         if self._frame(prompt.start) < self.cursor:
-            raise TimelineError(f"{shown(prompt.text)} cannot start at {prompt.start:g} s: {self._open_from()}")
+            raise TimelineError(f"{quote(prompt.text)} cannot start at {prompt.start:g} s: {self._open_from()}")
 
     def _open_from(self) -> str:
         return f"changes are possible from {self.now:.2f} s on"

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stmc.io.bounds import MOST_SECONDS
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.body import BodyPart
 from stmc.timeline import timeline_files as files
 from stmc.timeline.advice import advise
@@ -69,12 +69,12 @@ class Prompt:
 
     def __post_init__(self) -> None:
         if not isinstance(self.text, str) or not isinstance(self.parts, Collection):
-            raise TimelineError(f"a prompt needs a text and a list of body parts; got {shown([self.text, self.parts])}")
+            raise TimelineError(f"a prompt needs a text and a list of body parts; got {quote([self.text, self.parts])}")
         object.__setattr__(self, "text", " ".join(self.text.split()))
         if not self.text:
             raise TimelineError('the text is empty; say what to do, such as "walk forwards"')
         if len(self.text) > LONGEST_TEXT:
-            raise TimelineError(f"the text {shown(self.text)} is longer than {LONGEST_TEXT:,} characters, the limit")
+            raise TimelineError(f"the text {quote(self.text)} is longer than {LONGEST_TEXT:,} characters, the limit")
         _check_surrogates("text", self.text)
         for name in ("start", "end"):
             object.__setattr__(self, name, _seconds(name, getattr(self, name)))
@@ -87,7 +87,7 @@ class Prompt:
             try:
                 parts.append(BodyPart.parse(part))
             except ValueError:
-                raise TimelineError(f"unknown body part {shown(part)}; choose from {', '.join(BodyPart)}") from None
+                raise TimelineError(f"unknown body part {quote(part)}; choose from {', '.join(BodyPart)}") from None
         object.__setattr__(self, "parts", frozenset(parts))
 
     def __repr__(self) -> str:
@@ -105,7 +105,7 @@ def _seconds(name: str, value: int | float) -> float:
     except (OverflowError, TypeError, ValueError):  # an integer beyond the float range, a text, a list
         seconds = math.inf
     if not math.isfinite(seconds) or seconds < 0:
-        raise TimelineError(f"{name} {shown(value)} must be a finite number of seconds, 0 or later")
+        raise TimelineError(f"{name} {quote(value)} must be a finite number of seconds, 0 or later")
     return seconds
 
 
@@ -113,7 +113,7 @@ def _check_surrogates(name: str, text: str) -> None:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError as error:
-        raise TimelineError(f"the {name} {shown(text)} has a lone surrogate, {shown(text[error.start])}") from None
+        raise TimelineError(f"the {name} {quote(text)} has a lone surrogate, {quote(text[error.start])}") from None
 
 
 @dataclass(frozen=True)
@@ -292,14 +292,14 @@ class Timeline:
         if not (fps > 0 and fps < math.inf):
             raise ValueError(f"fps {fps} must be a positive number of frames per second")
         if fps > MOST_FRAMES / self.duration:
-            length = f"{self.duration:g} s at {shown(fps)} fps are more than {MOST_FRAMES:,} frames, the limit"
+            length = f"{self.duration:g} s at {quote(fps)} fps are more than {MOST_FRAMES:,} frames, the limit"
             raise TimelineError(f"{self.place}: {length}")
         return tuple((int(fps * prompt.start), int(fps * prompt.end)) for prompt in self.prompts)
 
     @property
     def place(self) -> str:
         """The timeline's name in messages: its own name, if any, and the place of its first prompt."""
-        return f"timeline {shown(self.name)}, {self.places[0]}" if self.name else self.places[0]
+        return f"timeline {quote(self.name)}, {self.places[0]}" if self.name else self.places[0]
 
     def frames(self, fps: int | float) -> int:
         """Count the frames of the timeline, from second 0 on.
@@ -345,7 +345,7 @@ def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
                     shared.setdefault((rival, owner), (start, set()))[1].add(part)
         if len(shared) > MAX_PAIRS_COUNTED:
             break
-    names = [f"{shown(prompt.text)} ({place})" for prompt, place in zip(prompts, places, strict=True)]
+    names = [f"{quote(prompt.text)} ({place})" for prompt, place in zip(prompts, places, strict=True)]
     conflicts = [
         f"{names[loser]} and {names[winner]} both claim {_listed(parts)} at {start:g} s; {names[winner]} gets it"
         for (loser, winner), (start, parts) in list(shared.items())[:MAX_PAIRS_NAMED]
@@ -358,7 +358,7 @@ def _shared_claims(prompts: Sequence[Prompt], places: Sequence[str]) -> str:
 
 def _crowded_track(timeline: Timeline, later: int, earlier: int) -> str:
     one, other = (
-        f"({shown(prompt.text)}, {prompt.start:g} to {prompt.end:g} s)"
+        f"({quote(prompt.text)}, {prompt.start:g} to {prompt.end:g} s)"
         for prompt in (timeline.prompts[later], timeline.prompts[earlier])
     )
     return (

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from stmc.io.files import write_text
-from stmc.io.untrusted import UnreadableError, cut, load_json, read_text, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, read_text, truncate
 from stmc.motion.body import BodyPart
 
 MOST_BYTES = 8 * 2**20
@@ -78,13 +78,13 @@ def _entry_of_line(line: str, place: str) -> Entry:
     text, *rest = (field.strip() for field in line.split("#", MOST_FIELDS))
     if len(rest) < 2:
         missing = "has no start and no end" if not rest else "has no end"
-        raise TimelineError(f"{place}: {shown(line.strip())} {missing}; write {LINE} (parts: {', '.join(BodyPart)})")
+        raise TimelineError(f"{place}: {quote(line.strip())} {missing}; write {LINE} (parts: {', '.join(BodyPart)})")
     times = []
     for name, field in zip(("start", "end"), rest, strict=False):
         try:
             times.append(float(field))
         except ValueError:
-            raise TimelineError(f"{place}: {name} {shown(field)} is not a number of seconds; write {LINE}") from None
+            raise TimelineError(f"{place}: {name} {quote(field)} is not a number of seconds; write {LINE}") from None
     start, end = times
     return Entry(place, None, text, start, end, tuple(rest[2:]))
 
@@ -141,7 +141,7 @@ def _composition(data: dict[str, Any], path: str, inside: str) -> Draft:
     _check_keys(data, COMPOSITION, path or "the document")
     fps = _expect(data.get("fps", COMPOSITION_FPS), float, f"{inside}fps", "frames a second")
     if not 0 < fps <= 1000:
-        raise TimelineError(f"{inside}fps: {shown(fps)} is not above 0 and at most 1000 frames a second")
+        raise TimelineError(f"{inside}fps: {quote(fps)} is not above 0 and at most 1000 frames a second")
     texts, lengths = (_expect(data.get(key), list, f"{inside}{key}", "a list") for key in ("text", "lengths"))
     if len(texts) != len(lengths):
         raise TimelineError(f"{inside}text: {len(texts)} texts, but {len(lengths)} lengths; each text needs one")
@@ -173,14 +173,14 @@ def _entry_of_object(data: Any, path: str, track: int) -> Entry:
 def _expect(value: Any, kind: type, path: str, meaning: str) -> Any:
     kinds = (int, float) if kind is float else kind
     if not isinstance(value, kinds) or isinstance(value, bool):
-        raise TimelineError(f"{path}: {shown(value)} is not {meaning}")
+        raise TimelineError(f"{path}: {quote(value)} is not {meaning}")
     return value
 
 
 def _check_keys(data: dict[str, Any], keys: Sequence[str], path: str) -> None:
     for key in data:
         if key not in keys:
-            raise TimelineError(f"{path}: unknown key {shown(key)}; choose from {', '.join(keys)}")
+            raise TimelineError(f"{path}: unknown key {quote(key)}; choose from {', '.join(keys)}")
 
 
 def to_text(drafts: Sequence[Draft]) -> str:
@@ -191,7 +191,7 @@ def to_text(drafts: Sequence[Draft]) -> str:
 
 def _line(entry: Entry) -> str:
     if "#" in entry.text:
-        text = shown(entry.text)
+        text = quote(entry.text)
         raise TimelineError(f"the text {text} has a #, which separates fields in .txt; write .json instead")
     return " # ".join((entry.text, repr(entry.start), repr(entry.end), *entry.parts))
 
@@ -235,7 +235,7 @@ def _rows_in_order(entries: Sequence[Entry]) -> list[int]:
 
 def named(path: str | Path) -> str:
     """Format a path for messages."""
-    return cut(str(path), 200)
+    return truncate(str(path), 200)
 
 
 def choose(suffix: str, json_form: Callable, text_form: Callable, place: str = "") -> Callable:
@@ -252,7 +252,7 @@ def choose(suffix: str, json_form: Callable, text_form: Callable, place: str = "
     """
     forms = {".json": json_form, ".txt": text_form}
     if suffix.lower() not in forms:
-        raise TimelineError(f"{place}unknown kind of timeline file {shown(suffix)}; choose from {', '.join(forms)}")
+        raise TimelineError(f"{place}unknown kind of timeline file {quote(suffix)}; choose from {', '.join(forms)}")
     return forms[suffix.lower()]
 
 

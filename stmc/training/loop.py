@@ -27,7 +27,7 @@ from stmc.training.ema import Ema
 from stmc.training.logs import Board, Table
 from stmc.training.loss import Batch, Objective
 from stmc.training.optimizers import Optimizer, build_optimizers
-from stmc.training.resuming import SettingsChanged, deciding, differences
+from stmc.training.resuming import SettingsChanged, deciding_settings, differences
 from stmc.training.speed import quick_attention, quicken_dropout
 
 logger = logging.getLogger(__name__)
@@ -172,7 +172,7 @@ class Trainer:
         self._prepared, *self.optimizers = self.accelerator.prepare(network, *moving)
         own = {"training": asdict(settings) | {"lr_decay_steps": settings.decay_end}}
         own["processes"] = self.accelerator.num_processes  # each process draws its own batches
-        self.described, self.allow_changed = deciding({**(described or {}), **own}), allow_changed_settings
+        self.described, self.allow_changed = deciding_settings({**(described or {}), **own}), allow_changed_settings
         self.changes: list[str] = []
         self._last_logged = -math.inf  # time of the last log line
         self.checkpoints = Checkpoints(self.folder / "checkpoints", settings.keep)

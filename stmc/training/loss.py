@@ -47,7 +47,7 @@ class Batch:
     segment: Int[Tensor, "batch frames"] | None = field(default=None, kw_only=True)
     sentence: Int[Tensor, "batch texts"] | None = field(default=None, kw_only=True)
 
-    def denoised(
+    def denoise(
         self, denoiser: Denoiser, noisy: Float[Tensor, "batch frames features"], t: Int[Tensor, " batch"]
     ) -> Float[Tensor, "batch frames features"]:
         """Call the denoiser with the batch's noisy motion, at steps `t`, with its texts, masks and segments."""
@@ -174,7 +174,7 @@ def squared_errors(
     """
     noisy = schedule.q_sample(batch.motion, t, noise)
     target = teacher(batch, noisy, t) if teacher else schedule.from_x0(batch.motion, noisy, t, prediction)
-    output = batch.denoised(denoiser, noisy, t)
+    output = batch.denoise(denoiser, noisy, t)
     sums = [_sum_errors(output.float(), target, batch.mask, weight)]
     if auxiliary_loss is not None:
         both = None if batch.mask is None else batch.mask[:, 1:] & batch.mask[:, :-1]

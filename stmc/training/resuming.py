@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from stmc.io.untrusted import cut
+from stmc.io.untrusted import truncate
 
 MAY_CHANGE = (
     *("run", "data.folder", "data.preparation", "text_cache"),  # paths; their contents have a fingerprint
@@ -33,7 +33,7 @@ class SettingsChanged(ValueError):
     """Error for resuming a run that began with other settings; the message names each with both values."""
 
 
-def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
+def deciding_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that affect the result of a run by their paths, such as `data.sampling.rows`."""
     return {
         path: value
@@ -45,7 +45,7 @@ def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """List `path: old → new` for each setting that differs."""
     return [
-        f"{path}: {cut(str(old.get(path, 'absent')))} → {cut(str(new.get(path, 'absent')))}"
+        f"{path}: {truncate(str(old.get(path, 'absent')))} → {truncate(str(new.get(path, 'absent')))}"
         for path in dict.fromkeys((*old, *new))
         if path not in old or path not in new or old[path] != new[path]
     ]

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator
 from itertools import islice
 from pathlib import Path, PurePosixPath
 
-from stmc.io.untrusted import UnreadableError, cut, read_bytes
+from stmc.io.untrusted import UnreadableError, read_bytes, truncate
 
 MOST_BYTES = 32 * 2**20
 """Maximum size of one file; Bandai's are below 1 MB, and CMU's, three minutes at 120 fps, below 20 MB."""
@@ -52,7 +52,7 @@ def _archive(path: Path, kinds: Collection[str]) -> Iterator[tuple[PurePosixPath
                     unpacked.left = member.size + _HEADERS
                     inner = PurePosixPath(member.name)
                     if inner.suffix in kinds:
-                        name = cut(inner.stem)
+                        name = truncate(inner.stem)
                         yield inner, _member(archive, member)
             unpacked.left = MOST_BYTES
             while unpacked.read(2**20):

@@ -140,7 +140,7 @@ def describe(name: str, style: str) -> tuple[tuple[str, float], ...]:
     )
 
 
-def mirrored_content(name: str) -> str:
+def mirror_content(name: str) -> str:
     """Return the label of a mirrored clip of `name`: that of the other side, or `name` itself if it has no side.
 
     Raises `ValueError` if the action is unknown.

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from stmc.editing.constraints.constraint import Constraint, Field, span_fields
 from stmc.editing.constraints.pose import RAMP, Pose, bump, check_numbers, check_span
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.body import JOINTS, PARENTS, BodyPart
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import global_rotations
@@ -150,7 +150,7 @@ class Hold(_JointConstraint):
 
 def _check_joint(joint: str) -> None:
     if joint not in JOINTS:
-        raise SettingError(f"joint={shown(joint)}: choose from {', '.join(JOINTS)}")
+        raise SettingError(f"joint={quote(joint)}: choose from {', '.join(JOINTS)}")
 
 
 def _bend(motion: Motion, target: Target, skeleton: Skeleton, free: Tensor) -> Motion:

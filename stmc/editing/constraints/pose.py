@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.io.bounds import MOST_METRES, MOST_SECONDS
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.body import JOINTS
 from stmc.motion.geometry import heading
 from stmc.motion.motion import Motion
@@ -65,7 +65,7 @@ def check_span(name: str, start: float | int, end: float | int | None) -> None:
     """
     times = (start,) if end is None else (start, end)
     if not all(isinstance(time, (int, float)) and 0 <= time <= MOST_SECONDS for time in times) or times[-1] < start:
-        span = "..".join(map(shown, times))
+        span = "..".join(map(quote, times))
         raise SettingError(f"{name} at {span} s: must be from 0 to {MOST_SECONDS:,} s, in order")
 
 
@@ -85,7 +85,7 @@ def check_numbers(name: str, values: Any, width: int) -> tuple:
     except (TypeError, ValueError, OverflowError):
         numbers = ()
     if len(numbers) != width or not all(abs(number) <= MOST_METRES for number in numbers):
-        raise SettingError(f"{name}={shown(values)}: must be {width} finite numbers, at most {MOST_METRES:g} from 0")
+        raise SettingError(f"{name}={quote(values)}: must be {width} finite numbers, at most {MOST_METRES:g} from 0")
     return numbers
 
 

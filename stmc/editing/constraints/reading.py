@@ -11,7 +11,7 @@ from stmc.editing.constraints.limbs import Hold, Target
 from stmc.editing.constraints.root import Heading, Path
 from stmc.editing.constraints.whole_body import Keyframe
 from stmc.formats import read
-from stmc.io.untrusted import UnreadableError, load_json, read_text, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, read_text
 from stmc.motion.motion import Motion
 from stmc.settings.records import SettingError
 
@@ -33,11 +33,11 @@ def constraint_of(entry: Any, find: Callable[[str], Motion] = read) -> Constrain
         Heading(angle=1.5, start=2, end=None)
     """
     if not isinstance(entry, dict) or len(entry) != 1 or not isinstance(next(iter(entry.values())), dict):
-        raise SettingError(f'constraint {shown(str(entry))}: must be {{"kind": {{...}}}}')
+        raise SettingError(f'constraint {quote(str(entry))}: must be {{"kind": {{...}}}}')
     [(kind, arguments)] = entry.items()
     kinds = {kind.name: kind for kind in KINDS}
     if kind not in kinds:
-        raise SettingError(f"constraint {shown(kind)}: choose from {', '.join(kinds)}")
+        raise SettingError(f"constraint {quote(kind)}: choose from {', '.join(kinds)}")
     try:
         return kinds[kind].from_json(find, **arguments)
     except TypeError as error:

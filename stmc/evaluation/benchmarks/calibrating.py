@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
-from stmc.io.untrusted import UnreadableError, load_json, read_text, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, read_text
 from stmc.text.vocabulary import RARELY, Calibration, Recognition
 
 SHOWN = 0.75
@@ -55,12 +55,12 @@ def read_prompts(path: str | Path) -> tuple[dict[str, str], list[str]]:
     except UnreadableError as error:
         raise ValueError(f"{path}: {error}") from error
     if not isinstance(table, Mapping) or not {"inside", "outside"} <= set(table):
-        raise ValueError(f"{path}: an object with inside and outside needed, not {shown(table)}")
+        raise ValueError(f"{path}: an object with inside and outside needed, not {quote(table)}")
     inside, outside = table["inside"], [table["outside"], table.get("unusual", [])]
     if not isinstance(inside, list) or not all(_are_texts(row) and len(row) == 2 for row in inside):
-        raise ValueError(f"{path}: inside: a list of [action, text] needed, not {shown(inside)}")
+        raise ValueError(f"{path}: inside: a list of [action, text] needed, not {quote(inside)}")
     if wrong := [texts for texts in outside if not _are_texts(texts)]:
-        raise ValueError(f"{path}: outside and unusual: lists of texts needed, not {shown(wrong[0])}")
+        raise ValueError(f"{path}: outside and unusual: lists of texts needed, not {quote(wrong[0])}")
     return {text: action for action, text in inside}, [text for texts in outside for text in texts]
 
 

@@ -21,7 +21,7 @@ JERKED_SECONDS = 1
 closely for more."""
 
 
-def asked_of(method: str, timelines: Sequence[Timeline]) -> list[Timeline]:
+def requested_timelines(method: str, timelines: Sequence[Timeline]) -> list[Timeline]:
     """Return the timelines that a method generates motions for: for "independent", one timeline per prompt."""
     if method != INDEPENDENT:
         return list(timelines)
@@ -39,12 +39,12 @@ def crop_spans(
     Args:
         method: Name of the method.
         timelines: Timelines of the benchmark.
-        lengths: Length of each motion in frames, in the order of `asked_of`.
+        lengths: Length of each motion in frames, in the order of `requested_timelines`.
         fps: Frames per second.
         numbers: Index of each text.
     """
     spans = []
-    for timeline, length in zip(asked_of(method, timelines), lengths, strict=True):
+    for timeline, length in zip(requested_timelines(method, timelines), lengths, strict=True):
         whole = [(0, length)] * len(timeline.prompts)
         requested = whole if method in ("one_text", INDEPENDENT) else timeline.spans(fps)
         pairs = zip(requested, timeline.prompts, strict=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stmc.data.cache import Cache, CacheError
-from stmc.data.sources.amass.amass_recordings import Recordings, read_recording, reposed, unmirrored
+from stmc.data.sources.amass.amass_recordings import Recordings, read_recording, repose, strip_mirror_prefix
 from stmc.motion.body_model import Skeleton, load_body
 from stmc.motion.motion import Motion
 from stmc.motion.representation import Representation
@@ -25,7 +25,7 @@ def cache_reference_motions(cache: Cache, representation: Representation) -> Ref
             raise CacheError(f"no clip {name!r} among {len(clips)} clips such as {next(iter(clips), None)!r}")
         clip = clips[name]
         motion = representation.decode(cache.features[clip.start : clip.end], cache.fps, cache.skeleton)
-        return _between(motion, name, start, end)
+        return _excerpt(motion, name, start, end)
 
     return look_up
 
@@ -47,19 +47,19 @@ def amass_reference_motions(folder: str | Path, fps: float | int, body: str | Pa
     skeleton = Skeleton.default() if body is None else load_body(Path(body).expanduser(), "smplh").skeleton
 
     def look_up(name: str, start: float, end: float) -> Motion:
-        bare, mirrored = unmirrored(name)
+        bare, mirrored = strip_mirror_prefix(name)
         path = recordings.find(bare)
         if path is None:
             raise ValueError(
                 f"{folder}: no recording {bare!r}; recordings are, for example, {', '.join(recordings.examples)}"
             )
-        motion = reposed(read_recording(path, skeleton).resampled(fps), skeleton, mirrored)
-        return _between(motion, name, start, end)
+        motion = repose(read_recording(path, skeleton).resampled(fps), skeleton, mirrored)
+        return _excerpt(motion, name, start, end)
 
     return look_up
 
 
-def _between(motion: Motion, name: str, start: float, end: float) -> Motion:
+def _excerpt(motion: Motion, name: str, start: float, end: float) -> Motion:
     # a whole number of frames divided by the frame rate may be slightly too small
     first, last = (int(round(seconds * motion.fps, 6)) for seconds in (start, end))
     if not 0 <= first < last <= len(motion) + 1:

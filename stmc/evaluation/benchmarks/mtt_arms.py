@@ -21,14 +21,14 @@ from stmc.evaluation.metrics.gestures import (
     gaze,
     hand_gap,
     hand_speed,
+    head_turn_left,
+    is_in_box,
     longest,
-    looked_left,
+    relative_path,
     reversals,
-    seen_from,
     visits,
-    within,
 )
-from stmc.evaluation.metrics.steps import turned
+from stmc.evaluation.metrics.steps import heading_change
 from stmc.motion.kinematics import joint, swings
 from stmc.motion.motion import Motion
 
@@ -39,7 +39,7 @@ def raises(motion: Motion) -> bool:
     The hand does not go to the head, and does not wave.
     """
     up = (elevation(motion, "left_shoulder", "left_wrist") > math.radians(32)) & (extension(motion, "left") > 0.6)
-    free = up & ~within(motion, EAR) & ~within(motion, MOUTH) & ~within(motion, NAPE)
+    free = up & ~is_in_box(motion, EAR) & ~is_in_box(motion, MOUTH) & ~is_in_box(motion, NAPE)
     return 1 <= len(visits(free, motion.fps, 0.2, 0.2)) <= 2 and not waves(motion)
 
 
@@ -55,8 +55,8 @@ def eats(motion: Motion) -> bool:
 
     Each visit lasts 0.25 to 1.2 seconds.
     """
-    height = seen_from(motion, "left_wrist", "head")[:, 1]
-    stays = visits(within(motion, BITE), motion.fps, 0.25, 0.25)
+    height = relative_path(motion, "left_wrist", "head")[:, 1]
+    stays = visits(is_in_box(motion, BITE), motion.fps, 0.25, 0.25)
     dips = [float(height[first:last].min()) for (_, first), (last, _) in pairwise(stays)]
     brief = all(last - first <= 1.2 * motion.fps for first, last in stays)
     return len(dips) >= 1 and brief and max(dips) < -0.2
@@ -67,7 +67,7 @@ def drinks(motion: Motion) -> bool:
 
     Each hold lasts 0.6 seconds or more.
     """
-    near = within(motion, MOUTH)
+    near = is_in_box(motion, MOUTH)
     holds = visits(near, motion.fps, 0.6, 0.25)
     pitch = gaze(motion)[:, 1]
     otherwise = pitch[~near] if bool((~near).any()) else pitch
@@ -77,12 +77,12 @@ def drinks(motion: Motion) -> bool:
 
 def phones(motion: Motion) -> bool:
     """Return whether the left hand stays at the ear for a third of the motion, and at least 1.2 seconds."""
-    return longest(within(motion, EAR), motion.fps) > max(1.2, motion.duration / 3)
+    return longest(is_in_box(motion, EAR), motion.fps) > max(1.2, motion.duration / 3)
 
 
 def touches_back_of_head(motion: Motion) -> bool:
     """Return whether the left hand is behind the head for 0.4 seconds or more."""
-    return longest(within(motion, NAPE), motion.fps) > 0.4
+    return longest(is_in_box(motion, NAPE), motion.fps) > 0.4
 
 
 def points(motion: Motion) -> bool:
@@ -90,7 +90,7 @@ def points(motion: Motion) -> bool:
 
     The other hand is not involved, and the arm is never overhead.
     """
-    angle, position = elevation(motion, "left_shoulder", "left_wrist"), seen_from(motion, "left_wrist", "chest")
+    angle, position = elevation(motion, "left_shoulder", "left_wrist"), relative_path(motion, "left_wrist", "chest")
     level = (angle > math.radians(-25)) & (angle < math.radians(35)) & (position[:, 2] > 0.1)
     still = torch.nn.functional.pad(hand_speed(motion, "left") < 0.35, (0, 1))
     level = level & (hand_gap(motion) > 0.25)
@@ -103,7 +103,7 @@ def throws(motion: Motion) -> bool:
 
     It starts not below the chest, and is faster than 2.5 m/s.
     """
-    position, frames = seen_from(motion, "left_wrist", "chest"), max(1, round(0.6 * motion.fps))
+    position, frames = relative_path(motion, "left_wrist", "chest"), max(1, round(0.6 * motion.fps))
     behind = (position[:, 2] < 0.02) & (position[:, 1] > -0.15)
     speed = hand_speed(motion, "left")
     for frame in behind.nonzero()[:, 0].tolist():
@@ -118,7 +118,7 @@ def punches(motion: Motion) -> bool:
 
     It moves at the height of the chest or above.
     """
-    position, frames = seen_from(motion, "left_wrist", "chest"), max(1, round(0.25 * motion.fps))
+    position, frames = relative_path(motion, "left_wrist", "chest"), max(1, round(0.25 * motion.fps))
     reach = extension(motion, "left")
     for frame in range(len(position) - frames):
         thrust = reach[frame + frames] - reach[frame] > 0.3 and reach[frame + frames] > 0.85
@@ -141,7 +141,7 @@ def wipes(motion: Motion) -> bool:
 
     The forearm is not upright, and the trunk is not bent down.
     """
-    position = seen_from(motion, "left_wrist", "chest")
+    position = relative_path(motion, "left_wrist", "chest")
     ahead = (
         (position[:, 2] > 0.22)
         & (position[:, 1] < 0.2)
@@ -149,7 +149,7 @@ def wipes(motion: Motion) -> bool:
         & (lean(motion)[:, 0] < math.radians(35))
     )
     level = elevation(motion, "left_elbow", "left_wrist") < math.radians(45)
-    alone = level & (hand_gap(motion) > 0.2) & ~within(motion, MOUTH)
+    alone = level & (hand_gap(motion) > 0.2) & ~is_in_box(motion, MOUTH)
     stays = visits(ahead & alone, motion.fps, 0.5, 0.1)
     return max((reversals(position[a:b, axis], 0.08) for a, b in stays for axis in (0, 1)), default=0) >= 4
 
@@ -160,16 +160,18 @@ def looks(motion: Motion) -> bool:
     It turns less than half as far to the right. A head that leads a turn of the whole body does not count.
     """
     yaw, frames = gaze(motion)[:, 0], max(1, round(motion.fps))
-    heading = torch.nn.functional.pad(turned(motion)[None], (frames // 2, frames - frames // 2), mode="replicate")[0]
+    heading = torch.nn.functional.pad(
+        heading_change(motion)[None], (frames // 2, frames - frames // 2), mode="replicate"
+    )[0]
     calm = (heading[frames:] - heading[:-frames]) < math.radians(25)
-    held = longest((yaw > math.radians(30)) & calm & (looked_left(motion) > math.radians(25)), motion.fps)
+    held = longest((yaw > math.radians(30)) & calm & (head_turn_left(motion) > math.radians(25)), motion.fps)
     return held > 0.3 and float(yaw.min()) > -0.5 * float(yaw.max())
 
 
 def claps(motion: Motion) -> bool:
     """Return whether the hands come together in front of the chest four times or more, and part in between."""
     gap = hand_gap(motion)
-    places = [seen_from(motion, f"{side}_wrist", "chest") for side in ("left", "right")]
+    places = [relative_path(motion, f"{side}_wrist", "chest") for side in ("left", "right")]
     ahead = torch.stack([(place[:, 2] > 0.05) & (place[:, 1].abs() < 0.45) for place in places]).all(dim=0)
     together = visits((gap < 0.18) & ahead, motion.fps, 0.0, 0.0)
     parted = [float(gap[first:last].max()) > 0.22 for (_, first), (last, _) in pairwise(together)]
@@ -181,7 +183,7 @@ def plays_guitar(motion: Motion) -> bool:
 
     The left hand is out to its side and below the shoulder.
     """
-    neck, strum = (seen_from(motion, f"{side}_wrist", "chest") for side in ("left", "right"))
+    neck, strum = (relative_path(motion, f"{side}_wrist", "chest") for side in ("left", "right"))
     holds = (neck[:, 0] > 0.15) & (neck[:, 1] < -0.06) & (neck[:, 1] > -0.35) & (neck[:, 2] > 0.08)
     plays = (strum[:, 0].abs() < 0.25) & (strum[:, 1] < -0.12) & (strum[:, 2] > 0.05)
     strokes = [reversals(strum[a:b, 1], 0.03) for a, b in visits(holds & plays, motion.fps, 0.5, 0.15)]
@@ -190,7 +192,7 @@ def plays_guitar(motion: Motion) -> bool:
 
 def plays_violin(motion: Motion) -> bool:
     """Return whether the left hand holds a neck at shoulder height and the right hand bows three times or more."""
-    neck, bow = (seen_from(motion, f"{side}_wrist", "chest") for side in ("left", "right"))
+    neck, bow = (relative_path(motion, f"{side}_wrist", "chest") for side in ("left", "right"))
     holds = (neck[:, 0] > 0.1) & (neck[:, 1] > -0.13) & (neck[:, 1] < 0.2) & (neck[:, 2] > 0.1)
     bent = extension(motion, "left") < 0.95
     along = bow @ bow.new_tensor([-0.86, -0.16, 0.48])

@@ -18,14 +18,14 @@ from stmc.evaluation.metrics.action_measures import (
 )
 from stmc.evaluation.metrics.gestures import hand_gap, longest
 from stmc.evaluation.metrics.steps import (
-    airborne,
+    airborne_fraction,
+    heading_change,
     jumps_with_both_feet,
     kick_height,
     path_length,
     pivots,
     rests_after,
     to_the_left,
-    turned,
 )
 from stmc.motion.kinematics import joint
 from stmc.motion.motion import Motion
@@ -40,7 +40,7 @@ FASTER_THAN_A_WALK = 2.2
 
 def straight(motion: Motion) -> bool:
     """Return whether the heading stays within 60 degrees of the initial one."""
-    return float(turned(motion).abs().max()) < math.radians(60)
+    return float(heading_change(motion).abs().max()) < math.radians(60)
 
 
 def walks(motion: Motion, slowest: float | int, fastest: float | int) -> bool:
@@ -51,7 +51,9 @@ def walks(motion: Motion, slowest: float | int, fastest: float | int) -> bool:
         slowest: Minimum mean speed along the heading in m/s, negative for backwards.
         fastest: Maximum mean speed along the heading in m/s.
     """
-    paced = slowest <= mean_speed(motion) <= fastest and airborne(motion) < (RUNNING if fastest < 0 else FLOATING)
+    paced = slowest <= mean_speed(motion) <= fastest and airborne_fraction(motion) < (
+        RUNNING if fastest < 0 else FLOATING
+    )
     return paced and straight(motion) and not jumps_with_both_feet(motion)
 
 
@@ -66,7 +68,7 @@ def jogs(motion: Motion, slowest: float | int, fastest: float | int) -> bool:
         fastest: Maximum mean speed along the heading in m/s.
     """
     speed = mean_speed(motion)
-    running = airborne(motion) > RUNNING or abs(speed) > FASTER_THAN_A_WALK
+    running = airborne_fraction(motion) > RUNNING or abs(speed) > FASTER_THAN_A_WALK
     return slowest <= speed <= fastest and straight(motion) and running and not jumps_with_both_feet(motion)
 
 
@@ -76,7 +78,7 @@ def circles(motion: Motion) -> bool:
     The turn is 300 degrees in 6 seconds, or at that rate, with a radius of 0.3 to 2.5 metres, and spread over all
     thirds of the path.
     """
-    angle = turned(motion)
+    angle = heading_change(motion)
     whole, least = float(angle[-1]), math.radians(min(300.0, 50.0 * motion.duration))
     thirds = torch.stack([part[-1] - part[0] for part in angle.tensor_split(3)])
     return (
@@ -95,7 +97,7 @@ def turns(motion: Motion, least: float | int, most: float | int) -> bool:
         least: Minimum angle in degrees.
         most: Maximum angle in degrees.
     """
-    angle, upright = torch.rad2deg(turned(motion)), float(pelvis_height(motion).min()) > SEATED
+    angle, upright = torch.rad2deg(heading_change(motion)), float(pelvis_height(motion).min()) > SEATED
     kicks = max(kick_height(motion, side) for side in ("left", "right")) > 0.3
     return least <= float(angle[-1]) <= most and float(angle.max()) < most + 25 and upright and not kicks
 
@@ -107,7 +109,7 @@ def quarter_circle(motion: Motion) -> bool:
 
 def half_turn(motion: Motion, pivot: str) -> bool:
     """Return whether a person turns left by 150 to 210 degrees, and never more, about the ball of one foot."""
-    angle = torch.rad2deg(turned(motion))
+    angle = torch.rad2deg(heading_change(motion))
     return 150 <= float(angle[-1]) <= 210 and float(angle.max()) <= 215 and pivots(motion, pivot)
 
 

@@ -21,7 +21,7 @@ from stmc.composing.sampling import INDEPENDENT
 from stmc.data.cache import HELD_OUT, Cache, read_caches
 from stmc.evaluation.benchmarks.atomic_prompts import LONGEST, read_texts
 from stmc.evaluation.benchmarks.benchmark_protocol import Scores, TextEvaluator
-from stmc.evaluation.benchmarks.crops import asked_of, crop_spans, jerk_rows
+from stmc.evaluation.benchmarks.crops import crop_spans, jerk_rows, requested_timelines
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, same_meaning
 from stmc.evaluation.benchmarks.published_timelines import sample_published_timelines
 from stmc.evaluation.benchmarks.resampling import Rows, Units, resampled
@@ -42,7 +42,7 @@ class MttOpen:
     """A `Benchmark` of timelines of MTT's texts.
 
     Args:
-        asked: The timelines.
+        requested: The timelines.
         evaluator: Evaluator of texts and motions.
         recorded: Recorded motions of some of the texts. Their pass rates are the ceiling and, for other texts, the
             chance; without them neither is reported.
@@ -52,19 +52,19 @@ class MttOpen:
         TimelineError: If a text is not one of MTT's.
     """
 
-    asked: Sequence[Timeline]
+    requested: Sequence[Timeline]
     evaluator: TextEvaluator
     recorded: Mapping[str, Sequence[Motion]] = field(default_factory=dict)
     joints_from: JointsFrom = "skeleton"
 
     def __post_init__(self) -> None:
-        texts = [prompt.text for timeline in self.asked for prompt in timeline.prompts]
+        texts = [prompt.text for timeline in self.requested for prompt in timeline.prompts]
         if unknown := [text for text in texts if text not in MTT_CHECKS]:
             raise TimelineError(f"{unknown[0]!r} is not one of MTT's {len(MTT_CHECKS)} texts")
 
     def timelines(self, method: str) -> list[Timeline]:
         """Return the timelines of the benchmark; for "independent", one timeline per prompt."""
-        return asked_of(method, self.asked)
+        return requested_timelines(method, self.requested)
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
         """Compute the scores of motions.
@@ -80,17 +80,17 @@ class MttOpen:
             seed: Ignored.
         """
         motions = [motion.resampled(self.evaluator.fps) for motion in motions]
-        spans = crop_spans(method, self.asked, [len(motion) for motion in motions], self.evaluator.fps, _NUMBERS)
-        counts = [len(timeline.prompts) if method == INDEPENDENT else 1 for timeline in self.asked]
-        evidence = self._evidence(motions, spans, np.repeat(np.arange(len(self.asked)), counts).tolist())
+        spans = crop_spans(method, self.requested, [len(motion) for motion in motions], self.evaluator.fps, _NUMBERS)
+        counts = [len(timeline.prompts) if method == INDEPENDENT else 1 for timeline in self.requested]
+        evidence = self._evidence(motions, spans, np.repeat(np.arange(len(self.requested)), counts).tolist())
         compute = partial(self._metrics, evidence, whole=method != INDEPENDENT)
-        metrics = compute(np.arange(len(self.asked))) | self._by_text(evidence)
+        metrics = compute(np.arange(len(self.requested))) | self._by_text(evidence)
         if self.recorded:
             metrics["shown_chance"] = self._chance
         if method == INDEPENDENT:
-            return Scores(metrics, resampled=resampled(len(self.asked), compute))
+            return Scores(metrics, resampled=resampled(len(self.requested), compute))
         metrics["hand_step"] = 100 * max(map(hand_step, motions))
-        scores = Scores(metrics, resampled=resampled(len(self.asked), compute))
+        scores = Scores(metrics, resampled=resampled(len(self.requested), compute))
         jerks = evidence.jerks.values
         return scores.with_jerk(jerks, self._real_jerk(jerks)) if len(jerks) else scores
 
@@ -173,12 +173,12 @@ class MttOpen:
     @cached_property
     def _chance(self) -> float:
         """The pass rate of recorded motions of other texts, averaged over texts."""
-        asked, chances = [prompt.text for timeline in self.asked for prompt in timeline.prompts], {}
-        for text in set(asked):
+        requested, chances = [prompt.text for timeline in self.requested for prompt in timeline.prompts], {}
+        for text in set(requested):
             others = [motions for other, motions in self.recorded.items() if text not in same_meaning(other)]
             rates = [sum(map(MTT_CHECKS[text].shows, motions)) / len(motions) for motions in others]
             chances[text] = sum(rates) / max(1, len(rates))
-        return 100 * sum(chances[text] for text in asked) / max(1, len(asked))
+        return 100 * sum(chances[text] for text in requested) / max(1, len(requested))
 
     def _real_jerk(self, otherwise: Float[Tensor, "windows frames"]) -> float:
         """Return the mean jerk of recorded motions at their quarters or, without any, the mean of `otherwise`."""
@@ -238,8 +238,8 @@ def mtt_open(
         TimelineError: If a text has no check.
         CacheError: If a folder holds no prepared data.
     """
-    asked = sample_published_timelines(read_texts(Path(texts).expanduser()))[:first]
-    return MttOpen(asked, evaluator, {} if cache is None else recorded_motions(read_caches(cache)))
+    requested = sample_published_timelines(read_texts(Path(texts).expanduser()))[:first]
+    return MttOpen(requested, evaluator, {} if cache is None else recorded_motions(read_caches(cache)))
 
 
 def recorded_motions(cache: Cache) -> dict[str, list[Motion]]:

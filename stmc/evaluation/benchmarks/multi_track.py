@@ -21,7 +21,7 @@ from stmc.composing.sampling import INDEPENDENT
 from stmc.data.cache import CacheError, Clip, read_caches
 from stmc.evaluation.benchmarks.atomic_prompts import LONGEST, AtomicPrompt, read_atomic_prompts
 from stmc.evaluation.benchmarks.benchmark_protocol import Scores, TextEvaluator
-from stmc.evaluation.benchmarks.crops import asked_of, crop_spans, jerk_rows
+from stmc.evaluation.benchmarks.crops import crop_spans, jerk_rows, requested_timelines
 from stmc.evaluation.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions, cache_reference_motions
 from stmc.evaluation.benchmarks.questions import QUESTIONS, Question
 from stmc.evaluation.benchmarks.resampling import Remembering, Rows, Units, resampled
@@ -50,7 +50,7 @@ class MultiTrack:
     """A `Benchmark` of timelines whose texts are those of atomic prompts.
 
     Args:
-        asked: The timelines.
+        requested: The timelines.
         atomic_prompts: The atomic prompts.
         evaluator: Evaluator of texts and motions.
         truth: Latents of the atomic prompts, in their order.
@@ -64,7 +64,7 @@ class MultiTrack:
         TimelineError: If a text of a timeline is not an atomic prompt.
     """
 
-    asked: Sequence[Timeline]
+    requested: Sequence[Timeline]
     atomic_prompts: Sequence[AtomicPrompt]
     evaluator: TextEvaluator
     truth: GroundTruth
@@ -75,7 +75,7 @@ class MultiTrack:
 
     def __post_init__(self) -> None:
         texts = {prompt.text for prompt in self.atomic_prompts}
-        for timeline in self.asked:
+        for timeline in self.requested:
             for prompt in timeline.prompts:
                 if prompt.text not in texts:
                     raise TimelineError(
@@ -85,7 +85,7 @@ class MultiTrack:
     @classmethod
     def of(
         cls,
-        asked: Sequence[Timeline],
+        requested: Sequence[Timeline],
         atomic_prompts: Sequence[AtomicPrompt],
         evaluator: TextEvaluator,
         reference_motions: ReferenceMotions,
@@ -97,7 +97,7 @@ class MultiTrack:
         """Build the benchmark, and compute the latents.
 
         Args:
-            asked: The timelines.
+            requested: The timelines.
             atomic_prompts: The atomic prompts.
             evaluator: Evaluator of texts and motions.
             reference_motions: Looks up the motions of the atomic prompts.
@@ -116,11 +116,11 @@ class MultiTrack:
             motions=latents[: len(atomic_prompts)],
             others=latents[len(atomic_prompts) :] if others else None,
         )
-        return cls(asked, atomic_prompts, evaluator, truth, motions, formulas, joints_from, questions)
+        return cls(requested, atomic_prompts, evaluator, truth, motions, formulas, joints_from, questions)
 
     def timelines(self, method: str) -> list[Timeline]:
         """Return the timelines of the benchmark; for "independent", one timeline per prompt."""
-        return asked_of(method, self.asked)
+        return requested_timelines(method, self.requested)
 
     def measured(self, method: str, motions: Sequence[Motion], seed: int) -> Scores:
         """Compute the scores of motions; see `formulas`.
@@ -142,10 +142,12 @@ class MultiTrack:
         spans, evaluator = self._spans(method, [len(motion) for motion in motions]), Remembering(self.evaluator)
         scores = self.formulas.scores(motions, spans, evaluator, self.truth, seed)
         evidence = self._evidence(method, motions, spans, *evaluator.latents)
-        metrics = self._shown(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
+        metrics = self._success(motions, spans) | asdict(scores.semantics) | {"fid": scores.fid}
         if method != INDEPENDENT:
             metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition} | _hand_steps(motions)
-        result = Scores(metrics, resampled=resampled(len(self.asked), partial(self._measure_again, evidence, method)))
+        result = Scores(
+            metrics, resampled=resampled(len(self.requested), partial(self._measure_again, evidence, method))
+        )
         return result if method == INDEPENDENT else self._with_jerk(result, evidence.jerks.values)
 
     def real(self, seed: int) -> Scores:
@@ -160,7 +162,7 @@ class MultiTrack:
             order = torch.from_numpy(np.random.default_rng(seed).permutation(len(self.truth.real)))
             least = fid(*(self.truth.real[half] for half in order.tensor_split(2)))
         whole = [[(0, len(motion), number)] for number, motion in enumerate(self.reference_motions)]
-        metrics = self._shown(self.reference_motions, whole) | asdict(agreement)
+        metrics = self._success(self.reference_motions, whole) | asdict(agreement)
         distance = self.formulas.real_transition(self.reference_motions, self.evaluator)
         metrics |= {"fid": least, "fid_plus": least, "transition": distance} | _hand_steps(self.reference_motions)
         return self._with_jerk(Scores(metrics), self._real_jerks)
@@ -182,7 +184,7 @@ class MultiTrack:
             scores.with_jerk(jerks, float(self._real_jerks.mean())) if len(jerks) and len(self._real_jerks) else scores
         )
 
-    def _shown(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> dict[str, float]:
+    def _success(self, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]) -> dict[str, float]:
         answers = [answer for _, answer in self._answers(motions, spans)]
         return {"shown": 100 * sum(answers) / len(answers), "shown_chance": 100 * self._chance} if answers else {}
 
@@ -198,13 +200,15 @@ class MultiTrack:
     @cached_property
     def _chance(self) -> float:
         """The pass rate of real motions of texts with other questions, averaged over texts."""
-        asked = [prompt.text for timeline in self.asked for prompt in timeline.prompts if prompt.text in self.questions]
+        requested = [
+            prompt.text for timeline in self.requested for prompt in timeline.prompts if prompt.text in self.questions
+        ]
         rates = {}
-        for text in set(asked):
+        for text in set(requested):
             question, pairs = self.questions[text], zip(self.atomic_prompts, self.reference_motions, strict=True)
             others = [motion for prompt, motion in pairs if self.questions.get(prompt.text) is not question]
             rates[text] = sum(bool(question(motion)) for motion in others) / max(1, len(others))
-        return sum(rates[text] for text in asked) / max(1, len(asked))
+        return sum(rates[text] for text in requested) / max(1, len(requested))
 
     def _evidence(
         self,
@@ -214,8 +218,8 @@ class MultiTrack:
         crops: Float[Tensor, "crops width"],
         anywhere: Float[Tensor, "_ width"],
     ) -> _Evidence:
-        counts = [len(timeline.prompts) if method == INDEPENDENT else 1 for timeline in self.asked]
-        units = np.repeat(np.arange(len(self.asked)), counts).tolist()
+        counts = [len(timeline.prompts) if method == INDEPENDENT else 1 for timeline in self.requested]
+        units = np.repeat(np.arange(len(self.requested)), counts).tolist()
         answers = self._answers(motions, spans)
         points = [measured_points(prompts, len(motion)) for prompts, motion in zip(spans, motions, strict=True)]
         steps = [
@@ -258,7 +262,7 @@ class MultiTrack:
 
     def _spans(self, method: str, lengths: Sequence[int]) -> list[list[Span]]:
         numbers = {prompt.text: number for number, prompt in enumerate(self.atomic_prompts)}
-        return crop_spans(method, self.asked, lengths, self.evaluator.fps, numbers)
+        return crop_spans(method, self.requested, lengths, self.evaluator.fps, numbers)
 
 
 def open_mtt(
@@ -279,7 +283,7 @@ def open_mtt(
     """
     folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), read_caches(cache)
     atomic_prompts = read_atomic_prompts(folder / "prompts.json")
-    asked = Timeline.read_all(folder / "timelines.json")[:first]
+    requested = Timeline.read_all(folder / "timelines.json")[:first]
     reference_motions = cache_reference_motions(prepared, SmplRepresentation())
     rng, others = np.random.default_rng(0), []
     for prompt in atomic_prompts:
@@ -295,7 +299,7 @@ def open_mtt(
     questions = {
         prompt.text: QUESTIONS[contents[prompt.clip]] for prompt in atomic_prompts if contents[prompt.clip] in QUESTIONS
     }
-    return MultiTrack.of(asked, atomic_prompts, evaluator, reference_motions, others, questions=questions)
+    return MultiTrack.of(requested, atomic_prompts, evaluator, reference_motions, others, questions=questions)
 
 
 def published_mtt(
@@ -319,9 +323,9 @@ def published_mtt(
     folder = Path(folder).expanduser()
     atomic_prompts = read_atomic_prompts(folder / "texts.txt", folder / "motions.txt")
     reference_motions = amass_reference_motions(amass, evaluator.fps, body)
-    asked = Timeline.read_all(folder / "MTT.txt")[:first]
+    requested = Timeline.read_all(folder / "MTT.txt")[:first]
     return MultiTrack.of(
-        asked, atomic_prompts, evaluator, reference_motions, formulas=PUBLISHED, joints_from=joints_from
+        requested, atomic_prompts, evaluator, reference_motions, formulas=PUBLISHED, joints_from=joints_from
     )
 
 

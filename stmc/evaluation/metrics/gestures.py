@@ -34,7 +34,7 @@ the head joint, which is at the base of the skull."""
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
-def seen_from(motion: Motion, name: str, frame: Frame) -> Float[Tensor, "frames 3"]:
+def relative_path(motion: Motion, name: str, frame: Frame) -> Float[Tensor, "frames 3"]:
     """Return the path of a joint in the axes of the chest or the head.
 
     The origin is the midpoint of the shoulders for "chest", and the head joint for "head".
@@ -51,9 +51,9 @@ def seen_from(motion: Motion, name: str, frame: Frame) -> Float[Tensor, "frames 
     return ((joint(motion, name) - origin)[:, None] @ axes)[:, 0]
 
 
-def within(motion: Motion, box: Box) -> Bool[Tensor, " frames"]:
+def is_in_box(motion: Motion, box: Box) -> Bool[Tensor, " frames"]:
     """Return whether the left wrist is in a box relative to the head."""
-    wrist = seen_from(motion, "left_wrist", "head")
+    wrist = relative_path(motion, "left_wrist", "head")
     low, high = (wrist.new_tensor(corner) for corner in box)
     return ((wrist > low) & (wrist < high)).all(dim=1)
 
@@ -121,7 +121,7 @@ def hand_gap(motion: Motion) -> Float[Tensor, " frames"]:
 
 def hand_speed(motion: Motion, side: str) -> Float[Tensor, " _"]:
     """Return the speed of a wrist relative to the chest in m/s; one frame shorter."""
-    return seen_from(motion, f"{side}_wrist", "chest").diff(dim=0).norm(dim=-1) * motion.fps
+    return relative_path(motion, f"{side}_wrist", "chest").diff(dim=0).norm(dim=-1) * motion.fps
 
 
 def gaze(motion: Motion) -> Float[Tensor, "frames 2"]:
@@ -131,7 +131,7 @@ def gaze(motion: Motion) -> Float[Tensor, "frames 2"]:
     return torch.stack([torch.atan2(ahead[:, 0], ahead[:, 2]), torch.asin(ahead[:, 1].clamp(-1, 1))], dim=1)
 
 
-def looked_left(motion: Motion) -> Float[Tensor, " frames"]:
+def head_turn_left(motion: Motion) -> Float[Tensor, " frames"]:
     """Return the angle in radians that the head has turned left in the world since its rightmost direction so far."""
     ahead = global_rotations(motion.rotations, PARENTS[:NUM_ROTATIONS])[:, JOINTS.index("head"), :, 2]
     angle = torch.atan2(ahead[:, 1], ahead[:, 0])

@@ -36,7 +36,7 @@ class Jump(NamedTuple):
     left: float
 
 
-def turned(motion: Motion) -> Float[Tensor, " frames"]:
+def heading_change(motion: Motion) -> Float[Tensor, " frames"]:
     """Return the heading relative to the first frame, including full turns, positive to the left."""
     steps = wrap(motion.heading.diff())
     return torch.cat([steps.new_zeros(1), steps.cumsum(dim=0)])
@@ -56,7 +56,7 @@ def path_length(motion: Motion, name: str = "pelvis") -> float:
     return float(marks.diff(dim=0).norm(dim=-1).sum())
 
 
-def airborne(motion: Motion) -> float:
+def airborne_fraction(motion: Motion) -> float:
     """Return the fraction of frames with neither foot on the floor: a quarter or more of a run, none of a walk."""
     return float((toe_heights(motion).amin(dim=1) > 0.05).float().mean())
 
@@ -103,7 +103,7 @@ def pivots(motion: Motion, side: str, still: float | int = 0.05, other_path: flo
         still: Maximum drift of its ball in metres.
         other_path: Minimum path of the other foot in metres.
     """
-    angle, slack = turned(motion), round(0.3 * motion.fps)
+    angle, slack = heading_change(motion), round(0.3 * motion.fps)
     inside = ((angle.abs() > TURN_MARGIN) & ((angle[-1] - angle).abs() > TURN_MARGIN)).nonzero()[:, 0]
     if not len(inside):
         return False

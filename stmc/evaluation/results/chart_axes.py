@@ -69,7 +69,7 @@ def real_line(axes: Axes, measure: Measure, groups: Groups) -> None:
             axes.axhline(found[measure.key].mean, label=method_row(REAL).label, **DASHED)
 
 
-def shown(groups: Groups, keys: Sequence[str] | None = None) -> tuple[Measure, ...]:
+def select_measures(groups: Groups, keys: Sequence[str] | None = None) -> tuple[Measure, ...]:
     """Select the measures of the records, limited to `keys` if given. Raises `ResultError` if there are none."""
     columns = measures(name for runs in groups.values() for name in estimates(runs) if keys is None or name in keys)
     if not columns:
@@ -119,7 +119,7 @@ def legend(plot: Figure, panels: Iterable[Axes]) -> None:
         shown.remove()
 
 
-def who(setting: Setting) -> str:
+def name_setting(setting: Setting) -> str:
     """Return the names of denoiser and method."""
     return ", ".join(filter(None, (setting.denoiser, method_row(setting.method).label)))
 

@@ -11,7 +11,17 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stmc.evaluation.results.chart_axes import Groups, dress, grid, legend, lines, real_line, shown, title, who
+from stmc.evaluation.results.chart_axes import (
+    Groups,
+    dress,
+    grid,
+    legend,
+    lines,
+    name_setting,
+    real_line,
+    select_measures,
+    title,
+)
 from stmc.evaluation.results.intervals import estimate, estimates
 from stmc.evaluation.results.naming import REAL, SETTINGS, Measure, place, variant
 from stmc.evaluation.results.result_records import Result, ResultError, Setting, by_setting, refuse_other_differences
@@ -32,7 +42,7 @@ def bars(results: Sequence[Result]) -> Figure:
     """
     groups = by_setting(results)
     made = {setting: runs for setting, runs in groups.items() if setting.method != REAL}
-    columns = shown(made)
+    columns = select_measures(made)
     names = list(dict.fromkeys(variant(setting) for setting in sorted(made, key=place)))
     plot, panels = grid(len(columns), wide=max(2.4, 0.24 * len(made) + 1.3), tall=2.9)
     for axes, measure in zip(panels, columns, strict=True):
@@ -50,7 +60,7 @@ def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("reca
     """
     groups = {setting: runs for setting, runs in by_setting(results).items() if setting.sampling.steps is not None}
     refuse_other_differences(groups, ("sampler", "noise_scale", "steps"))
-    columns = shown(groups, keys)
+    columns = select_measures(groups, keys)
     timed = all(SECONDS in result.metrics for runs in groups.values() for result in runs)
     plot = Figure(figsize=(4.4 * (1 + timed), 2.9 * len(columns)), layout="constrained")
     rows = plot.subplots(len(columns), 1 + timed, squeeze=False, sharey="row")
@@ -87,10 +97,10 @@ def sweep(results: Sequence[Result], varied: str, keys: Sequence[str] | None = N
     if not groups:
         raise ResultError(f"no record has {varied}")
     refuse_other_differences(groups, (varied, "denoiser", "method"))
-    columns = shown(groups, keys)
+    columns = select_measures(groups, keys)
     plot, panels = grid(len(columns), wide=3.0, tall=2.6)
     for axes, measure in zip(panels, columns, strict=True):
-        lines(axes, measure, groups, who, lambda setting, runs: setting.value(varied), SETTINGS[varied])
+        lines(axes, measure, groups, name_setting, lambda setting, runs: setting.value(varied), SETTINGS[varied])
         real_line(axes, measure, real)
     legend(plot, panels)
     return plot

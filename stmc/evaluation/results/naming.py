@@ -41,7 +41,7 @@ class Measure:
         """An arrow up if higher is better, down if lower is, and to the right if near to real motion is."""
         return {"higher": "↑", "lower": "↓", "real": "→"}[self.better]
 
-    def shown(self, value: float) -> str:
+    def format(self, value: float) -> str:
         """Format a value with the decimals of the measure."""
         return f"{value:.{self.decimals}f}"
 

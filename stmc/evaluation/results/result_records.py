@@ -12,7 +12,7 @@ from typing import Any
 
 from stmc.composing.sampling import Sampling
 from stmc.io.files import write_whole
-from stmc.settings.records import SettingError, field_infos, record_of, shown
+from stmc.settings.records import SettingError, field_infos, quote, record_of
 from stmc.settings.renamed import RENAMED_IN_RECORDS
 
 
@@ -88,7 +88,7 @@ _KINDS: Mapping[str, type] = {"method": str, "seed": int, "denoiser": str, "metr
 
 def _check(name: str, value: Any, *kinds: type) -> None:
     if not isinstance(value, kinds) or isinstance(value, bool):
-        raise ResultError(f"{name}: {shown(value)} is not {' or '.join(kind.__name__ for kind in kinds)}")
+        raise ResultError(f"{name}: {quote(value)} is not {' or '.join(kind.__name__ for kind in kinds)}")
 
 
 def by_setting(results: Iterable[Result]) -> dict[Setting, list[Result]]:
@@ -164,7 +164,7 @@ def _of_line(line: str) -> Result:
     data = old | data
     known = (*SETTINGS, "seed", "metrics", *_ROWS)
     if unknown := [key for key in data if key not in known]:
-        raise ResultError(f"unknown key {shown(unknown[0])}; choose from {', '.join(known)}")
+        raise ResultError(f"unknown key {quote(unknown[0])}; choose from {', '.join(known)}")
     if missing := [key for key in ("method", "seed", "metrics") if key not in data]:
         raise ResultError(f"missing {', '.join(missing)}")
     for name, kind in _KINDS.items():

@@ -78,7 +78,7 @@ class Table:
     def _heading(self, measure: Measure) -> str:
         """Return the heading of a measure, with its unit and its chance level if known."""
         levels = [row.estimates[measure.chance].mean for row in chain(*self.blocks) if measure.chance in row.estimates]
-        chance = f"by chance {measure.shown(sum(levels) / len(levels))}" if levels else ""
+        chance = f"by chance {measure.format(sum(levels) / len(levels))}" if levels else ""
         behind = "; ".join(filter(None, (measure.unit, chance)))
         return f"{measure.heading} ({behind})" if behind else measure.heading
 
@@ -185,20 +185,20 @@ def _is_best(block: Sequence[Row], row: Row, measure: Measure) -> bool:
     compared = [other.estimates[measure.key] for other in block if other.competes and measure.key in other.estimates]
     if any(each.of_too_few for each in compared):
         return False
-    means = [float(measure.shown(estimate.mean)) for estimate in compared]
+    means = [float(measure.format(estimate.mean)) for estimate in compared]
     best = max(means) if measure.better == "higher" else min(means)
-    return len(means) > 1 and float(measure.shown(row.estimates[measure.key].mean)) == best
+    return len(means) > 1 and float(measure.format(row.estimates[measure.key].mean)) == best
 
 
 def _plain(measure: Measure, value: Estimate, best: bool) -> str:
-    half = "" if value.half is None else f" ± {measure.shown(value.half)}"
-    return f"{measure.shown(value.mean)}{half}{'*' if best else ' '}"
+    half = "" if value.half is None else f" ± {measure.format(value.half)}"
+    return f"{measure.format(value.mean)}{half}{'*' if best else ' '}"
 
 
 def _typeset(measure: Measure, value: Estimate, best: bool) -> str:
-    mean = measure.shown(value.mean)
+    mean = measure.format(value.mean)
     marked = rf"\mathbf{{{mean}}}" if best else mean
-    return f"${marked}$" if value.half is None else rf"${marked} \pm {measure.shown(value.half)}$"
+    return f"${marked}$" if value.half is None else rf"${marked} \pm {measure.format(value.half)}$"
 
 
 def _line(cells: Sequence[str], wide: Sequence[int], labels: int) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stmc.evaluation.study.key import Aspect, Entry, Key
-from stmc.io.untrusted import UnreadableError, load_json, read_text, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, read_text
 
 FORMAT = "stmc study answers 1"
 NO_PREFERENCE = "none"
@@ -58,12 +58,12 @@ def _answers(path: Path, key: Key) -> Answers:
     data = _expect(_json(path), "the document")
     _same(data, _KEYS, "the document")
     if data["format"] != FORMAT:
-        raise AnswersError(f"format: {shown(data['format'])} is not {FORMAT!r}")
+        raise AnswersError(f"format: {quote(data['format'])} is not {FORMAT!r}")
     rater, survey = data["rater"], data["survey"]
     if not isinstance(rater, str) or not _RATER.fullmatch(rater):
-        raise AnswersError(f"rater: {shown(rater)} is not the code of 16 hexadecimal digits that a page gives")
+        raise AnswersError(f"rater: {quote(rater)} is not the code of 16 hexadecimal digits that a page gives")
     if not isinstance(survey, str) or survey not in key.surveys:
-        raise AnswersError(f"survey: {shown(survey)} is none of the {len(key.surveys)} surveys of this key")
+        raise AnswersError(f"survey: {quote(survey)} is none of the {len(key.surveys)} surveys of this key")
     entries = key.surveys[survey]
     given = _expect(data["answers"], "answers")
     _same(given, tuple(entries), "answers")
@@ -77,7 +77,7 @@ def _choices(data: Any, entry: Entry, question: str) -> dict[Aspect, str]:
     legal = (*entry.sides, NO_PREFERENCE)
     for aspect, choice in data.items():
         if choice not in legal:
-            raise AnswersError(f"{place}.{aspect}: {shown(choice)} is neither of the two motions nor {NO_PREFERENCE!r}")
+            raise AnswersError(f"{place}.{aspect}: {quote(choice)} is neither of the two motions nor {NO_PREFERENCE!r}")
     return {aspect: data[aspect] for aspect in Aspect}
 
 
@@ -92,7 +92,7 @@ def _json(path: Path) -> Any:
 
 def _expect(data: Any, place: str) -> dict[str, Any]:
     if not isinstance(data, dict):
-        raise AnswersError(f"{place}: {shown(data)} is not an object")
+        raise AnswersError(f"{place}: {quote(data)} is not an object")
     return data
 
 
@@ -102,4 +102,4 @@ def _same(data: Mapping[str, Any], keys: tuple[str, ...], place: str) -> None:
             f"{place}: {missing[0]!r} is missing" + (f", and {len(missing) - 1} more" * (len(missing) > 1))
         )
     if unknown := [key for key in data if key not in keys]:
-        raise AnswersError(f"{place}: {shown(unknown[0])} does not belong there")
+        raise AnswersError(f"{place}: {quote(unknown[0])} does not belong there")

@@ -51,7 +51,7 @@ class Clip:
     def joints(self) -> Float[np.ndarray, "frames joints 3"]:
         """The positions at which joints are drawn, in metres, z up."""
         joints = self.motion.joints.double().cpu().numpy()
-        return joints if self.scales is None else _enlarged(joints, self.scales)
+        return joints if self.scales is None else _enlarge(joints, self.scales)
 
     @property
     def animation(self) -> Animation:
@@ -70,14 +70,14 @@ class Clip:
                 wave = 0.5 - 0.5 * np.cos(2 * math.pi * time / _PERIOD + late)
                 scales[f"{side}_{joint}"] = 1 + growth * wave
         joints = self.motion.joints.double().cpu()
-        sunk = joints[..., 2].amin(dim=1) - torch.from_numpy(_enlarged(joints.numpy(), scales)[..., 2].min(axis=1))
+        sunk = joints[..., 2].amin(dim=1) - torch.from_numpy(_enlarge(joints.numpy(), scales)[..., 2].min(axis=1))
         shift = torch.stack([torch.zeros_like(sunk), torch.zeros_like(sunk), sunk], dim=-1)
         motion = self.motion
         raised = Motion(motion.rotations, motion.translation + shift, joints + shift[:, None], motion.fps)
         return Clip(raised, scales)
 
 
-def _enlarged(
+def _enlarge(
     joints: Float[np.ndarray, "frames joints 3"], scales: Mapping[str, Float[np.ndarray, " frames"]]
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Scale the positions of all descendants of some joints relative to these."""

@@ -92,8 +92,8 @@ def _survey(
     names = {pair.name for pair in asked}
     others = rng.sample([pair for pair in pairs if pair.name not in names], _APART)
     first = rng.sample([index % 2 == 0 for index in range(len(asked))], len(asked))
-    counted = [_compared(Kind.PAIR, pair, methods, left, rng) for pair, left in zip(asked, first, strict=True)]
-    warm = [_compared(Kind.WARM_UP, pair, methods, rng.random() < 0.5, rng) for pair in others[:WARM_UPS]]
+    counted = [_compare(Kind.PAIR, pair, methods, left, rng) for pair, left in zip(asked, first, strict=True)]
+    warm = [_compare(Kind.WARM_UP, pair, methods, rng.random() < 0.5, rng) for pair in others[:WARM_UPS]]
     limbs, lost = others[WARM_UPS:]
     counted.append(_honeypot(Kind.REALISM_HONEYPOT, limbs, Clip.of(limbs.second).stretched(), rng))
     other = stranger(lost.timeline, [pair for pair in pairs if pair is not lost])
@@ -103,7 +103,7 @@ def _survey(
     return survey, {question.id: entry for question, entry in questions}
 
 
-def _compared(
+def _compare(
     kind: Kind, pair: Pair, methods: tuple[str, str], first_left: bool, rng: random.Random
 ) -> tuple[Question, Entry]:
     clips = (Clip.of(pair.first), Clip.of(pair.second))

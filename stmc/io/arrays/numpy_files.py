@@ -16,7 +16,7 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
-from stmc.io.untrusted import cut
+from stmc.io.untrusted import truncate
 
 LARGEST = 2**31
 """Maximum size of one decompressed array in bytes. A zip of a few kilobytes can expand beyond any memory."""
@@ -65,7 +65,7 @@ def read_npz(path: Path, required: Sequence[str], optional: Sequence[str] = ()) 
     """
     with _open_npz(path) as (arrays, archive):
         if missing := [name for name in required if name not in arrays.files]:
-            has = cut(", ".join(arrays.files), _SHOWN) or "none"
+            has = truncate(", ".join(arrays.files), _SHOWN) or "none"
             raise ArraysError(f"{path} has no array {', '.join(missing)}; it has {has}")
         names = [*required, *(name for name in optional if name in arrays.files)]
         for name in names:
@@ -108,7 +108,7 @@ def _open_npz(path: Path) -> Iterator[tuple[np.lib.npyio.NpzFile, zipfile.ZipFil
             if len(names) > MOST_ARRAYS:
                 raise ArraysError(f"{path} has {len(names)} arrays; at most {MOST_ARRAYS} are read")
             if unsafe := [name for name in names if "/" in name or "\\" in name or ".." in name]:
-                place = f"it names {cut(unsafe[0], _SHOWN)!r}, a path outside of the archive"
+                place = f"it names {truncate(unsafe[0], _SHOWN)!r}, a path outside of the archive"
                 raise ArraysError(f"{path} is not safe to read: {place}")
             yield arrays, archive
     except ArraysError:
@@ -119,7 +119,7 @@ def _open_npz(path: Path) -> Iterator[tuple[np.lib.npyio.NpzFile, zipfile.ZipFil
 
 def _read_header(archive: zipfile.ZipFile, name: str, path: Path) -> Header:
     """Read and check the header of an array in a zip."""
-    size, place = archive.getinfo(name).file_size, f"{path}: {cut(name.removesuffix('.npy'), _SHOWN)}"
+    size, place = archive.getinfo(name).file_size, f"{path}: {truncate(name.removesuffix('.npy'), _SHOWN)}"
     if size > LARGEST:
         raise ArraysError(f"{place} has {size} bytes; the limit is {LARGEST}")
     with archive.open(name) as file:
@@ -145,5 +145,5 @@ _OBJECTS = "it holds pickled Python objects, which could run code"
 
 
 def _reason(error: Exception) -> str:
-    text = cut(" ".join(str(error).split()), _SHOWN) or type(error).__name__
+    text = truncate(" ".join(str(error).split()), _SHOWN) or type(error).__name__
     return _OBJECTS if "pickle" in text else text

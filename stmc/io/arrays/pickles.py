@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from stmc.io.arrays.numpy_files import LARGEST, ArraysError
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 
 _SPARSE = ("csc", "csr", "coo")
 _LARGEST_MATRIX = 2**27
@@ -117,10 +117,10 @@ class _Type(StandIn):
         if not isinstance(self.name, str):
             raise ArraysError(f"a dtype that is a {type(self.name).__name__}")
         if self.name.strip("<>=|")[:1] not in ("?", "b", *_KINDS):
-            raise ArraysError(_OBJECTS if self.name[:1] == "O" else f"an unsupported dtype {shown(self.name)}")
+            raise ArraysError(_OBJECTS if self.name[:1] == "O" else f"an unsupported dtype {quote(self.name)}")
         dtype = np.dtype(self.name)
         if dtype.kind not in _KINDS or not dtype.itemsize:
-            raise ArraysError(f"an unsupported dtype {shown(self.name)}")
+            raise ArraysError(f"an unsupported dtype {quote(self.name)}")
         if self.state == {}:
             return dtype
         if not isinstance(self.state, tuple) or len(self.state) != 8:
@@ -312,7 +312,7 @@ class SafeUnpickler(pickle._Unpickler):
 
     def _build(self, kind: object, *_: object) -> StandIn:
         if not (isinstance(kind, type) and issubclass(kind, StandIn)):
-            name = shown(kind) if isinstance(kind, str) else f"a {type(kind).__name__}"
+            name = quote(kind) if isinstance(kind, str) else f"a {type(kind).__name__}"
             raise ArraysError(f"an object of a forbidden class: {name}")
         return kind()
 
@@ -322,7 +322,7 @@ class SafeUnpickler(pickle._Unpickler):
 
     def _encode(self, text: object, encoding: object = "latin1") -> bytes:
         if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
-            name = shown(encoding) if isinstance(encoding, str) else f"of a {type(encoding).__name__}"
+            name = quote(encoding) if isinstance(encoding, str) else f"of a {type(encoding).__name__}"
             raise ArraysError(f"bytes of a {type(text).__name__} in the encoding {name}")
         return self._count_copy(text).encode("latin1")
 
@@ -381,7 +381,7 @@ def _matrix(state: dict, layout: str, name: str, level: int) -> np.ndarray:
 
     rows, columns = state["_shape" if "_shape" in state else "shape"]
     if not (_is_size(rows) and _is_size(columns)) or rows * columns * 8 > _LARGEST_MATRIX:
-        sizes = " x ".join(shown(size) if isinstance(size, int) else type(size).__name__ for size in (rows, columns))
+        sizes = " x ".join(quote(size) if isinstance(size, int) else type(size).__name__ for size in (rows, columns))
         raise ArraysError(f"{name} is a damaged matrix of {sizes} numbers")
     values = as_array(state["data"], "data", level)
     if layout == "coo":

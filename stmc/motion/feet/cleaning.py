@@ -10,7 +10,7 @@ from stmc.motion.body import JOINTS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.feet.contacts import standing_steps
 from stmc.motion.feet.leg_bending import LEG, bend_leg, sinking
-from stmc.motion.feet.locking import Foot, away, locked
+from stmc.motion.feet.locking import Foot, distance_weight, lock_foot
 from stmc.motion.geometry import global_rotations
 from stmc.motion.motion import Motion
 
@@ -60,12 +60,12 @@ def clean_feet(motion: Motion, floor: float | int = 0.0, free: Bool[Tensor, " fr
     points = torch.stack([foot.points for foot in feet], dim=1)
     held = standing_steps(points, joints[:, 0, 2], motion.fps, floor)
     locked_feet = [
-        locked(foot, steps, ~free, motion.fps, floor) for foot, steps in zip(feet, held.unbind(dim=1), strict=True)
+        lock_foot(foot, steps, ~free, motion.fps, floor) for foot, steps in zip(feet, held.unbind(dim=1), strict=True)
     ]
     hips, knees, ankles = (torch.stack([joints[:, _index(side, name)] for side in _SIDES], dim=1) for name in LEG)
     targets, span = torch.stack([foot.ankle for foot in locked_feet], dim=1), round(_SINK * motion.fps)
     shift = torch.zeros_like(exact.translation)
-    shift[:, 2] = -sinking(hips, knees, ankles, targets, span) * away(~free, span)
+    shift[:, 2] = -sinking(hips, knees, ankles, targets, span) * distance_weight(~free, span)
     rotations = exact.rotations.clone()
     for side, foot in zip(_SIDES, locked_feet, strict=True):
         reach = foot.ankle - joints[:, _index(side, "hip")] - shift

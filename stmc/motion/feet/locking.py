@@ -49,7 +49,7 @@ class Foot:
         return Foot(ankle, by @ self.turned, self.heel, self.toes)
 
 
-def locked(
+def lock_foot(
     foot: Foot, held: Bool[Tensor, "_ 2"], fixed: Bool[Tensor, " frames"], fps: float | int, floor: float | int
 ) -> Foot:
     """Lock a foot: its heel and toes do not move in held steps and do not go below the floor.
@@ -70,7 +70,7 @@ def locked(
     return _lift_above(level.moved(_hold(level, held, fixed, fps, floors)), floors)
 
 
-def away(fixed: Bool[Tensor, " frames"], span: float | int) -> Float[Tensor, " frames"]:
+def distance_weight(fixed: Bool[Tensor, " frames"], span: float | int) -> Float[Tensor, " frames"]:
     """Return a weight that is 0 in `fixed` frames and rises smoothly to 1 at a distance of `span` frames."""
     weight = (_distance(fixed) / max(1, span)).clamp(max=1)
     return weight**2 * (3 - 2 * weight)
@@ -125,7 +125,7 @@ def _level(
         targets = _interpolate(directions, anchored) if anchored.any() else directions.mean(dim=0).expand_as(directions)
         turns[start : end + 1] = matrix_to_axis_angle(shortest_arc(directions, normalize(targets, dim=-1)))
     turns[fixed] = 0.0
-    return blended(turns, spans, fps)
+    return blend_spans(turns, spans, fps)
 
 
 def _hold(
@@ -160,7 +160,7 @@ def _hold(
             lift = (depths[start : end + 1] - shift[:, 2]).amax().clamp(min=0)
             shift = shift + lift * shift.new_tensor([0.0, 0.0, 1.0])
         shifts[start : end + 1] = shift
-    return blended(shifts, spans, fps)
+    return blend_spans(shifts, spans, fps)
 
 
 def _place_stances(
@@ -206,7 +206,7 @@ def _lift_above(foot: Foot, floors: Float[Tensor, " frames"]) -> Foot:
     return foot.rotated(torch.where((down > along[:, 2])[:, None, None], turn, identity), about)
 
 
-def blended(
+def blend_spans(
     values: Float[Tensor, "frames 3"], spans: list[tuple[int, int]], fps: float | int
 ) -> Float[Tensor, "frames 3"]:
     """Blend `values`, defined in the frames [start, end] of `spans`, smoothly to zero before and after."""

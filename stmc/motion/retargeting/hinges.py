@@ -100,7 +100,7 @@ def follow(
     )
 
 
-def followed(
+def apply_hinges(
     rig: Rig, curves: HingeCurves
 ) -> tuple[Float[np.ndarray, "frames driven 3 3"], Float[np.ndarray, "frames driven 3"]]:
     """Return the turns and the places of a rig's driven nodes that its hinges give them."""

@@ -12,7 +12,7 @@ from torch.nn.functional import normalize
 
 from stmc.motion.feet.contacts import runs, standing_steps
 from stmc.motion.feet.leg_bending import sinking
-from stmc.motion.feet.locking import blended
+from stmc.motion.feet.locking import blend_spans
 from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle, shortest_arc
 from stmc.motion.inverse_kinematics import bend_limb
 from stmc.motion.retargeting.performer import Performer
@@ -39,10 +39,10 @@ def keep_feet(
     Both have legs of the same length.
     """
     led = source.soles()
-    target = _tilted(led, target, rig)
+    target = _tilt_feet(led, target, rig)
     own = target.soles()
     following = _following(led, source.at("pelvis")[:, 2], fps)
-    ways = torch.stack([_way(led[:, side], own[:, side], following[:, side], fps) for side in range(2)], dim=1)
+    ways = torch.stack([_displacement(led[:, side], own[:, side], following[:, side], fps) for side in range(2)], dim=1)
     hips, knees, ankles = (torch.stack([target.at(f"{side}_{each}") for side in SIDES], dim=1) for each in _LEG)
     wanted = ankles + ways
     pelvis = target.at("pelvis").clone()
@@ -79,7 +79,7 @@ def keep_hands(source: Performer, target: Performer, rig: Rig, spread: Float[Ten
     return Performer(turns, rig.posed(turns, target.at("pelvis")), target.rest, target.joints)
 
 
-def _tilted(led: Float[Tensor, "frames 2 2 3"], target: Performer, rig: Rig) -> Performer:
+def _tilt_feet(led: Float[Tensor, "frames 2 2 3"], target: Performer, rig: Rig) -> Performer:
     """Tilt low feet of the target so that heels are as far above toes as the leading ones'.
 
     A longer foot tilts less, so that the leg above need not bend more; a shorter foot tilts as ours.
@@ -130,7 +130,7 @@ def _following(led: Float[Tensor, "frames 2 2 3"], pelvis: Float[Tensor, " frame
     return torch.maximum(held, _AROUND * around)
 
 
-def _way(
+def _displacement(
     led: Float[Tensor, "frames 2 3"],
     own: Float[Tensor, "frames 2 3"],
     following: Float[Tensor, "_ 2"],
@@ -144,7 +144,7 @@ def _way(
     for start, end in spans:
         summed = torch.cat([steps.new_zeros(1, 3), steps[start:end].cumsum(dim=0)])
         ways[start : end + 1] = summed - summed.mean(dim=0)
-    ways = blended(ways, spans, fps)
+    ways = blend_spans(ways, spans, fps)
     height = led[..., 2].amin(dim=1)
     ways[:, 2] = ((height - own[..., 2].amin(dim=1))[:, None] * _share(height, _LOW, _HIGH))[:, 0]
     return ways

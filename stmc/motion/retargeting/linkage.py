@@ -95,7 +95,7 @@ class Pose:
     ) -> Float[np.ndarray, "points 3 unknowns"]:
         """Return the derivatives of points to the unknowns: the base's shift, its turn about its own place, angles."""
         anchors = self.points(self.linkage.anchors, np.arange(len(self.linkage.parents)))
-        hinged = np.cross(self.axes[None], points[:, None] - anchors[None]) * self._carried(movers)
+        hinged = np.cross(self.axes[None], points[:, None] - anchors[None]) * self._moves(movers)
         origin = np.broadcast_to(np.eye(3), (len(points), 3, 3))
         arms = points - self.places[-1]
         turned = np.cross(np.eye(3)[None], arms[:, None])
@@ -103,10 +103,10 @@ class Pose:
 
     def spins(self, turners: Int[np.ndarray, " links"]) -> Float[np.ndarray, "links 3 unknowns"]:
         """Return the derivatives of links' turns, as rotation vectors in the world, to the same unknowns."""
-        hinged = (self.axes[None] * self._carried(turners)).swapaxes(1, 2)
+        hinged = (self.axes[None] * self._moves(turners)).swapaxes(1, 2)
         same = np.broadcast_to(np.eye(3), (len(turners), 3, 3))
         return np.concatenate([0 * same, same, hinged], axis=2)
 
-    def _carried(self, movers: Int[np.ndarray, " links"]) -> Bool[np.ndarray, "links hinges 1"]:
+    def _moves(self, movers: Int[np.ndarray, " links"]) -> Bool[np.ndarray, "links hinges 1"]:
         chains = np.concatenate([self.linkage.chains, np.zeros((1, len(self.linkage.parents)), dtype=bool)])
         return chains[movers][..., None]

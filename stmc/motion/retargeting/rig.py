@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.retargeting.linkage import Linkage
 
 SIDES = ("left", "right")
@@ -68,7 +68,7 @@ class Rig:
         pelvis = _pelvis(parents, joints, ends)
         chest = _common(parents, [joints["head"], joints["left_shoulder"], joints["right_shoulder"]])
         if chest is None or pelvis not in ancestors(parents, chest):
-            raise RigError(f"arms and head do not hang from the pelvis, {shown(names[pelvis])}")
+            raise RigError(f"arms and head do not hang from the pelvis, {quote(names[pelvis])}")
         spine = path(parents, pelvis, chest)[1:]
         necks = path(parents, chest, joints["head"])[1:-1]
         limbs = {name: node for name, node in joints.items() if name in (*NEEDED, *OPTIONAL)}
@@ -169,7 +169,7 @@ def _check(rig: Rig) -> None:
     twice: dict[int, str] = {}
     for joint, node in rig.joints.items():
         if node in twice:
-            raise RigError(f"{shown(rig.names[node])} cannot be both {twice[node]} and {joint}")
+            raise RigError(f"{quote(rig.names[node])} cannot be both {twice[node]} and {joint}")
         twice[node] = joint
     bones = [
         (f"{side}_{above}", f"{side}_{below}")
@@ -181,7 +181,7 @@ def _check(rig: Rig) -> None:
     collars = [(f"{side}_collar", f"{side}_shoulder") for side in SIDES if f"{side}_collar" in rig.joints]
     for above, below in bones + toes + collars:
         if rig.joints[above] not in ancestors(rig.parents, rig.joints[below]):
-            lower, upper = (shown(rig.names[rig.joints[joint]]) for joint in (below, above))
+            lower, upper = (quote(rig.names[rig.joints[joint]]) for joint in (below, above))
             raise RigError(f"{lower} ({below}) does not hang from {upper} ({above})")
     for above, below in bones:
         if not (rig.at(below) - rig.at(above)).norm() > _SHORTEST * rig.length(LIMBS[0]):

@@ -17,7 +17,7 @@ from stmc.motion.body import JOINTS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle
 from stmc.motion.motion import Motion
-from stmc.motion.retargeting.hinges import HingeCurves, follow, followed
+from stmc.motion.retargeting.hinges import HingeCurves, apply_hinges, follow
 from stmc.motion.retargeting.keeping import keep_feet, keep_hands
 from stmc.motion.retargeting.performer import Performer
 from stmc.motion.retargeting.rig import LIMBS, SIDES, Rig
@@ -67,17 +67,17 @@ def transfer(motion: Motion, rig: Rig) -> RigMotion:
     source = _performer(motion)
     scale = rig.length(LIMBS[0]) / source.length(LIMBS[0])
     sized = rig.scaled(1 / scale)
-    target, spread = _turned(sized, source)
+    target, spread = _turn_rig(sized, source)
     target = keep_feet(source, target, sized, spread, motion.fps)
     target = keep_hands(source, target, sized, spread)
     moved = RigMotion(rig, target.turns, target.places * scale, spread, motion.fps, scale)
-    return moved if rig.linkage is None else _hinged(moved)
+    return moved if rig.linkage is None else _fit_hinges(moved)
 
 
-def _hinged(motion: RigMotion) -> RigMotion:
+def _fit_hinges(motion: RigMotion) -> RigMotion:
     """Return the motion that comes nearest to one with the hinges of its rig."""
     curves = follow(motion.rig, motion.turns.numpy(), motion.places.numpy(), motion.fps)
-    turns, places = (torch.from_numpy(values) for values in followed(motion.rig, curves))
+    turns, places = (torch.from_numpy(values) for values in apply_hinges(motion.rig, curves))
     return replace(motion, turns=turns, places=places, curves=curves)
 
 
@@ -92,7 +92,7 @@ def _performer(motion: Motion) -> Performer:
     return Performer(turns, places, rest, {joint: place for place, joint in enumerate(JOINTS)})
 
 
-def _turned(rig: Rig, source: Performer) -> tuple[Performer, Float[Tensor, "driven 3 3"]]:
+def _turn_rig(rig: Rig, source: Performer) -> tuple[Performer, Float[Tensor, "driven 3 3"]]:
     """Return the rig turned as the source, with the same middle of the hips, and the rotations from its rest pose."""
     joints = {joint: rig.place(joint) for joint in rig.joints}
     turns = torch.eye(3, dtype=torch.float64).repeat(len(source.turns), len(rig.driven), 1, 1)

@@ -22,7 +22,7 @@ def spread_limbs(rig: Rig, target: Performer, source: Performer) -> Float[Tensor
     turns = torch.eye(3, dtype=torch.float64).repeat(len(rig.driven), 1, 1)
     for side in SIDES:
         for limb in LIMBS:
-            aligned = _aligned(turns, target, source, [f"{side}_{joint}" for joint in limb])
+            aligned = _align(turns, target, source, [f"{side}_{joint}" for joint in limb])
         wrist = f"{side}_wrist"  # of the arm, the last of the limbs
         palm = _palm(rig, rig.joints[wrist])
         if palm is not None:
@@ -36,7 +36,7 @@ def spread_limbs(rig: Rig, target: Performer, source: Performer) -> Float[Tensor
     return turns
 
 
-def _aligned(turns: Tensor, target: Performer, source: Performer, limb: list[str]) -> Float[Tensor, "3 3"]:
+def _align(turns: Tensor, target: Performer, source: Performer, limb: list[str]) -> Float[Tensor, "3 3"]:
     """Set the turns of a limb's two bones, each the smallest one after the other's; return that of the lower."""
     aligned = torch.eye(3, dtype=torch.float64)
     for above, below in itertools.pairwise(limb):

@@ -62,8 +62,8 @@ def read(source: str | Path, statistics: str | Path | None = None, text_model: s
     statistics = None if statistics is None else Path(statistics).expanduser()
     if not source.exists():
         raise CheckpointError(f"{source} does not exist; {EXPECTED}")
-    if (_above(source, 1) / "args.json").is_file():
-        family = flow_mdm if flow_mdm.is_flow_mdm(_above(source, 1) / "args.json") else mdm
+    if (_settings_folder(source, 1) / "args.json").is_file():
+        family = flow_mdm if flow_mdm.is_flow_mdm(_settings_folder(source, 1) / "args.json") else mdm
         return family.read(source, statistics, text_model)
     if source.is_dir() and evaluators.is_tmr(source):
         return evaluators.read_tmr(source, statistics, text_model)
@@ -72,14 +72,14 @@ def read(source: str | Path, statistics: str | Path | None = None, text_model: s
             f"{source} has no args.json next to it; only the weights of MDM, FlowMDM and TMR take separate statistics"
         )
     file = source if source.is_file() else None
-    if (_above(source, 2) / "opt.txt").is_file():
-        return motion_diffuse.read(_above(source, 2), file, text_model)
-    if (_above(source, 3) / "config.json").is_file():
-        return mdm_smpl.read(_above(source, 3), file, text_model)
+    if (_settings_folder(source, 2) / "opt.txt").is_file():
+        return motion_diffuse.read(_settings_folder(source, 2), file, text_model)
+    if (_settings_folder(source, 3) / "config.json").is_file():
+        return mdm_smpl.read(_settings_folder(source, 3), file, text_model)
     raise CheckpointError(f"{source} is not a checkpoint that can be imported; {EXPECTED}")
 
 
-def _above(source: Path, levels: int) -> Path:
+def _settings_folder(source: Path, levels: int) -> Path:
     """Return the folder of a format's settings: `source` itself, or some levels above the file of the weights."""
     return source if source.is_dir() else source.absolute().parents[min(levels, len(source.absolute().parents)) - 1]
 

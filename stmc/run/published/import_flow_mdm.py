@@ -34,7 +34,7 @@ from stmc.run.published.torch_checkpoint import (
     size_of,
     state_dict,
 )
-from stmc.settings.records import shown
+from stmc.settings.records import quote
 
 
 class Data(NamedTuple):
@@ -114,7 +114,7 @@ def _settings(path: Path) -> dict[str, Any]:
     settings = DEFAULTS | read_json(path)
     for name, choices in (("dataset", tuple(DATA)), ("noise_schedule", ("cosine", "linear"))):
         if not isinstance(settings.get(name), str) or settings[name] not in choices:
-            raise CheckpointError(f"{path}: {name} must be {' or '.join(choices)}, not {shown(settings.get(name))}")
+            raise CheckpointError(f"{path}: {name} must be {' or '.join(choices)}, not {quote(settings.get(name))}")
     for name in ("diffusion_steps", "rpe_horizon"):
         check_size(settings[name], name, path)
     return settings

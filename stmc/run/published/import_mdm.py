@@ -26,7 +26,7 @@ from stmc.run.published.torch_checkpoint import (
     read_statistics,
     state_dict,
 )
-from stmc.settings.records import shown
+from stmc.settings.records import quote
 
 DEFAULTS = {
     "dataset": "humanml",
@@ -79,7 +79,7 @@ def read(path: Path, statistics: Path | None = None, text_model: str | None = No
     path = only_file(path, "model*.pt") if path.is_dir() else path
     settings, names = _settings(path.parent / "args.json")
     weights = drop_prefix(_weights(read_checkpoint(path), settings, path), "clip_model.")
-    leading = _leading(settings, names)
+    leading = _leading_token(settings, names)
     config = _describe_parts(settings, leading, text_model)
     learned = {name: value for name, value in weights.items() if name not in TABLES}
     parts = build_parts(config, learned, path.parent / "args.json", str(path))
@@ -116,7 +116,7 @@ def _settings(path: Path) -> tuple[dict[str, Any], set[str]]:
     for name, choices in CHOICES.items():
         if not any(settings[name] is choice or settings[name] == choice for choice in choices):
             raise CheckpointError(
-                f"{path}: {name} is {shown(settings[name])}, but only {' or '.join(map(repr, choices))} can be imported"
+                f"{path}: {name} is {quote(settings[name])}, but only {' or '.join(map(repr, choices))} can be imported"
             )
     for name in ("layers", "latent_dim", "diffusion_steps"):
         check_size(settings[name], name, path)
@@ -137,7 +137,7 @@ def _weights(content: dict[str, Any], settings: Mapping[str, Any], path: Path) -
     return state_dict(content[name], f"{path}: {name}")
 
 
-def _leading(settings: Mapping[str, Any], names: set[str]) -> str | None:
+def _leading_token(settings: Mapping[str, Any], names: set[str]) -> str | None:
     """Return the kind of the leading token.
 
     The version of the code that supports several text encoders, and names the encoder in `args.json`, encodes the step

@@ -17,13 +17,13 @@ from stmc.run.published.torch_checkpoint import (
     build_parts,
     check_size,
     fill,
-    nudged_statistics,
     read_checkpoint,
     read_json,
     size_of,
     state_dict,
+    statistics_plus_epsilon,
 )
-from stmc.settings.records import shown
+from stmc.settings.records import quote
 
 CHECKPOINT = Path("logs/checkpoints/last.ckpt")
 LONGEST = 10.0
@@ -72,7 +72,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
     fps = _setting(settings, "data.motion_loader.fps", folder / "config.json")
     if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps <= 1000:
         raise CheckpointError(
-            f"{folder / 'config.json'}: data.motion_loader.fps must be a positive number up to 1000, not {shown(fps)}"
+            f"{folder / 'config.json'}: data.motion_loader.fps must be a positive number up to 1000, not {quote(fps)}"
         )
     model = Model(
         **parts,
@@ -99,12 +99,12 @@ def _describe_parts(
     """Describe the parts: sizes from the weights, everything else from the settings."""
     features = _setting(settings, "motion_features", path)
     if not isinstance(features, str) or features not in REPRESENTATIONS:
-        raise CheckpointError(f"{path}: motion_features must be {' or '.join(REPRESENTATIONS)}, not {shown(features)}")
+        raise CheckpointError(f"{path}: motion_features must be {' or '.join(REPRESENTATIONS)}, not {quote(features)}")
     text_width = size_of(weights, "tx_embedding.0.weight", 1, place)
     options = _setting(settings, "diffusion.denoiser", path)
     options = options if isinstance(options, Mapping) else {}
     if options.get("activation", "gelu") != "gelu":
-        raise CheckpointError(f"{path}: activation must be gelu, not {shown(options['activation'])}")
+        raise CheckpointError(f"{path}: activation must be gelu, not {quote(options['activation'])}")
     layers = {name.split(".")[2] for name in weights if name.startswith("seqTransEncoder.layers.")}
     return {
         "denoiser": {
@@ -129,7 +129,7 @@ def _schedule(settings: Mapping[str, Any], path: Path) -> dict[str, Any]:
     kinds = [kind for kind in ("cosine", "linear") if kind in str(schedule).lower()]
     steps = _setting(settings, "diffusion.timesteps", path)
     if len(kinds) != 1:
-        raise CheckpointError(f"{path}: diffusion.schedule must be cosine or linear, not {shown(schedule)}")
+        raise CheckpointError(f"{path}: diffusion.schedule must be cosine or linear, not {quote(schedule)}")
     offset = {"s": schedule["s"]} if isinstance(schedule, Mapping) and "s" in schedule else {}
     return {
         "_target_": f"stmc.diffusion.Schedule.{kinds[0]}",
@@ -143,10 +143,10 @@ def _text_encoder(settings: Mapping[str, Any], path: Path, width: int, text_mode
     if name in CLIP:
         return {"_target_": "stmc.text.Clip"} | ({} if text_model is None else {"source": text_model})
     if not isinstance(name, str):
-        raise CheckpointError(f"{path}: data.text_encoder.modelname must be the name of a model, not {shown(name)}")
+        raise CheckpointError(f"{path}: data.text_encoder.modelname must be the name of a model, not {quote(name)}")
     if pooled:
         raise CheckpointError(
-            f"{path}: mean_pooling of {shown(name)} is not supported; use CLIP, or tokens of any model"
+            f"{path}: mean_pooling of {quote(name)} is not supported; use CLIP, or tokens of any model"
         )
     return {"_target_": "stmc.text.Tokens", "source": text_model or name, "width": width}
 
@@ -154,7 +154,7 @@ def _text_encoder(settings: Mapping[str, Any], path: Path, width: int, text_mode
 def _prediction(settings: Mapping[str, Any], path: Path) -> Prediction:
     prediction = _setting(settings, "diffusion.prediction", path)
     if not isinstance(prediction, str) or prediction not in PREDICTIONS:
-        raise CheckpointError(f"{path}: prediction must be one of {', '.join(PREDICTIONS)}, not {shown(prediction)}")
+        raise CheckpointError(f"{path}: prediction must be one of {', '.join(PREDICTIONS)}, not {quote(prediction)}")
     return PREDICTIONS[prediction]
 
 
@@ -166,7 +166,7 @@ def _statistics(weights: Mapping[str, Tensor], side: str, width: int, path: Path
             raise CheckpointError(f"{path}: {name} must hold {width} numbers, not {list(weights[name].shape)}")
         values.append(weights[name])
     mean, std = values
-    return nudged_statistics(mean, std, f"{path}: {side}_normalizer")
+    return statistics_plus_epsilon(mean, std, f"{path}: {side}_normalizer")
 
 
 def _setting(settings: Mapping[str, Any], name: str, path: Path) -> Any:

@@ -18,12 +18,12 @@ from torch import Tensor, nn
 from stmc.diffusion.statistics import Statistics
 from stmc.evaluators import Evaluator
 from stmc.io.arrays import ArraysError, check_checkpoint, read_npy
-from stmc.io.untrusted import cut
+from stmc.io.untrusted import truncate
 from stmc.model import Model
 from stmc.run import PARTS, RunError, build_fitting
 from stmc.run.construction import Part
-from stmc.run.weights import listed, misfit, specs_of
-from stmc.settings.records import shown
+from stmc.run.weights import list_problems, misfit, specs_of
+from stmc.settings.records import quote
 
 
 class CheckpointError(ValueError):
@@ -71,7 +71,7 @@ def _content(path: Path) -> Any:
             f"{path} is damaged, or holds more than tensors, which could execute code, and is not loaded: {reason}"
         ) from error
     except Exception as error:  # a damaged file can raise any exception
-        reason = cut(" ".join(str(error).split()), 200) or type(error).__name__
+        reason = truncate(" ".join(str(error).split()), 200) or type(error).__name__
         raise CheckpointError(f"{path} cannot be read as a checkpoint of PyTorch: {reason}") from error
     return content
 
@@ -79,7 +79,7 @@ def _content(path: Path) -> Any:
 def state_dict(content: Any, place: str) -> dict[str, Tensor]:
     """Return the tensors of a dict by name, without gradients. Raises `CheckpointError` for any other content."""
     if not isinstance(content, Mapping) or not content:
-        raise CheckpointError(f"{place} must be a dict of tensors, not {type(content).__name__} {shown(content)}")
+        raise CheckpointError(f"{place} must be a dict of tensors, not {type(content).__name__} {quote(content)}")
     invalid = [
         str(name)[:60] for name, value in content.items() if not isinstance(name, str) or not torch.is_tensor(value)
     ]
@@ -102,7 +102,7 @@ def fill(network: nn.Module, weights: Mapping[str, Tensor], place: str) -> None:
     wrong = misfit(specs_of(network.state_dict()), specs_of(weights))
     infinite = [name for name, value in weights.items() if not value.isfinite().all()]
     if wrong or infinite:
-        reasons = "; ".join(filter(None, [wrong, listed({"not finite": infinite})]))
+        reasons = "; ".join(filter(None, [wrong, list_problems({"not finite": infinite})]))
         raise CheckpointError(f"{place} does not fit {type(network).__name__}. {reasons}")
     network.load_state_dict({name: value.float() for name, value in weights.items()})
     network.eval().requires_grad_(False)
@@ -146,7 +146,7 @@ def check_size(value: Any, name: str, path: Path, most: int = 10_000) -> int:
         CheckpointError: If it is not.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
-        raise CheckpointError(f"{path}: {name} must be a positive integer up to {most}, not {shown(value)}")
+        raise CheckpointError(f"{path}: {name} must be a positive integer up to {most}, not {quote(value)}")
     return value
 
 
@@ -174,7 +174,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise CheckpointError(f"{path} cannot be read: {error}") from error
     if not isinstance(settings, dict):
-        raise CheckpointError(f"{path} must hold settings by name, not {shown(settings)}")
+        raise CheckpointError(f"{path} must hold settings by name, not {quote(settings)}")
     return settings
 
 
@@ -207,7 +207,7 @@ def read_statistics(mean: Path, std: Path, width: int) -> Statistics:
 
 
 def read_tensor_statistics(mean: Path, std: Path, width: int) -> Statistics:
-    """Read the mean and standard deviation from two files that `torch.save` wrote; see `nudged_statistics`.
+    """Read the mean and standard deviation from two files that `torch.save` wrote; see `statistics_plus_epsilon`.
 
     Args:
         mean: File of the mean.
@@ -221,10 +221,10 @@ def read_tensor_statistics(mean: Path, std: Path, width: int) -> Statistics:
     for path, value in ((mean, means), (std, stds)):
         if value.shape != (width,):
             raise CheckpointError(f"{path} must hold {width} numbers, not {list(value.shape)}")
-    return nudged_statistics(means, stds, f"{mean} and {std}: statistics")
+    return statistics_plus_epsilon(means, stds, f"{mean} and {std}: statistics")
 
 
-def nudged_statistics(mean: Tensor, std: Tensor, place: str) -> Statistics:
+def statistics_plus_epsilon(mean: Tensor, std: Tensor, place: str) -> Statistics:
     """Build statistics as the code of TMR and STMC, and FlowMDM's on BABEL, uses them: the std plus 1e-12.
 
     Args:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from stmc.io.files import write_text
-from stmc.io.untrusted import UnreadableError, cut, load_json, read_text, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, read_text, truncate
 from stmc.text.vocabulary.calibration import Calibration, Trial
 from stmc.text.vocabulary.sentences import LONGEST_TEXT
 from stmc.text.vocabulary.vocabulary_files import LONGEST_NAME, MOST_SENTENCES, VocabularyError, check_text
@@ -42,13 +42,13 @@ def read_calibration(path: Path) -> Calibration:
     try:
         return _calibration(load_json(read_text(path, MOST_BYTES)))
     except (VocabularyError, UnreadableError, OSError) as error:
-        raise VocabularyError(f"{path} cannot be read: {cut(' '.join(str(error).split()), 200)}") from error
+        raise VocabularyError(f"{path} cannot be read: {truncate(' '.join(str(error).split()), 200)}") from error
 
 
 def _calibration(table: Any) -> Calibration:
     _check_keys(table, _KEYS, "a calibration")
     if not isinstance(table["weights"], str) or not re.fullmatch(r"[0-9a-f]{64}|", table["weights"]):
-        raise VocabularyError(f"weights={shown(table['weights'])}: must be a SHA-256 of 64 hexadecimal digits")
+        raise VocabularyError(f"weights={quote(table['weights'])}: must be a SHA-256 of 64 hexadecimal digits")
     for key in ("trials", "thresholds"):
         if not isinstance(table[key], Mapping) or len(table[key]) > MOST_SENTENCES:
             raise VocabularyError(f"{key}: must be an object of at most {MOST_SENTENCES} entries")
@@ -56,33 +56,33 @@ def _calibration(table: Any) -> Calibration:
         _check_number(table["threshold"], "threshold", -3, 3)
     for name, threshold in table["thresholds"].items():
         check_text(name, LONGEST_NAME)
-        _check_number(threshold, f"threshold of {shown(name)}", -3, 3)
+        _check_number(threshold, f"threshold of {quote(name)}", -3, 3)
     trials = {text: _trial(text, row) for text, row in table["trials"].items()}
     return Calibration(trials, table["threshold"], table["thresholds"], table["weights"])
 
 
 def _trial(text: str, row: Any) -> Trial:
     check_text(text, LONGEST_TEXT)
-    _check_keys(row, _TRIAL, shown(text))
+    _check_keys(row, _TRIAL, quote(text))
     check_text(row["action"], LONGEST_NAME)
     for key, (least, most) in _WHOLE.items():
-        _check_number(row[key], f"{shown(text)}: {key}", least, most, whole=True)
+        _check_number(row[key], f"{quote(text)}: {key}", least, most, whole=True)
     for key, (least, most) in _SHARES.items():
         if row[key] is not None:
-            _check_number(row[key], f"{shown(text)}: {key}", least, most)
+            _check_number(row[key], f"{quote(text)}: {key}", least, most)
     return Trial(**row)
 
 
 def _check_keys(table: Any, keys: tuple[str, ...], name: str) -> None:
     if not isinstance(table, Mapping) or set(table) != set(keys):
-        raise VocabularyError(f"{name}: must be an object of {', '.join(keys)}, not {shown(table)}")
+        raise VocabularyError(f"{name}: must be an object of {', '.join(keys)}, not {quote(table)}")
 
 
 def _check_number(value: Any, name: str, least: int, most: int, whole: bool = False) -> None:
     kinds = int if whole else (int, float)
     if isinstance(value, bool) or not isinstance(value, kinds) or not least <= value <= most:
         raise VocabularyError(
-            f"{name}={shown(value)}: must be a {'whole ' if whole else ''}number from {least} to {most}"
+            f"{name}={quote(value)}: must be a {'whole ' if whole else ''}number from {least} to {most}"
         )
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from stmc.motion.body import BodyPart
 from stmc.text import TextEncoder
 from stmc.text.vocabulary.sentences import Sentence
-from stmc.text.vocabulary.vocabulary import Vocabulary, listed
+from stmc.text.vocabulary.vocabulary import Vocabulary, list_parts
 
 ARMS = frozenset({BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM})
 EVERYTHING = frozenset(BodyPart)
@@ -51,7 +51,7 @@ class Suggestion:
     confidence: float
 
     def __str__(self) -> str:
-        return f"{listed(self.parts)} ({self.confidence:.0%} sure)"
+        return f"{list_parts(self.parts)} ({self.confidence:.0%} sure)"
 
 
 def suggest(texts: Sequence[str], examples: Vocabulary, encoder: TextEncoder) -> list[Suggestion]:

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.body import BodyPart
 from stmc.text import TextEncoder
 from stmc.text.vocabulary.agreement import Agreement
@@ -85,10 +85,10 @@ class Recognition:
         if self.works:
             return ""
         if self.known and self.rate is not None:
-            return f"{shown(self.text)} rarely works: {100 * self.rate:.0f} % of samples show it"
-        texts = ", ".join(shown(sentence.text) for sentence in self.near)
+            return f"{quote(self.text)} rarely works: {100 * self.rate:.0f} % of samples show it"
+        texts = ", ".join(quote(sentence.text) for sentence in self.near)
         near = f"the nearest it knows: {texts}" if texts else "it knows nothing near"
-        return f"the model hardly knows {shown(self.text)} and may do something else; {near}"
+        return f"the model hardly knows {quote(self.text)} and may do something else; {near}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -225,18 +225,18 @@ class Vocabulary:
     def __repr__(self) -> str:
         """List the actions by body parts."""
         if not self.contents:
-            some = ", ".join(shown(sentence.text) for sentence in self.known[:NEAREST])
+            some = ", ".join(quote(sentence.text) for sentence in self.known[:NEAREST])
             return f"Vocabulary({len(self.known):,} sentences, such as {some})"
         by_parts: dict[frozenset[BodyPart], list[str]] = {}
         for content in self.contents:
             by_parts.setdefault(content.parts, []).append(f"{content.name}{' ↻' if content.cyclic else ''}")
-        lines = [f"{listed(parts)}: {', '.join(names)}" for parts, names in by_parts.items()]
+        lines = [f"{list_parts(parts)}: {', '.join(names)}" for parts, names in by_parts.items()]
         wrapped = [textwrap.fill(line, 116, initial_indent="  ", subsequent_indent="    ") for line in lines]
         head = f"Vocabulary({len(self.contents)} contents, {len(self.known):,} sentences; ↻: for as long as asked"
         return "\n".join([head, *wrapped, ")"])
 
 
-def listed(parts: frozenset[BodyPart]) -> str:
+def list_parts(parts: frozenset[BodyPart]) -> str:
     """Describe body parts in words."""
     if parts == frozenset(BodyPart):
         return "whole body"

@@ -16,7 +16,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from stmc.io.files import write_whole
-from stmc.io.untrusted import UnreadableError, cut, load_json, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, truncate
 from stmc.motion.body import BodyPart
 from stmc.text.vocabulary.sentences import LONGEST_TEXT, Content, Sentence
 from stmc.text.vocabulary.vocabulary import Vocabulary
@@ -64,21 +64,21 @@ def read_vocabulary(path: Path) -> Vocabulary:
             table = load_json((file.metadata() or {}).get(TABLE, ""))
             names = list(file.keys())
             if names != [EMBEDDINGS]:
-                raise VocabularyError(f"must hold {EMBEDDINGS} only, not {shown(names)}")
+                raise VocabularyError(f"must hold {EMBEDDINGS} only, not {quote(names)}")
             embeddings = file.get_tensor(EMBEDDINGS).clone()  # not mapped: the file may be replaced
         return _vocabulary(table, embeddings)
     except (VocabularyError, UnreadableError, SafetensorError, OSError) as error:
-        raise VocabularyError(f"{path} cannot be read: {cut(' '.join(str(error).split()), 200)}") from error
+        raise VocabularyError(f"{path} cannot be read: {truncate(' '.join(str(error).split()), 200)}") from error
 
 
 def _vocabulary(table: Any, embeddings: torch.Tensor) -> Vocabulary:
     if not isinstance(table, Mapping) or set(table) != set(_KEYS):
-        raise VocabularyError(f"must be an object of {', '.join(_KEYS)}, not {shown(table)}")
+        raise VocabularyError(f"must be an object of {', '.join(_KEYS)}, not {quote(table)}")
     contents = [_content(row) for row in _rows(table, "contents", 3)]
     known, others = ([_sentence(row, contents) for row in _rows(table, key, 2)] for key in ("known", "others"))
     threshold = table["threshold"]
     if isinstance(threshold, bool) or not isinstance(threshold, (int, float)) or not abs(threshold) <= 3:
-        raise VocabularyError(f"threshold={shown(threshold)}: must be a number from -3 to 3")
+        raise VocabularyError(f"threshold={quote(threshold)}: must be a number from -3 to 3")
     rows = len(known) + len(others)
     if not known or not others or embeddings.shape[:1] != (rows,) or embeddings.ndim != 2:
         raise VocabularyError(f"must hold embeddings of {len(known)} known sentences and {len(others)} others")
@@ -94,7 +94,7 @@ def _rows(table: Mapping[str, Any], key: str, width: int) -> Sequence[Any]:
         raise VocabularyError(f"{key}: must be a list of at most {MOST_SENTENCES}")
     for row in rows:
         if not isinstance(row, list) or len(row) != width:
-            raise VocabularyError(f"{key}: must be rows of {width} values, not {shown(row)}")
+            raise VocabularyError(f"{key}: must be rows of {width} values, not {quote(row)}")
     return rows
 
 
@@ -102,7 +102,7 @@ def _content(row: Sequence[Any]) -> Content:
     name, parts, cyclic = row
     check_text(name, LONGEST_NAME)
     if not isinstance(parts, list) or any(part not in list(BodyPart) for part in parts) or not isinstance(cyclic, bool):
-        raise VocabularyError(f"content {shown(name)}: must have body parts and a cyclic flag, not {shown(row)}")
+        raise VocabularyError(f"content {quote(name)}: must have body parts and a cyclic flag, not {quote(row)}")
     return Content(name, frozenset(map(BodyPart, parts)), cyclic)
 
 
@@ -110,11 +110,11 @@ def _sentence(row: Sequence[Any], contents: Sequence[Content]) -> Sentence:
     text, index = row
     check_text(text, LONGEST_TEXT)
     if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(contents):
-        raise VocabularyError(f"sentence {shown(text)}: must have the index of a content, not {shown(index)}")
+        raise VocabularyError(f"sentence {quote(text)}: must have the index of a content, not {quote(index)}")
     return Sentence(text, contents[index])
 
 
 def check_text(text: Any, most: int) -> None:
     """Raise `VocabularyError` unless a value is a printable text of at most `most` characters."""
     if not isinstance(text, str) or len(text) > most or not text.isprintable():
-        raise VocabularyError(f"{shown(text)}: must be at most {most} printable characters")
+        raise VocabularyError(f"{quote(text)}: must be at most {most} printable characters")

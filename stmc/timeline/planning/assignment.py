@@ -5,7 +5,7 @@ Independent of crops and overlaps.
 
 from __future__ import annotations
 
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.body import BodyPart
 from stmc.timeline import Timeline, TimelineError
 from stmc.timeline.advice import advise
@@ -63,5 +63,5 @@ def _warn_of_empty_spans(timeline: Timeline, spans: tuple[tuple[int, int], ...],
     empty = [prompt for prompt, (start, end) in zip(timeline.prompts, spans, strict=True) if start == end]
     if empty:
         first, more = empty[0], f", and {len(empty) - 1} more" if len(empty) > 1 else ""
-        message = f"{shown(first.text)} ({first.start:g} to {first.end:g} s) lasts no frame at {fps:g} fps"
+        message = f"{quote(first.text)} ({first.start:g} to {first.end:g} s) lasts no frame at {fps:g} fps"
         advise(f"{message} and is left out{more}")

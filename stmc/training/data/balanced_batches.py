@@ -110,7 +110,7 @@ class BalancedBatches(CropRecipe):
         clip = np.where(textless, rng.choice(clips.all, len(clip), p=by_time), clip)
         return clip, clips.start[clip], clips.length[clip]
 
-    def _lost(self, most: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def _draw_losses(self, most: np.ndarray, u: np.ndarray) -> np.ndarray:
         return np.floor(u * (most + 1)).astype(int)
 
     def _compose(self, clips: SplitClips, plan: BatchPlan, rng: np.random.Generator) -> BatchPlan:

@@ -65,7 +65,7 @@ class CropRecipe(Recipe):
         """Return the ranges to cut rows from, for the drawn clips."""
 
     @abstractmethod
-    def _lost(self, most: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def _draw_losses(self, most: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the frames lost at the beginning and the end, (2, rows).
 
         `most` is `trim` of each clip in frames; `u`, (2, rows), is uniform in [0, 1).
@@ -82,11 +82,11 @@ class CropRecipe(Recipe):
 
     def _cut(self, clips: SplitClips, sources: Sources, textless: np.ndarray, rng: np.random.Generator) -> Crops:
         (clip, begin, length), fps = sources, clips.dataset.fps
-        lost = self._lost(np.floor(self.trim * length), rng.random((2, len(clip))))
+        lost = self._draw_losses(np.floor(self.trim * length), rng.random((2, len(clip))))
         lost[:, clips.from_start[clip]] = 0
         low = np.where(textless, self.crop_shortest, self.shortest) * fps
         high = np.where(textless, self.crop_longest * fps, length)
-        any_length = _between(np.clip(low, 1, length), np.clip(high, 1, length), rng.random(len(clip)))
+        any_length = _scale_uniform(np.clip(low, 1, length), np.clip(high, 1, length), rng.random(len(clip)))
         free = textless | clips.cyclic[clip]
         frames = np.where(free, any_length, length - lost.sum(axis=0))
         speed = np.exp(rng.uniform(np.log(self.slowest), np.log(self.fastest), len(clip)))
@@ -95,7 +95,7 @@ class CropRecipe(Recipe):
         frames_cut = np.minimum(frames, np.floor(longest * speed).astype(int).clip(1))
         room = np.where(free, length, frames) - frames_cut  # range of offsets
         room = np.where(self._begins(clips, clip, rng) & ~textless, 0, room)
-        offset = _between(np.zeros(len(clip)), room, rng.random(len(clip))) + np.where(free, 0, lost[0])
+        offset = _scale_uniform(np.zeros(len(clip)), room, rng.random(len(clip))) + np.where(free, 0, lost[0])
         speed = np.minimum(speed, frames_cut)  # leaves at least one frame
         # Neither the last pose nor the velocity after it may lie beyond the crop; 10 / 1.25 is 8, also in floats.
         shown = np.floor(np.minimum(frames_cut / speed, (frames_cut - 1) / speed + 1) + 1e-9).astype(int)
@@ -109,7 +109,7 @@ class CropRecipe(Recipe):
         return begins
 
 
-def _between(low: np.ndarray, high: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _scale_uniform(low: np.ndarray, high: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Map `u`, uniform in [0, 1), to uniform integers from `low` to `high`, both included."""
     low, high = np.floor(low).astype(int), np.floor(high).astype(int)
     return low + np.floor(u * (np.maximum(high, low) - low + 1)).astype(int)

@@ -171,7 +171,7 @@ class Dataset:
         frames = arrangement.lengths
         lengths = torch.from_numpy(frames).to(device)
         mask = None if (frames == frames.max()).all() else tensors.mask(lengths, int(frames.max()))
-        raw = arrangement.joined(self._composed(self._cut(plan.body), plan), self._rotating)
+        raw = arrangement.cross_fade(self._compose(self._cut(plan.body), plan), self._rotating)
         motion = self.motion.normalise(raw).clamp(-self._limit, self._limit)
         if mask is not None:
             motion = torch.where(mask[..., None], motion, 0.0)
@@ -204,7 +204,7 @@ class Dataset:
         place = np.minimum(crops.start + np.rint(frame * crops.speed).astype(int), crops.end - 1)
         return self.features[torch.from_numpy(place).to(self.features.device)]
 
-    def _composed(self, motion: Float[Tensor, "batch frames features"], plan: BatchPlan) -> Tensor:
+    def _compose(self, motion: Float[Tensor, "batch frames features"], plan: BatchPlan) -> Tensor:
         """Blend each row with its donor, if any, in the columns of the parts that the donor claims."""
         rows = np.flatnonzero(plan.donor.frames)
         if not len(rows):
@@ -234,7 +234,7 @@ class Dataset:
         before = (start + position.long()).clamp(max=end - 1)
         share = (position - position.floor())[..., None].float()
         raw = torch.lerp(self.features[before], self.features[(before + 1).clamp(max=end - 1)], share)
-        raw[..., self.velocity] = (self._gone(start, position + speed) - self._gone(start, position)).float()
+        raw[..., self.velocity] = (self._travelled(start, position + speed) - self._travelled(start, position)).float()
         return self._rotating(raw)
 
     def _rotating(self, raw: Float[Tensor, "*batch features"]) -> Tensor:
@@ -242,7 +242,7 @@ class Dataset:
         raw[..., self.layout["rotations"]] = orthonormal_rows(raw[..., self.layout["rotations"]])
         return raw
 
-    def _gone(self, start: Tensor, position: Tensor) -> Tensor:
+    def _travelled(self, start: Tensor, position: Tensor) -> Tensor:
         """Return the cumulated velocity up to `position` (float, in frames) after `start`."""
         whole = start + position.long()
         after = (whole + 1).clamp(max=len(self._travelled) - 1)
@@ -270,7 +270,7 @@ class Crops:
     def __getitem__(self, rows: np.ndarray) -> Crops:
         return Crops(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
-    def followed_by(self, others: Crops) -> Crops:
+    def concatenate(self, others: Crops) -> Crops:
         """Append other crops."""
         pairs = ((getattr(self, name), getattr(others, name)) for name in self.__dataclass_fields__)
         return Crops(*map(np.concatenate, pairs))

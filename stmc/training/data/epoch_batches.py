@@ -82,7 +82,7 @@ class EpochBatches(CropRecipe):
             np.where(textless, length[clip], clips.length[clip]),
         )
 
-    def _lost(self, most: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def _draw_losses(self, most: np.ndarray, u: np.ndarray) -> np.ndarray:
         lost = np.floor(u[0] * (most + 1))
         first = np.floor(u[1] * (lost + 1))
         return np.stack([first, lost - first]).astype(int)

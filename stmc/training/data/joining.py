@@ -69,7 +69,7 @@ class Arrangement:
         come, go = (frame + 1) / (fade + 1), (self.frames[:, None] - frame) / (leave + 1)
         return np.minimum(come, go).clip(0, 1)
 
-    def joined(
+    def cross_fade(
         self, crops: Float[Tensor, "crops frames features"], blended: Callable[[Tensor], Tensor]
     ) -> Float[Tensor, "rows _ features"]:
         """Cross-fade crops into rows, with zeros after their ends.

@@ -193,7 +193,7 @@ def _with_more(plan: BatchPlan, places: np.ndarray, here: Crops, there: Crops, s
     none = np.zeros(len(sentence), dtype=int)
     kept, body = np.setdiff1d(np.arange(len(plan.row)), places), plan.body
     order = np.argsort(np.concatenate([kept, places]))
-    body = body[kept].followed_by(here)[order].followed_by(there)
-    donor = plan.donor.followed_by(replace(there, frames=none))
+    body = body[kept].concatenate(here)[order].concatenate(there)
+    donor = plan.donor.concatenate(replace(there, frames=none))
     plain = (np.append(plan.sentence, sentence), donor, np.append(plan.offset, none), np.append(plan.other, sentence))
     return BatchPlan(body, *plain, np.arange(len(body.clip)), np.zeros(len(body.clip), dtype=int))

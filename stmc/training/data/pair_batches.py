@@ -65,14 +65,14 @@ class PairBatches:
         """Return which row's text is true of which row's motion: see `Pairs`."""
         composed = plan.donor.frames > 0
         cut = composed & (plan.other == plan.sentence)  # the body's own action has been cut off
-        alike = (self.true_of(plan.sentence, plan.body.clip) & torch.from_numpy(~cut)) | (
-            self.true_of(plan.sentence, plan.donor.clip) & torch.from_numpy(composed)
+        alike = (self.belongs(plan.sentence, plan.body.clip) & torch.from_numpy(~cut)) | (
+            self.belongs(plan.sentence, plan.donor.clip) & torch.from_numpy(composed)
         )
         if self._embedded is None:
             return alike
         return alike | similar(self._embedded[torch.from_numpy(plan.sentence)], self.threshold)
 
-    def true_of(self, sentences: np.ndarray, clips: np.ndarray) -> Bool[Tensor, "texts motions"]:
+    def belongs(self, sentences: np.ndarray, clips: np.ndarray) -> Bool[Tensor, "texts motions"]:
         """Return whether each sentence belongs to each clip, both given by their indices in the dataset."""
         return torch.from_numpy(self._true[sentences][:, self._key[clips]])
 

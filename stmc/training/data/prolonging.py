@@ -71,14 +71,14 @@ class Prolonging:
         ]
         rests = [round(rng.uniform(*REST) * cache.fps) for _ in once]
         followed: dict[Clip, Features | None] = {}
-        if following := [joining.looped(_features(cache, clip), frames) for clip in self._next(cache)]:
-            ended = _Following(joining, following).after([_features(cache, clip) for clip in once], rests)
+        if following := [joining.extend_cyclic(_features(cache, clip), frames) for clip in self._next(cache)]:
+            ended = _Following(joining, following).find([_features(cache, clip) for clip in once], rests)
             followed = dict(zip(once, ended, strict=True))
 
         def rows() -> Iterator[tuple[Clip, Features]]:
             for clip in track(cache.clips, "extending clips", transient=True):
                 features = _features(cache, clip)
-                yield clip, joining.looped(features, frames) if clip.cyclic else features
+                yield clip, joining.extend_cyclic(features, frames) if clip.cyclic else features
                 if (longer := followed.get(clip)) is not None:
                     yield replace(clip, name=f"{clip.name}/followed"), longer
 
@@ -105,7 +105,7 @@ class _Joining:
         self.fps, self.layout = fps, layout
         self.fade = 2 * max(1, round(FADE * fps / 2))
 
-    def looped(self, features: Features, frames: int) -> Features:
+    def extend_cyclic(self, features: Features, frames: int) -> Features:
         """Repeat a cycle of `features` up to `frames` frames; return shorter features unchanged if they have no cycle.
 
         The cycle is the longest among those that close about as well as the best one, so that little is repeated. It
@@ -121,11 +121,11 @@ class _Joining:
         close = distance <= min(NEAR, 1.3 * closest + 0.01)
         begin, end = divmod(int(apart.masked_fill(~close, -1).argmax()), windows)
         turning, lap = self.layout["yaw_velocity"], features[begin : end + self.fade].clone()
-        once = self.joined(lap, lap)[end - begin : 2 * (end - begin)]
+        once = self.cross_fade(lap, lap)[end - begin : 2 * (end - begin)]
         lap[:, turning] += features[:, turning].mean(dim=0) - once[:, turning].mean(dim=0)
         longer = features[: end + self.fade]
         while len(longer) < frames:
-            longer = self.joined(longer, lap)
+            longer = self.cross_fade(longer, lap)
         return longer[:frames]
 
     def distances(self, features: Features, others: Features) -> Float[Tensor, "windows others"]:
@@ -142,7 +142,7 @@ class _Joining:
             apart += torch.cdist(one, other) / len(joints[0])
         return apart
 
-    def joined(self, features: Features, others: Features) -> Features:
+    def cross_fade(self, features: Features, others: Features) -> Features:
         """Concatenate two motions with a cross-fade."""
         fade = self.fade
         share = torch.linspace(0, 1, fade + 2)[1:-1, None]
@@ -158,7 +158,7 @@ class _Following:
         self.joining, self.features = joining, torch.cat(clips)
         self.left = torch.cat([torch.arange(len(clip), 0, -1) for clip in clips])
 
-    def after(self, clips: list[Features], frames: list[int]) -> Iterator[Features | None]:
+    def find(self, clips: list[Features], frames: list[int]) -> Iterator[Features | None]:
         """Yield each clip with `frames` frames of a successor, or None if none is near enough and long enough.
 
         Clips must have at least a fade's length. The search handles many clips at once, since distances from single
@@ -170,12 +170,12 @@ class _Following:
             begun = self.joining.apart(torch.stack([clip[-last - 1] for clip in ends]), self.features[:-last])
             ended = self.joining.apart(torch.stack([clip[-1] for clip in ends]), self.features[last:])
             for clip, count, distance in zip(ends, frames[first:], (begun + ended) / 2, strict=False):
-                yield self._joined(clip, count, distance)
+                yield self._continue(clip, count, distance)
 
-    def _joined(self, clip: Features, frames: int, distance: Float[Tensor, " others"]) -> Features | None:
+    def _continue(self, clip: Features, frames: int, distance: Float[Tensor, " others"]) -> Features | None:
         fade = self.joining.fade
         distance = distance.masked_fill(self.left[: len(distance)] < frames + fade, torch.inf)
         start = int(distance.argmin())
         if distance[start] > NEAR:
             return None
-        return self.joining.joined(clip, self.features[start : start + fade + frames])
+        return self.joining.cross_fade(clip, self.features[start : start + fade + frames])

@@ -22,7 +22,7 @@ from stmc.data.cache import fingerprint
 from stmc.data.preparation import LayoutError
 from stmc.io.arrays import ArraysError, Header, npz_headers, read_npz
 from stmc.io.bounds import LEAST_FPS, MOST_FPS, MOST_FRAMES, BoundsError, check_frames
-from stmc.io.untrusted import cut
+from stmc.io.untrusted import truncate
 from stmc.motion.body import NUM_ROTATIONS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix
@@ -95,7 +95,7 @@ def motion_of(arrays: Mapping[str, np.ndarray], skeleton: Skeleton) -> Motion:
 def _check_names(names: tuple[str, ...], path: Path) -> None:
     if "poses" in names and "trans" in names:
         return
-    description = f"it has {cut(', '.join(names), 200) or 'nothing'}"
+    description = f"it has {truncate(', '.join(names), 200) or 'nothing'}"
     if "betas" in names and (path.stem == "shape" or path.stem.endswith("_stagei") or "markers_latent" in names):
         raise RecordingError(f"no motion: a subject's shape alone ({description})")
     if any("marker" in name for name in names):
@@ -126,7 +126,9 @@ def _check_small(headers: Mapping[str, Header]) -> None:
     """Raise `RecordingError` if an array that should be one value takes more than `_LARGEST_VALUE` bytes."""
     for name, (shape, dtype) in headers.items():
         if math.prod(shape) * dtype.itemsize > _LARGEST_VALUE:
-            raise RecordingError(f"wrong shape: {name} has shape {shape} of {cut(str(dtype))}; it should be one value")
+            raise RecordingError(
+                f"wrong shape: {name} has shape {shape} of {truncate(str(dtype))}; it should be one value"
+            )
 
 
 def _check_kind(arrays: Mapping[str, np.ndarray]) -> None:
@@ -152,7 +154,7 @@ def _text(value: np.ndarray) -> str:
     return text.decode("latin1") if isinstance(text, bytes) else str(text)
 
 
-def reposed(motion: Motion, skeleton: Skeleton, mirrored: bool = False) -> Motion:
+def repose(motion: Motion, skeleton: Skeleton, mirrored: bool = False) -> Motion:
     """Pose `skeleton` again with a resampled recording, or with its mirror image, as in the published preparation.
 
     Bones keep their lengths, and those of a mirror image are not mirrored. The published code interpolates axis-angle
@@ -168,7 +170,7 @@ def reposed(motion: Motion, skeleton: Skeleton, mirrored: bool = False) -> Motio
     return Motion.posed(version.rotations, version.translation, version.fps, skeleton)
 
 
-def unmirrored(path: str) -> tuple[str, bool]:
+def strip_mirror_prefix(path: str) -> tuple[str, bool]:
     """Strip the `M/` of a mirror image from an annotation's path; return the path and whether it was there."""
     name = path.replace("\\", "/").removeprefix("./")
     return name.removeprefix("M/"), name.startswith("M/")
@@ -243,7 +245,7 @@ class Recordings:
         return ["/".join(path.parts[-3:]) for path in list(self._files.values())[:3]]
 
     def find(self, path: str) -> Path | None:
-        """Return the file of AMASS's path (`KIT/3/kick_high_left02_poses`, see `unmirrored`), or None."""
+        """Return the file of AMASS's path (`KIT/3/kick_high_left02_poses`, see `strip_mirror_prefix`), or None."""
         return self._files.get(recording_key(path))
 
     def check(self, paths: Collection[str], representation: Representation) -> None:

@@ -18,8 +18,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.data.cache import Cache, fingerprint
-from stmc.data.preparation import LayoutError, Piece, Watch, converted
-from stmc.data.sources.amass.amass_recordings import Recordings, reposed
+from stmc.data.preparation import LayoutError, Piece, Watch, convert_pieces
+from stmc.data.sources.amass.amass_recordings import Recordings, repose
 from stmc.data.sources.amass.annotations import Annotated, Annotations, Segment, read_annotations, with_mirror_images
 from stmc.data.spans import AnnotatedSpans, CacheBuilder
 from stmc.motion.body_model import Skeleton, load_body
@@ -105,7 +105,7 @@ class Conversion:
             motion = recording.motion(skeleton, self.fps)
             for image in (False, True):
                 if matching := [entry for entry in entries if entry.mirrored == image]:
-                    features = recording.features(reposed(motion, skeleton, image), self.representation).float()
+                    features = recording.features(repose(motion, skeleton, image), self.representation).float()
                     builder.add(features, *(self._annotated(entry, len(features), builder) for entry in matching))
         except ValueError as error:
             builder = CacheBuilder(self.representation.width)
@@ -230,5 +230,5 @@ class AnnotatedAmass:
                     inputs = fingerprint([], [recording.fingerprint, *self._settings, entries])
                     yield Piece(path, inputs, partial(convert, recording, entries))
 
-        cache = converted(pieces(), len(self._jobs), scratch, workers, watch, skipped)
+        cache = convert_pieces(pieces(), len(self._jobs), scratch, workers, watch, skipped)
         return cache if self.body is None else replace(cache, skeleton=self._skeleton)

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from stmc.data.preparation import LayoutError
-from stmc.data.sources.amass.amass_recordings import unmirrored
+from stmc.data.sources.amass.amass_recordings import strip_mirror_prefix
 from stmc.data.sources.contents import mirrored
 from stmc.data.sources.humanml3d.humanml3d_texts import WHOLE, Caption, Cut, read_captions, read_index
 from stmc.io.untrusted import UnreadableError, read_lines
@@ -185,7 +185,7 @@ def _path(value: Any) -> tuple[str, bool]:
     """Return AMASS's path without `M/` and suffix, and whether it is that of a mirror image."""
     if not isinstance(value, str) or not value:
         raise ValueError(f"malformed annotation: path is {value!r}")
-    bare, image = unmirrored(value)
+    bare, image = strip_mirror_prefix(value)
     path, parts = PurePosixPath(bare), PurePosixPath(bare).parts
     if path.is_absolute() or ".." in path.parts or ":" in value:
         raise ValueError(f"path outside of AMASS: {value!r}")

@@ -14,7 +14,7 @@ import numpy as np
 
 from stmc.data.preparation import LayoutError
 from stmc.data.sources.humanml3d.humanml3d_clips import CaptionedClip
-from stmc.io.untrusted import UnreadableError, load_json, read_text, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, read_text
 
 MOST_BYTES = 16 * 2**20
 """Maximum size of a list; published lists have some 100 kB."""
@@ -57,7 +57,7 @@ def read_compositions(path: str | Path, scenario: str | None = None) -> list[Com
     ]
     if not matches:
         kinds = ", ".join(sorted({composition.scenario for composition in compositions})) or "none"
-        raise LayoutError(f"{path}: no composition of scenario {shown(scenario)}; it has {kinds}")
+        raise LayoutError(f"{path}: no composition of scenario {quote(scenario)}; it has {kinds}")
     return matches
 
 
@@ -85,17 +85,17 @@ def sample_compositions(
 
 def _composition(entry: Any, number: int) -> Composition:
     if not isinstance(entry, dict):
-        raise ValueError(f"entry {number} must be an object with text and lengths, not {shown(entry)}")
+        raise ValueError(f"entry {number} must be an object with text and lengths, not {quote(entry)}")
     texts, lengths = entry.get("text"), entry.get("lengths")
     if not isinstance(texts, list) or not isinstance(lengths, list) or not len(texts) == len(lengths) > 0:
         raise ValueError(f"entry {number}: text and lengths must be nonempty lists of equal length")
     for text in texts:
         if not isinstance(text, str) or not text.strip():
-            raise ValueError(f"entry {number}: text holds {shown(text)}, which is not a text")
+            raise ValueError(f"entry {number}: text holds {quote(text)}, which is not a text")
     for length in lengths:
         if not isinstance(length, int) or isinstance(length, bool) or not 0 < length <= MOST_FRAMES:
-            raise ValueError(f"entry {number}: lengths holds {shown(length)}; lengths are 1 to {MOST_FRAMES} frames")
+            raise ValueError(f"entry {number}: lengths holds {quote(length)}; lengths are 1 to {MOST_FRAMES} frames")
     scenario, name = entry.get("scenario") or "", entry.get("id", number)
     if not isinstance(scenario, str) or not isinstance(name, (str, int)):
-        raise ValueError(f"entry {number}: scenario {shown(scenario)} and id {shown(name)} must be texts")
+        raise ValueError(f"entry {number}: scenario {quote(scenario)} and id {quote(name)} must be texts")
     return Composition(str(name), tuple(texts), tuple(lengths), scenario)

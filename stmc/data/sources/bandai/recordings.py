@@ -22,10 +22,10 @@ from torch import Tensor
 from stmc.data.cache import Cache, Clip, assemble
 from stmc.data.preparation import in_parallel
 from stmc.data.sources.archives import read_texts
-from stmc.data.sources.contents import CONTENTS, STYLES, describe, mirrored_content
+from stmc.data.sources.contents import CONTENTS, STYLES, describe, mirror_content
 from stmc.data.sources.segments import Segment, read_segments
 from stmc.formats.bvh_parser import Bvh, BvhError, parse_bvh
-from stmc.io.untrusted import UnreadableError, shown
+from stmc.io.untrusted import UnreadableError, quote
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
@@ -66,7 +66,7 @@ FOOT_SLOPE, TOES_SLOPE = math.radians(39.6), math.radians(23.0)
 in which neither ankle nor toes move."""
 
 
-def _pitched(slope: float) -> tuple[tuple[float, float, float], ...]:
+def _pitch_rotation(slope: float) -> tuple[tuple[float, float, float], ...]:
     return (0.0, -math.sin(slope), math.cos(slope)), (1.0, 0.0, 0.0)
 
 
@@ -75,7 +75,8 @@ RIGHT, DOWN = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)
 T_POSE: dict[str, tuple[tuple[float, float, float], ...]] = {
     "Hips": (UP, RIGHT), "Spine": (UP, FORWARD), "Chest": (UP, FORWARD), "Neck": (UP, FORWARD), "Head": (UP, FORWARD),
     "Shoulder": (LEFT, UP), "UpperArm": (LEFT, UP), "LowerArm": (LEFT, UP), "Hand": (LEFT, UP),
-    "UpperLeg": (DOWN, LEFT), "LowerLeg": (DOWN, LEFT), "Foot": _pitched(FOOT_SLOPE), "Toes": _pitched(TOES_SLOPE),
+    "UpperLeg": (DOWN, LEFT), "LowerLeg": (DOWN, LEFT),
+    "Foot": _pitch_rotation(FOOT_SLOPE), "Toes": _pitch_rotation(TOES_SLOPE),
 }  # fmt: skip
 """Directions of the local x and y axes of each joint in SMPL's rest pose: midline and left, whose bones run along +x.
 Bones of the right side run along -x."""
@@ -94,11 +95,11 @@ class ClipName:
         """Parse a name. Raises `ValueError` if it is not the dataset's, or its action or style is unknown."""
         match = re.fullmatch(r"(dataset-[12]_([a-z-]+)_([a-z-]+)_\d+)", name)
         if not match:
-            raise ValueError(f"{shown(name)} is not dataset-N_content_style_NNN")
+            raise ValueError(f"{quote(name)} is not dataset-N_content_style_NNN")
         if match[2] not in CONTENTS:
-            raise ValueError(f"unknown action {shown(match[2])}; choose from {', '.join(CONTENTS)}")
+            raise ValueError(f"unknown action {quote(match[2])}; choose from {', '.join(CONTENTS)}")
         if match[3] not in STYLES:
-            raise ValueError(f"unknown style {shown(match[3])}; choose from {', '.join(STYLES)}")
+            raise ValueError(f"unknown style {quote(match[3])}; choose from {', '.join(STYLES)}")
         return cls(*match.groups())
 
 
@@ -185,7 +186,7 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
     rows = []
     for mirrored, content, version in (
         (False, label.content, motion),
-        (True, mirrored_content(label.content), motion.mirrored()),
+        (True, mirror_content(label.content), motion.mirrored()),
     ):
         posed = Motion.posed(version.rotations, version.translation, fps, skeleton)
         cuts = read_segments("bandai").get(name, ())
@@ -214,7 +215,7 @@ def _cut(
     clip: Clip, features: Float[Tensor, "frames features"], number: int, segment: Segment, fps: float | int
 ) -> tuple[Clip, Float[Tensor, "_ features"]]:
     """Cut the part of a clip that a segment names: one action of several, or its actor standing still."""
-    content = mirrored_content(segment.content) if clip.mirrored else segment.content
+    content = mirror_content(segment.content) if clip.mirrored else segment.content
     part = dataclasses.replace(
         clip,
         name=f"{clip.name}/{number}",

@@ -13,7 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stmc.formats.bvh_parser import MOST_VALUES, Bvh
-from stmc.io.untrusted import cut, shown
+from stmc.io.untrusted import quote, truncate
 
 MOST_WORDS, LONGEST_WORD = 4_000_000, 40
 """Maximum number of words of a motion, and of letters per word: twice what three minutes of 30 bones have at 120 fps.
@@ -72,7 +72,7 @@ def parse_asf(text: str) -> Acclaim:
             continue
         for child in children:
             if parent not in indices or child not in descriptions or child in indices:
-                raise AcclaimError(f"hierarchy: {shown(parent)} cannot carry {shown(child)}: unknown, or duplicated")
+                raise AcclaimError(f"hierarchy: {quote(parent)} cannot carry {quote(child)}: unknown, or duplicated")
             frame, channels, ends[child] = descriptions[child]
             indices[child] = len(bones)
             bones.append(Bone(child, indices[parent], ends[parent], frame, channels))
@@ -139,7 +139,7 @@ def _parse_bones(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[st
                 channels = tuple(word.lower() for word in fields.get("dof", ()))
                 bones[name] = frame, channels, direction * _vector(fields["length"] * 3)
             except (KeyError, ValueError) as error:
-                raise AcclaimError(f"bonedata, bone {shown(name)}: {cut(str(error), 100)}") from error
+                raise AcclaimError(f"bonedata, bone {quote(name)}: {truncate(str(error), 100)}") from error
         else:
             fields[words[0]] = words[1:]
     return bones
@@ -148,7 +148,7 @@ def _parse_bones(lines: list[list[str]]) -> dict[str, tuple[np.ndarray, tuple[st
 def _vector(words: list[str]) -> np.ndarray:
     vector = np.array(words, dtype=np.float64)
     if vector.shape != (3,) or not (np.abs(vector) < LARGEST).all():
-        raise ValueError(f"{shown(' '.join(words))} must be one or three numbers below {LARGEST:g}")
+        raise ValueError(f"{quote(' '.join(words))} must be one or three numbers below {LARGEST:g}")
     return vector
 
 
@@ -179,7 +179,7 @@ def _columns(frame: np.ndarray, skeleton: Acclaim) -> tuple[dict[str, dict[str, 
     while index < len(frame):
         name = str(frame[index])
         if name not in bones or name in columns:
-            raise AcclaimError(f"{shown(name)} is not a bone of the skeleton, or duplicated")
+            raise AcclaimError(f"{quote(name)} is not a bone of the skeleton, or duplicated")
         channels = bones[name].channels
         columns[name] = {channel: index + 1 + offset for offset, channel in enumerate(channels)}
         names.append(index)
@@ -212,8 +212,8 @@ def _numbers(words: np.ndarray, bone: str) -> np.ndarray:
     try:
         numbers = words.astype(np.float64)
     except ValueError as error:
-        raise AcclaimError(f"bone {shown(bone)}: {error}") from error
+        raise AcclaimError(f"bone {quote(bone)}: {error}") from error
     finite = np.abs(numbers) < LARGEST  # also false for NaN
     if not finite.all():
-        raise AcclaimError(f"bone {shown(bone)}: values must be below {LARGEST:g}; frame {int((~finite).argmax()) + 1}")
+        raise AcclaimError(f"bone {quote(bone)}: values must be below {LARGEST:g}; frame {int((~finite).argmax()) + 1}")
     return numbers

@@ -22,7 +22,7 @@ from torch.nn.functional import normalize
 from stmc.data.sources.archives import read_texts
 from stmc.data.sources.cmu.asf import parse_amc, parse_asf
 from stmc.formats.bvh_parser import Bvh, parse_bvh
-from stmc.io.untrusted import UnreadableError, cut
+from stmc.io.untrusted import UnreadableError, truncate
 from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix, global_rotations, matrix_to_axis_angle, shortest_arc
@@ -120,7 +120,7 @@ def read_sources(source: Path) -> Iterator[Source | tuple[str, str]]:
         if isinstance(text, UnreadableError):
             yield name, str(text)
         elif name in seen:
-            yield f"{name} ({cut(str(path))})", "a second recording of this name"
+            yield f"{name} ({truncate(str(path))})", "a second recording of this name"
         elif path.suffix == ".bvh":
             yield Source(name, text)
         elif subject := _skeleton_of(name, skeletons):
@@ -203,7 +203,7 @@ def _format(recording: Bvh) -> Mapping[str, str]:
     for names in FORMATS:
         if set(names.values()) <= set(recording.names):
             return names
-    joints = cut(", ".join(recording.names[:6]))
+    joints = truncate(", ".join(recording.names[:6]))
     raise CmuError(f"unknown skeleton with joints {joints}, …; supported are the native one, MotionBuilder's and Daz's")
 
 
@@ -249,7 +249,7 @@ def _local(world: Float[Tensor, "frames 22 3 3"]) -> Float[Tensor, "frames 22 3 
 
 def _repair(raw: Motion, skeleton: Skeleton) -> Motion:
     """Remove spikes, and distribute the twist of limbs as `joints_to_rotations` does."""
-    world = without_spikes(global_rotations(raw.rotations, PARENTS[:NUM_ROTATIONS]))
+    world = remove_spikes(global_rotations(raw.rotations, PARENTS[:NUM_ROTATIONS]))
     repaired = Motion.posed(_local(world), raw.translation, raw.fps, skeleton)
     hinged = global_rotations(joints_to_rotations(repaired.joints, skeleton), PARENTS[:NUM_ROTATIONS])
     limbs = [JOINTS.index(limb) for limb in LIMBS]
@@ -257,7 +257,7 @@ def _repair(raw: Motion, skeleton: Skeleton) -> Motion:
     return Motion.posed(_local(world), raw.translation, raw.fps, skeleton)
 
 
-def without_spikes(world: Float[Tensor, "frames joints 3 3"]) -> Float[Tensor, "frames joints 3 3"]:
+def remove_spikes(world: Float[Tensor, "frames joints 3 3"]) -> Float[Tensor, "frames joints 3 3"]:
     """Interpolate the rotations of bones that flip away and back (see `SPIKE`)."""
     world = world.clone()
     for joint in range(world.shape[1]):

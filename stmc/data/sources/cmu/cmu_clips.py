@@ -16,7 +16,7 @@ from torch import Tensor
 from stmc.data.cache import TOUCHING, Cache, Clip, fingerprint
 from stmc.data.preparation import Job, Watch, find_source, in_parallel
 from stmc.data.sources.cmu import catalogue as cmu
-from stmc.data.sources.contents import CONTENTS, describe, mirrored_content
+from stmc.data.sources.contents import CONTENTS, describe, mirror_content
 from stmc.data.sources.segments import Segment, read_segments, splits
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
@@ -87,7 +87,7 @@ def convert(source: cmu.Source, fps: float | int) -> Rows:
     motion = cmu.read(source, skeleton, fps)
     rows: Rows = []
     for mirrored, version in ((False, motion), (True, motion.mirrored())):
-        features = encoded(Motion.posed(version.rotations, version.translation, fps, skeleton))
+        features = encode_above_floor(Motion.posed(version.rotations, version.translation, fps, skeleton))
         clips = []
         for number, segment in enumerate(read_segments("cmu")[source.name]):
             first, last = round(segment.start * fps), min(round(segment.end * fps), len(features))
@@ -116,7 +116,7 @@ def _part(clips: list[Clip], features: Float[Tensor, "frames features"]) -> tupl
     return shifted, features[first:last]
 
 
-def encoded(motion: Motion) -> Float[Tensor, "frames features"]:
+def encode_above_floor(motion: Motion) -> Float[Tensor, "frames features"]:
     """Compute features, with the height of the pelvis above the floor (z = 0) instead of the motion's lowest joint.
 
     Raises `CmuError` if they are not finite.
@@ -157,7 +157,7 @@ def gather(recordings: Mapping[str, Rows | str], fps: float | int, left_out: Seq
 def _clip(segment: Segment, number: int, mirrored: bool) -> Clip:
     """Create the clip of a segment, or of its mirror image, without its frames."""
     name, content = f"{segment.recording}/{number}", segment.content
-    content = mirrored_content(content) if mirrored else content
+    content = mirror_content(content) if mirrored else content
     return Clip(
         name=f"M/{name}" if mirrored else name,
         content=content,

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from stmc.data.preparation import LayoutError
 from stmc.data.sources.cmu import catalogue as cmu
-from stmc.data.sources.cmu.cmu_clips import encoded
+from stmc.data.sources.cmu.cmu_clips import encode_above_floor
 from stmc.data.sources.segments import splits
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
@@ -51,7 +51,7 @@ class CmuRecording:
 
     def features(self, motion: Motion, representation: Representation) -> Float[Tensor, "frames features"]:
         """Compute 205 features above the floor that `catalogue` found, as in `cmu_clips`."""
-        return encoded(motion)
+        return encode_above_floor(motion)
 
 
 class CmuRecordings:

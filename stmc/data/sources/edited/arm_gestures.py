@@ -15,7 +15,7 @@ from stmc.data.sources.edited import gesture_gates as gates
 from stmc.data.sources.edited.body_gestures import dodge, golf, pick_up, punch, throw
 from stmc.data.sources.edited.gesture_bases import Kind, draw_base
 from stmc.data.sources.edited.recipe import Bases, Draft, Recipe, Unusable
-from stmc.data.sources.edited.script import ONSET, Script, Spot, turned
+from stmc.data.sources.edited.script import ONSET, Script, Spot, turn_key
 from stmc.editing import Oscillation, WristKey
 from stmc.motion.motion import Motion
 
@@ -65,30 +65,30 @@ class _Gesture:
         return Draft(script.perform(base.motion, rng), base.recording)
 
 
-def _after(rng: np.random.Generator) -> float:
+def _draw_rest(rng: np.random.Generator) -> float:
     """Draw the seconds of rest after a gesture."""
     return float(rng.uniform(0.3, 1.0))
 
 
-def _ended(rng: np.random.Generator, time: float, returning: float) -> tuple[tuple[WristKey, ...], float]:
+def _end(rng: np.random.Generator, time: float, returning: float) -> tuple[tuple[WristKey, ...], float]:
     """Draw the key of the hand's return, with probability `returning`, and the duration of the clip in seconds."""
     if rng.uniform() >= returning:
         return (), time + rng.uniform(0.2, 0.6)
     takes = rng.uniform(0.6, 0.95)
-    return (WristKey(time + takes, takes, skew=rng.uniform(1.0, 1.3)),), time + takes + _after(rng)
+    return (WristKey(time + takes, takes, skew=rng.uniform(1.0, 1.3)),), time + takes + _draw_rest(rng)
 
 
 def phone(rng: np.random.Generator) -> Script:
     """Script a phone call: the hand goes to the ear and stays; the head leans to it and turns slightly."""
     begins, takes, stays = ONSET, rng.uniform(0.7, 0.8), rng.uniform(2.4, 3.8)
     there, ear = begins + takes, EAR.drawn(rng)
-    back, seconds = _ended(rng, there + stays, 0.5)
-    roll, nods = rng.uniform(4, 13), [turned(there, takes * 0.8, roll=rng.uniform(4, 13))]
+    back, seconds = _end(rng, there + stays, 0.5)
+    roll, nods = rng.uniform(4, 13), [turn_key(there, takes * 0.8, roll=rng.uniform(4, 13))]
     time = there + rng.uniform(0.2, 0.6)
     while time < there + stays - 0.9:
         time += rng.uniform(0.7, 1.2)
-        nods.append(turned(time, rng.uniform(0.5, 0.7), rng.uniform(-12, 8), rng.uniform(-3, 7), roll))
-    ends = [turned(max(back[0].time, time), 0.6)] if back else []
+        nods.append(turn_key(time, rng.uniform(0.5, 0.7), rng.uniform(-12, 8), rng.uniform(-3, 7), roll))
+    ends = [turn_key(max(back[0].time, time), 0.6)] if back else []
     drift = Oscillation(0.4, (0.002, 0.003, 0.002), (0.002, 0, 0.003))
     return Script(seconds, left=(ear.key(there, takes, rng.uniform(1.1, 1.5), drift), *back), head=(*nods, *ends))
 
@@ -101,12 +101,12 @@ def eat(rng: np.random.Generator) -> Script:
     for _ in range(3):
         at = time + 0.2 + up
         keys.append(mouth.near(rng, 0.005).key(at, up, rng.uniform(1.0, 1.3)))
-        nods += [turned(at, up, pitch=pitch), turned(at + stay + down, down, pitch=0.3 * pitch)]
+        nods += [turn_key(at, up, pitch=pitch), turn_key(at + stay + down, down, pitch=0.3 * pitch)]
         time = at + stay + down
         keys.append(plate.near(rng, 0.02).key(time, down, rng.uniform(1.1, 1.4)))
-    back, seconds = _ended(rng, time + rng.uniform(0.1, 0.3), 0.75)
-    bent = [turned(keys[0].time, 0.7, pitch=rng.uniform(1, 5)), *([turned(back[0].time, 0.7)] if back else [])]
-    nods += [turned(back[0].time, 0.6)] if back else []
+    back, seconds = _end(rng, time + rng.uniform(0.1, 0.3), 0.75)
+    bent = [turn_key(keys[0].time, 0.7, pitch=rng.uniform(1, 5)), *([turn_key(back[0].time, 0.7)] if back else [])]
+    nods += [turn_key(back[0].time, 0.6)] if back else []
     return Script(seconds, left=(*keys, *back), head=tuple(nods), trunk=tuple(bent))
 
 
@@ -120,11 +120,11 @@ def drink(rng: np.random.Generator) -> Script:
         up, stay, down = rng.uniform(0.6, 0.7), rng.uniform(1.1, 1.3), rng.uniform(0.55, 0.7)
         time += up
         keys.append(sip.near(rng, 0.004).key(time, up, rng.uniform(1.1, 1.4)))
-        nods += [turned(time + 0.25, 0.5, pitch=-rng.uniform(11, 19)), turned(time + stay + 0.3, 0.5)]
+        nods += [turn_key(time + 0.25, 0.5, pitch=-rng.uniform(11, 19)), turn_key(time + stay + 0.3, 0.5)]
         time += stay + down
         keys.append(cup.near(rng, 0.02).key(time, down, rng.uniform(1.0, 1.3)))
         time += rng.uniform(0.1, 0.4)
-    back, seconds = _ended(rng, time, 0.65)
+    back, seconds = _end(rng, time, 0.65)
     return Script(seconds, left=(*keys, *back), head=tuple(nods))
 
 
@@ -134,12 +134,12 @@ def touch_head(rng: np.random.Generator) -> Script:
     there, nape = begins + takes, NAPE.drawn(rng)
     rub = Oscillation(RUBBING, (0.004, 0.014, 0.0)) if rng.uniform() < 0.5 else None
     via = BESIDE_HEAD.drawn(rng).key(begins + 0.72 * takes, 0.72 * takes, 1.2)
-    back, seconds = _ended(rng, there + stays, 0.55)
+    back, seconds = _end(rng, there + stays, 0.55)
     if back:
         out = BESIDE_HEAD.drawn(rng).key(back[0].time - 0.35, 0.5)
         back = (out, back[0])
-    ends = [turned(back[-1].time, 0.7)] if back else []
-    nod = turned(there, takes * 0.7, rng.uniform(-6, 6), rng.uniform(4, 16), rng.uniform(-2, 4))
+    ends = [turn_key(back[-1].time, 0.7)] if back else []
+    nod = turn_key(there, takes * 0.7, rng.uniform(-6, 6), rng.uniform(4, 16), rng.uniform(-2, 4))
     return Script(seconds, left=(via, nape.key(there, 0.5 * takes, 1.2, rub), *back), head=(nod, *ends))
 
 
@@ -152,11 +152,11 @@ def point(rng: np.random.Generator) -> Script:
     goal = (float(x), float(y), float(length * np.cos(azimuth) * np.cos(elevation)))
     shrug = rng.uniform(0, 6)
     spot = Spot(goal, goal, "shoulder", ((0.5, -1, -0.2), (0.5, -1, -0.2)), (shrug, shrug))
-    back, seconds = _ended(rng, there + stays, 0.6)
+    back, seconds = _end(rng, there + stays, 0.6)
     share = rng.uniform(0.3, 0.9) * np.degrees(azimuth)
-    look = [turned(there - rng.uniform(0.0, 0.2), takes * 0.8, float(share), -float(np.degrees(elevation)) * 0.4)]
-    look += [turned(back[0].time, 0.6)] if back else []
-    twist = [turned(there, takes, float(rng.uniform(-6, 2)))] + ([turned(back[0].time, 0.7)] if back else [])
+    look = [turn_key(there - rng.uniform(0.0, 0.2), takes * 0.8, float(share), -float(np.degrees(elevation)) * 0.4)]
+    look += [turn_key(back[0].time, 0.6)] if back else []
+    twist = [turn_key(there, takes, float(rng.uniform(-6, 2)))] + ([turn_key(back[0].time, 0.7)] if back else [])
     key = spot.key(there, takes, rng.uniform(1.2, 1.7), roundness=0.7)
     return Script(seconds, left=(key, *back), head=tuple(look), trunk=tuple(twist))
 
@@ -167,15 +167,15 @@ def wipe(rng: np.random.Generator) -> Script:
     there, table = begins + takes, rng.uniform() < 0.5
     wide, narrow = rng.uniform(0.075, 0.105), rng.uniform(0.01, 0.05)
     around = Oscillation(hertz, (wide, 0.0, 0.0), (0.0, 0.25 * narrow, narrow) if table else (0.0, narrow, 0.0))
-    back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
+    back, seconds = _end(rng, there + rng.uniform(4.8, 5.6), 0.0)
     spot = (TABLE if table else PANE).drawn(rng)
     pitch, nod = (rng.uniform(10, 18), rng.uniform(6, 14)) if table else (rng.uniform(0, 5), 0.0)
-    ends = [turned(back[0].time, 0.8)] if back else []
+    ends = [turn_key(back[0].time, 0.8)] if back else []
     return Script(
         seconds,
         left=(spot.key(there, takes, 1.3, around), *back),
-        head=(turned(there, takes, float(rng.uniform(-4, 6)), nod), *ends),
-        trunk=(turned(there, takes, -4, pitch), *ends),
+        head=(turn_key(there, takes, float(rng.uniform(-4, 6)), nod), *ends),
+        trunk=(turn_key(there, takes, -4, pitch), *ends),
         tremor=(0.0012, 0.0020),
     )
 
@@ -184,15 +184,15 @@ def look(rng: np.random.Generator) -> Script:
     """Script a look: the head turns left, the chest slightly with it, and stays for a while."""
     begins, takes, yaw = ONSET, rng.uniform(0.5, 0.6), rng.uniform(50, 72)
     there, stays, pitch = begins + takes, rng.uniform(1.0, 2.4), rng.uniform(-6, 8)
-    keys, chest = [turned(there, takes, 0.82 * yaw, pitch, skew=1.35)], [turned(there + 0.1, takes, 0.18 * yaw)]
+    keys, chest = [turn_key(there, takes, 0.82 * yaw, pitch, skew=1.35)], [turn_key(there + 0.1, takes, 0.18 * yaw)]
     if rng.uniform() < 0.4:
         keys.append(
-            turned(there + 0.5 * stays + 0.4, 0.4, 0.82 * yaw + rng.uniform(-12, 8), pitch + rng.uniform(-8, 8))
+            turn_key(there + 0.5 * stays + 0.4, 0.4, 0.82 * yaw + rng.uniform(-12, 8), pitch + rng.uniform(-8, 8))
         )
     leaves, back = max(there + stays, keys[-1].time + 0.3), rng.uniform(0.45, 0.8)
     if rng.uniform() < 0.6:
-        keys.append(turned(leaves + back, back))
-        chest.append(turned(leaves + back + 0.1, back))
+        keys.append(turn_key(leaves + back, back))
+        chest.append(turn_key(leaves + back + 0.1, back))
     seconds = max(3.5, leaves + back + rng.uniform(0.5, 1.2))
     return Script(seconds, head=tuple(keys), trunk=tuple(chest))
 
@@ -201,14 +201,14 @@ def applause(rng: np.random.Generator) -> Script:
     """Script clapping in front of the chest."""
     begins, takes, hertz = ONSET, 0.6, CLAPPING
     there, wide, lead = begins + takes, rng.uniform(0.044, 0.052), rng.uniform(0.004, 0.02)
-    back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
+    back, seconds = _end(rng, there + rng.uniform(4.8, 5.6), 0.0)
     spot = CLAP.drawn(rng)
     hands = []
     for up in (lead, -lead):
         goal = (spot.low[0], spot.low[1] + up, spot.low[2])
         clap = Oscillation(hertz, (wide, 0.4 * up, -0.008))
         hands.append((Spot(goal, goal, pole=spot.pole).key(there, takes, 1.3, clap), *back))
-    nod = turned(there, takes, float(rng.uniform(-8, 8)), float(rng.uniform(-3, 6)))
+    nod = turn_key(there, takes, float(rng.uniform(-8, 8)), float(rng.uniform(-3, 6)))
     return Script(seconds, left=hands[0], right=hands[1], head=(nod,))
 
 
@@ -216,7 +216,7 @@ def guitar(rng: np.random.Generator) -> Script:
     """Script guitar playing: the right hand strums, the left one moves on the neck every two strums."""
     begins, takes, hertz = ONSET, 0.7, STRUMMING
     there, neck = begins + takes, NECK.drawn(rng)
-    back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
+    back, seconds = _end(rng, there + rng.uniform(4.8, 5.6), 0.0)
     strum = Oscillation(hertz, (0.0, rng.uniform(0.05, 0.065), 0.012), (0.012, 0.0, 0.0))
     left, change, inner = [neck.key(there, takes)], there, False
     last = back[0].time - 1.2 if back else seconds - 0.3
@@ -225,8 +225,8 @@ def guitar(rng: np.random.Generator) -> Script:
         x, y, z = neck.low
         goal = (x - 0.09 * inner, y - 0.03 * inner, z)
         left.append(Spot(goal, goal, pole=neck.pole).key(change, 0.3))
-    head = turned(there, takes, float(rng.uniform(2, 14)), float(rng.uniform(10, 20)))
-    ends = (turned(back[0].time, 0.7),) if back else ()
+    head = turn_key(there, takes, float(rng.uniform(2, 14)), float(rng.uniform(10, 20)))
+    ends = (turn_key(back[0].time, 0.7),) if back else ()
     right = (STRINGS.drawn(rng).key(there, takes, 1.25, strum), *back)
     return Script(seconds, left=(*left, *back), right=right, head=(head, *ends))
 
@@ -235,11 +235,11 @@ def violin(rng: np.random.Generator) -> Script:
     """Script violin playing: the left hand holds the neck, the right one bows, the head leans on the chin rest."""
     begins, takes, hertz = ONSET, 0.8, BOWING
     there, size = begins + takes, rng.uniform(0.12, 0.16)
-    back, seconds = _ended(rng, there + rng.uniform(4.8, 5.6), 0.0)
+    back, seconds = _end(rng, there + rng.uniform(4.8, 5.6), 0.0)
     bow = Oscillation(hertz, (0.8 * size, -0.15 * size, 0.45 * size), (0.0, 0.008, 0.0))
     vibrato = Oscillation(hertz, (0.006, 0.0, 0.004))
-    head = turned(there, takes, float(rng.uniform(12, 22)), float(rng.uniform(6, 12)), float(rng.uniform(10, 18)))
-    ends = (turned(back[0].time, 0.7),) if back else ()
+    head = turn_key(there, takes, float(rng.uniform(12, 22)), float(rng.uniform(6, 12)), float(rng.uniform(10, 18)))
+    ends = (turn_key(back[0].time, 0.7),) if back else ()
     left = (SCROLL.drawn(rng).key(there, takes, 1.2, vibrato), *back)
     right = (BOW.drawn(rng).key(there, takes, 1.2, bow), *back)
     return Script(seconds, left=left, right=right, head=(head, *ends), tremor=(0.0008, 0.0014))

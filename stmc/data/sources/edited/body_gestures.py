@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stmc.data.sources.edited.script import ONSET, Script, Spot, shifted, turned
+from stmc.data.sources.edited.script import ONSET, Script, Spot, pelvis_key, turn_key
 from stmc.editing import FootKey, Oscillation, WristKey
 
 GUARD = Spot((0.09, -0.08, 0.15), (0.13, 0.02, 0.20), pole=((0.5, -1, -0.1), (0.5, -1, -0.1)))
@@ -30,22 +30,22 @@ def punch(rng: np.random.Generator) -> Script:
     raised, hip, yaw = float(time), rng.uniform(10, 18), rng.uniform(16, 26)
     ahead, depth = rng.uniform(0.03, 0.06), -rng.uniform(0.02, 0.045)
     keys.append(guard.key(time, 0.45, 1.3))
-    hips.append(shifted(time, 0.45, (0.0, depth, 0.0), hip * 0.4))
-    twists.append(turned(time, 0.45, 0.3 * yaw, 4))
+    hips.append(pelvis_key(time, 0.45, (0.0, depth, 0.0), hip * 0.4))
+    twists.append(turn_key(time, 0.45, 0.3 * yaw, 4))
     for _ in range(count):
         out, back = 0.2, rng.uniform(0.25, 0.30)
         time += 0.5 + out
         keys += [JAB.drawn(rng).key(time, out, 1.2), guard.near(rng, 0.015).key(time + back + 0.06, back, 1.35)]
         hips += [
-            shifted(time, out + 0.08, (0.0, depth, ahead), -hip),
-            shifted(time + 0.45, 0.4, (0, depth, 0), hip * 0.4),
+            pelvis_key(time, out + 0.08, (0.0, depth, ahead), -hip),
+            pelvis_key(time + 0.45, 0.4, (0, depth, 0), hip * 0.4),
         ]
-        twists += [turned(time, out + 0.05, -yaw, 5), turned(time + 0.42, 0.36, 0.3 * yaw, 4)]
+        twists += [turn_key(time, out + 0.05, -yaw, 5), turn_key(time + 0.42, 0.36, 0.3 * yaw, 4)]
         time += back + 0.06
     ends = time + rng.uniform(0.3, 0.7) + 0.7
     seconds = max(3.5, ends + rng.uniform(0.3, 1.0))
-    hips.append(shifted(ends, 0.7))
-    twists.append(turned(ends, 0.7))
+    hips.append(pelvis_key(ends, 0.7))
+    twists.append(turn_key(ends, 0.7))
     right = (GUARD.drawn(rng).key(raised, 0.45, 1.3), WristKey(ends + 0.05, 0.7)) if rng.uniform() < 0.5 else ()
     return Script(seconds, (*keys, WristKey(ends, 0.7)), right, trunk=tuple(twists), pelvis=tuple(hips), gaze=0.9)
 
@@ -62,16 +62,16 @@ def throw(rng: np.random.Generator) -> Script:
     back, front, hip = -rng.uniform(0.03, 0.06), rng.uniform(0.07, 0.11) + 0.25 * stride, rng.uniform(10, 18)
     sink = -0.25 * stride**2 - 0.015
     hips = (
-        shifted(wound, winds, (0.03, -0.01, back), hip),
-        shifted(throws, forward + 0.12, (-0.01, sink, front), -hip, 4, skew=1.0),
-        shifted(ends + 0.2, 0.9),
+        pelvis_key(wound, winds, (0.03, -0.01, back), hip),
+        pelvis_key(throws, forward + 0.12, (-0.01, sink, front), -hip, 4, skew=1.0),
+        pelvis_key(ends + 0.2, 0.9),
     )
     yaw, over = rng.uniform(22, 32), rng.uniform(18, 26)
     trunk = (
-        turned(wound, winds, yaw, -6, 4),
-        turned(throws + 0.05, forward + 0.05, -over * 0.7, 10, -4, skew=1.0),
-        turned(down + 0.05, follow, -over, 18, -6),
-        turned(ends, 0.8),
+        turn_key(wound, winds, yaw, -6, 4),
+        turn_key(throws + 0.05, forward + 0.05, -over * 0.7, 10, -4, skew=1.0),
+        turn_key(down + 0.05, follow, -over, 18, -6),
+        turn_key(ends, 0.8),
     )
     cocked, release = COCKED.drawn(rng), RELEASE.drawn(rng)
     left = (
@@ -99,9 +99,9 @@ def pick_up(rng: np.random.Generator) -> Script:
     stands = low + stays + up
     depth, pitch, spine = rng.uniform(0.34, 0.46), rng.uniform(38, 50), rng.uniform(24, 34)
     yaw, ends = rng.uniform(8, 14), stands + rng.uniform(0.3, 0.9) + 0.7
-    hips = (shifted(low, takes, (0.0, -depth, -rng.uniform(0.08, 0.13)), -0.4 * yaw, pitch), shifted(stands, up))
-    trunk = (turned(low, takes, -yaw, spine, 5), turned(stands, up))
-    head = (turned(low - 0.15 * takes, takes * 0.8, 4, rng.uniform(-4, 8)), turned(stands, up))
+    hips = (pelvis_key(low, takes, (0.0, -depth, -rng.uniform(0.08, 0.13)), -0.4 * yaw, pitch), pelvis_key(stands, up))
+    trunk = (turn_key(low, takes, -yaw, spine, 5), turn_key(stands, up))
+    head = (turn_key(low - 0.15 * takes, takes * 0.8, 4, rng.uniform(-4, 8)), turn_key(stands, up))
     carried = BELLY.drawn(rng).key(stands, up, 1.1)
     left: tuple[WristKey, ...] = (FLOOR.drawn(rng).key(low, takes * 0.9, 1.1), carried, WristKey(ends, 0.7))
     other = (THIGH if rng.uniform() < 0.6 else ASIDE).drawn(rng)
@@ -121,25 +121,25 @@ def golf(rng: np.random.Generator) -> Script:
     ends, pitch, hip = finish + holds + 0.9, rng.uniform(20, 26), rng.uniform(14, 22)
     stance = -rng.uniform(0.03, 0.06)
     hips = (
-        shifted(address, 0.9, (0, stance, -0.04), 0, 14),
-        shifted(top, back, (-0.02, stance, -0.04), -hip, 13),
-        shifted(impact - 0.04, hit + 0.06, (0.04, stance, -0.03), 0.9 * hip, 12, skew=1.0),
-        shifted(finish, 0.5, (0.06, 0.5 * stance, 0.0), 1.9 * hip, 3),
-        shifted(ends, 0.9),
+        pelvis_key(address, 0.9, (0, stance, -0.04), 0, 14),
+        pelvis_key(top, back, (-0.02, stance, -0.04), -hip, 13),
+        pelvis_key(impact - 0.04, hit + 0.06, (0.04, stance, -0.03), 0.9 * hip, 12, skew=1.0),
+        pelvis_key(finish, 0.5, (0.06, 0.5 * stance, 0.0), 1.9 * hip, 3),
+        pelvis_key(ends, 0.9),
     )
     trunk = (
-        turned(address, 0.9, 0, pitch, -3),
-        turned(top, back, -twist, pitch, 3),
-        turned(impact, hit + 0.02, 6, pitch, -6, skew=1.0),
-        turned(finish, 0.5, twist, 0.3 * pitch, -5),
-        turned(ends, 0.9),
+        turn_key(address, 0.9, 0, pitch, -3),
+        turn_key(top, back, -twist, pitch, 3),
+        turn_key(impact, hit + 0.02, 6, pitch, -6, skew=1.0),
+        turn_key(finish, 0.5, twist, 0.3 * pitch, -5),
+        turn_key(ends, 0.9),
     )
     head = (
-        turned(address, 0.7, 0, 10),
-        turned(top, back, twist + hip, 8),
-        turned(impact, hit, -4, 10, skew=1.0),
-        turned(finish, 0.5, -8, -2),
-        turned(ends, 0.9),
+        turn_key(address, 0.7, 0, 10),
+        turn_key(top, back, twist + hip, 8),
+        turn_key(impact, hit, -4, 10, skew=1.0),
+        turn_key(finish, 0.5, -8, -2),
+        turn_key(ends, 0.9),
     )
     swing = (address, pause, back, top, hit, impact, finish, ends)
     left, right = (_club(side, swing) for side in ("left", "right"))
@@ -185,9 +185,9 @@ def dodge(rng: np.random.Generator) -> Script:
     ends, side = away + stays + back, float(rng.choice([-1, 1]))
     lean, duck = rng.uniform(4, 14), rng.uniform(0.03, 0.08)
     aside, pitch, yaw = (side * rng.uniform(0, 0.03), -duck, -0.07), -rng.uniform(24, 32), -side * rng.uniform(0, 12)
-    hips = (shifted(away, out + 0.04, aside, 0, 0.3 * pitch, side * 0.15 * lean, 1.3), shifted(ends, back))
-    trunk = (turned(away, out, yaw, pitch, side * lean, 1.3), turned(ends, back))
-    head = (turned(away - 0.03, out, 0.5 * yaw, 0.2 * pitch, side * rng.uniform(2, 12), 1.3), turned(ends, back))
+    hips = (pelvis_key(away, out + 0.04, aside, 0, 0.3 * pitch, side * 0.15 * lean, 1.3), pelvis_key(ends, back))
+    trunk = (turn_key(away, out, yaw, pitch, side * lean, 1.3), turn_key(ends, back))
+    head = (turn_key(away - 0.03, out, 0.5 * yaw, 0.2 * pitch, side * rng.uniform(2, 12), 1.3), turn_key(ends, back))
     left: tuple[WristKey, ...] = ()
     right: tuple[WristKey, ...] = ()
     if rng.uniform() < 0.6:

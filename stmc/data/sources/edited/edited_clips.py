@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.data.cache import FEATURES, TABLE, Cache, Clip, assemble, fingerprint, read_caches
-from stmc.data.preparation import LayoutError, Piece, Watch, converted, find_source
-from stmc.data.sources.cmu.cmu_clips import encoded
-from stmc.data.sources.contents import CONTENTS, describe, mirrored_content
+from stmc.data.preparation import LayoutError, Piece, Watch, convert_pieces, find_source
+from stmc.data.sources.cmu.cmu_clips import encode_above_floor
+from stmc.data.sources.contents import CONTENTS, describe, mirror_content
 from stmc.data.sources.edited import RECIPES
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.motion.body_model import Skeleton
@@ -72,7 +72,7 @@ class EditedClips:
             Piece(name, fingerprint([], [inputs, name]), partial(_make_cache, folders, number))
             for number, name in enumerate(names)
         ]
-        return converted(pieces, len(pieces), scratch, workers, watch)
+        return convert_pieces(pieces, len(pieces), scratch, workers, watch)
 
 
 @lru_cache(maxsize=1)
@@ -161,7 +161,9 @@ def make(
         split = splits.get(draft.recording, "train")
         for mirrored, motion in ((False, draft.motion), (True, draft.motion.mirrored())):
             posed = Motion.posed(motion.rotations, motion.translation, fps, _skeleton())
-            rows.append((_clip(recipe, f"{name}/{draft.recording}", mirrored, split, posed.frames), encoded(posed)))
+            rows.append(
+                (_clip(recipe, f"{name}/{draft.recording}", mirrored, split, posed.frames), encode_above_floor(posed))
+            )
     if not rows:
         raise ValueError(f"none of {recipe.clips} clips could be made: {skipped[0][1]}")
     return rows, skipped
@@ -187,7 +189,7 @@ def _draw(recipe: Recipe, bases: Bases, rng: np.random.Generator) -> Draft:
 
 
 def _clip(recipe: Recipe, name: str, mirrored: bool, split: str, frames: int) -> Clip:
-    action = mirrored_content(recipe.action) if mirrored else recipe.action
+    action = mirror_content(recipe.action) if mirrored else recipe.action
     content = CONTENTS[action]
     return Clip(
         name=f"M/{name}" if mirrored else name,

@@ -67,7 +67,7 @@ def _seconds(motion: Motion, near: Bool[Tensor, " frames"]) -> list[float]:
     return [run / motion.fps for run in visits(near)]
 
 
-def _near(motion: Motion, place: tuple[float, float, float], metres: float) -> Bool[Tensor, " frames"]:
+def _is_near(motion: Motion, place: tuple[float, float, float], metres: float) -> Bool[Tensor, " frames"]:
     hand = wrist(motion, "left", "head")
     return (hand - hand.new_tensor(place)).norm(dim=-1) < metres
 
@@ -99,19 +99,19 @@ def _yaw(motion: Motion, joint: str) -> Float[Tensor, " frames"]:
 
 def phones(motion: Motion) -> bool:
     """Return whether the hand goes to the ear once and stays there."""
-    runs = _seconds(motion, _near(motion, _EAR, 0.10))
+    runs = _seconds(motion, _is_near(motion, _EAR, 0.10))
     return len(runs) == 1 and runs[0] > 1.5
 
 
 def eats(motion: Motion) -> bool:
     """Return whether the hand visits the mouth two to five times, and goes well away in between."""
     away = wrist(motion, "left", "head")[:, 1]
-    return 2 <= len(_seconds(motion, _near(motion, _MOUTH, 0.07))) <= 5 and count_swings(away, 0.15) >= 4
+    return 2 <= len(_seconds(motion, _is_near(motion, _MOUTH, 0.07))) <= 5 and count_swings(away, 0.15) >= 4
 
 
 def drinks(motion: Motion) -> bool:
     """Return whether the hand is held at the mouth once or twice while the head tips back."""
-    near = _near(motion, _MOUTH, 0.08)
+    near = _is_near(motion, _MOUTH, 0.08)
     runs = [run for run in _seconds(motion, near) if run > 0.2]
     up = _axis(motion, "head", 2)[:, 2]
     return 1 <= len(runs) <= 2 and min(runs) > 0.7 and bool(up[near].max() > up[~near].mean() + 0.1)

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from stmc.data.sources.edited.measuring import both_stand, distance, flights, forward, leftward, rests, turned
+from stmc.data.sources.edited.measuring import both_stand, degrees_turned, distance, flights, forward, leftward, rests
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.script import ONSET
 from stmc.data.sources.edited.standing import draw_standing
-from stmc.editing.leg_posing import exact, of_legs, reach_with_legs, smooth
+from stmc.editing.leg_posing import exact, reach_with_legs, select_legs, smooth
 from stmc.editing.paths import change_pace, reverse, shift_sideways
 from stmc.editing.resting import add_rest, follow
 from stmc.motion.body import PARENTS
@@ -31,7 +31,7 @@ def _draw(bases: Bases, rng: np.random.Generator, shortest: float, longest: floa
     return Base(base.name, base.recording, base.style, base.motion.mirrored() if rng.random() < 0.5 else base.motion)
 
 
-def rested(motion: Motion, bases: Bases, rng: np.random.Generator) -> Motion:
+def surround_with_rest(motion: Motion, bases: Bases, rng: np.random.Generator) -> Motion:
     """Add rest before and after a motion.
 
     Args:
@@ -59,8 +59,8 @@ def soften(motion: Motion, share: float) -> Motion:
         weight[:, None, None] * matrix_to_axis_angle(body.rotations.mT @ goal)
     )
     posed = Motion.posed(rotations, torch.lerp(body.translation, position, weight[:, None]), body.fps, skeleton)
-    feet = of_legs(global_rotations(body.rotations, PARENTS), "ankle")
-    return reach_with_legs(posed, of_legs(body.joints, "ankle"), feet, skeleton)
+    feet = select_legs(global_rotations(body.rotations, PARENTS), "ankle")
+    return reach_with_legs(posed, select_legs(body.joints, "ankle"), feet, skeleton)
 
 
 def jump_back(bases: Bases, rng: np.random.Generator) -> Draft:
@@ -68,11 +68,11 @@ def jump_back(bases: Bases, rng: np.random.Generator) -> Draft:
     base = _draw(bases, rng, 0.5, 1.3)
     stride = rng.uniform(0.4, 0.8) / distance(base.motion)
     motion = change_pace(reverse(base.motion), tempo=rng.uniform(0.95, 1.1), stride=min(1.0, stride))
-    return Draft(rested(soften(motion, rng.uniform(0.3, 0.6)), bases, rng), base.recording)
+    return Draft(surround_with_rest(soften(motion, rng.uniform(0.3, 0.6)), bases, rng), base.recording)
 
 
 def _is_jump_back(motion: Motion) -> bool:
-    straight = abs(turned(motion)).max() < 40
+    straight = abs(degrees_turned(motion)).max() < 40
     return flights(motion) == 1 and -1.0 < forward(motion) < -0.3 and straight and rests(motion, 0.6)
 
 
@@ -86,7 +86,7 @@ def hop(bases: Bases, rng: np.random.Generator) -> Draft:
     hops = motion
     for _ in range(times - 1):
         hops = follow(hops, motion)
-    return Draft(rested(hops, bases, rng), base.recording)
+    return Draft(surround_with_rest(hops, bases, rng), base.recording)
 
 
 def _lively(motion: Motion) -> Motion:
@@ -100,7 +100,7 @@ def _lively(motion: Motion) -> Motion:
 
 
 def _is_hop(motion: Motion) -> bool:
-    aside, straight = leftward(motion), abs(turned(motion)).max() < 40
+    aside, straight = leftward(motion), abs(degrees_turned(motion)).max() < 40
     side = aside > 0.12 and abs(forward(motion)) < 0.5 * aside
     return 1 <= flights(motion) <= 3 and side and straight and rests(motion, 0.6)
 
@@ -115,11 +115,14 @@ class Rested:
         """Draw a jump."""
         candidates = bases[self.action]
         base = candidates[int(rng.integers(len(candidates)))]
-        return Draft(rested(base.motion.mirrored() if rng.random() < 0.5 else base.motion, bases, rng), base.recording)
+        return Draft(
+            surround_with_rest(base.motion.mirrored() if rng.random() < 0.5 else base.motion, bases, rng),
+            base.recording,
+        )
 
 
 def _lands(motion: Motion) -> bool:
-    return flights(motion) == 1 and abs(turned(motion)).max() < 40 and rests(motion, 0.6)
+    return flights(motion) == 1 and abs(degrees_turned(motion)).max() < 40 and rests(motion, 0.6)
 
 
 RECIPES = (

@@ -13,13 +13,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.data.sources.edited.jumping import rested
-from stmc.data.sources.edited.measuring import foot_speed, rests, turned
+from stmc.data.sources.edited.jumping import surround_with_rest
+from stmc.data.sources.edited.measuring import degrees_turned, foot_speed, rests
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.script import ONSET
 from stmc.data.sources.edited.standing import draw_standing
 from stmc.editing.keys import minimum_jerk
-from stmc.editing.leg_posing import exact, of_legs, reach_with_legs, smooth
+from stmc.editing.leg_posing import exact, reach_with_legs, select_legs, smooth
 from stmc.editing.paths import change_pace
 from stmc.motion.body import JOINTS, PARENTS
 from stmc.motion.geometry import axis_angle_to_matrix, global_rotations
@@ -51,13 +51,13 @@ def high_kick(bases: Bases, rng: np.random.Generator) -> Draft:
     """Draw a recorded high kick, and add rest."""
     base = _draw(bases, rng, ("kick",), 2.5)
     motion = change_pace(base.motion, tempo=rng.uniform(0.88, 1.1), stride=rng.uniform(0.7, 1.1))
-    return Draft(rested(motion, bases, rng), base.recording)
+    return Draft(surround_with_rest(motion, bases, rng), base.recording)
 
 
 def _is_high(motion: Motion) -> bool:
     fast = float(foot_speed(motion, "left").max()) > 4
     one = _top(motion, "left") > 0.9 and _top(motion, "right") < 0.3
-    return fast and one and abs(turned(motion)[-1]) < 150 and rests(motion, 0.5)
+    return fast and one and abs(degrees_turned(motion)[-1]) < 150 and rests(motion, 0.5)
 
 
 def kicked_ball(bases: Bases, rng: np.random.Generator) -> Draft:
@@ -115,7 +115,7 @@ class LowKick:
         body, skeleton = exact(motion)
         swing, reach, weight = self._course(body)
         lateral, ahead = body.rotations[0, 0, :, 0], body.facing[0]
-        ankles = of_legs(body.joints, "ankle")
+        ankles = select_legs(body.joints, "ankle")
         over = (ankles[:, 1] - body.translation) * body.translation.new_tensor([1.0, 1.0, 0.0])
         across = over - (over @ ahead)[:, None] * ahead
         positions = body.translation + self._OVER * weight[:, None] * across
@@ -126,12 +126,12 @@ class LowKick:
         leg = float(skeleton.offsets[[JOINTS.index("left_knee"), JOINTS.index("left_ankle")]].norm(dim=-1).sum())
         length = rest.norm(dim=-1) * (1 - weight) + leg * weight * reach
         free = (
-            _about(lateral, -swing)
+            _rotation_about(lateral, -swing)
             @ torch.lerp(rest, rest.norm(dim=-1, keepdim=True) * _DOWN, weight[:, None])[..., None]
         )
         targets = ankles.clone()
         targets[:, 0] = hip + free[..., 0] * (length / rest.norm(dim=-1))[:, None]
-        feet = of_legs(global_rotations(body.rotations, PARENTS), "ankle")
+        feet = select_legs(global_rotations(body.rotations, PARENTS), "ankle")
         kicked = reach_with_legs(posed, targets, feet, skeleton)
         shin = global_rotations(kicked.rotations, PARENTS)[:, JOINTS.index("left_knee")]
         feet[:, 0] = shin @ body.rotations[:, JOINTS.index("left_ankle")]
@@ -160,7 +160,9 @@ class LowKick:
         """Rotate trunk, pelvis and arms against the swing of the leg."""
         up = lateral.new_tensor([0.0, 0.0, 1.0])
         rotations = rotations.clone()
-        rotations[:, 0] = _about(up, -self._TWIST * swing) @ _about(lateral, -self._LEAN * swing) @ rotations[:, 0]
+        rotations[:, 0] = (
+            _rotation_about(up, -self._TWIST * swing) @ _rotation_about(lateral, -self._LEAN * swing) @ rotations[:, 0]
+        )
         for name, axis, angle in (
             ("spine3", up, 1.5 * self._TWIST * swing),
             ("left_shoulder", lateral, self._ARMS * swing),
@@ -168,14 +170,14 @@ class LowKick:
         ):
             index = JOINTS.index(name)
             above = global_rotations(rotations, PARENTS)[:, PARENTS[index]]
-            rotations[:, index] = above.mT @ _about(axis, angle) @ above @ rotations[:, index]
+            rotations[:, index] = above.mT @ _rotation_about(axis, angle) @ above @ rotations[:, index]
         return rotations
 
 
 _DOWN = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
 
 
-def _about(axis: Float[Tensor, " 3"], angle: Float[Tensor, " frames"]) -> Float[Tensor, "frames 3 3"]:
+def _rotation_about(axis: Float[Tensor, " 3"], angle: Float[Tensor, " frames"]) -> Float[Tensor, "frames 3 3"]:
     return axis_angle_to_matrix(angle[:, None] * axis)
 
 

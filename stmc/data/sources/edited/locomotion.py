@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stmc.data.sources.edited.measuring import distance, foot_speed, forward, pace, steady, turned
+from stmc.data.sources.edited.measuring import degrees_turned, distance, foot_speed, forward, pace, steady
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.script import ONSET
 from stmc.data.sources.edited.standing import draw_standing
@@ -55,7 +55,7 @@ def _part(motion: Motion, rng: np.random.Generator, seconds: float) -> Motion:
 
 
 def _is_straight(motion: Motion) -> bool:
-    return abs(turned(motion)).max() < 30
+    return abs(degrees_turned(motion)).max() < 30
 
 
 def circle(bases: Bases, rng: np.random.Generator) -> Draft:
@@ -70,7 +70,7 @@ def circle(bases: Bases, rng: np.random.Generator) -> Draft:
 
 
 def _circles(motion: Motion) -> bool:
-    angle = turned(motion)
+    angle = degrees_turned(motion)
     return angle[-1] > 340 and 0.75 < pace(motion) < 1.5
 
 
@@ -85,7 +85,7 @@ def quarter(bases: Bases, rng: np.random.Generator) -> Draft:
 
 
 def _is_quarter(motion: Motion) -> bool:
-    angle = turned(motion)
+    angle = degrees_turned(motion)
     return 72 < angle[-1] < 108 and angle.max() < 115 and distance(motion) > 1.5
 
 
@@ -155,7 +155,7 @@ class HalfTurn:
 
     def accept(self, motion: Motion) -> bool:
         """Return whether the body makes a half turn about a foot that stays, while the other foot walks around it."""
-        angle, ball = turned(motion), joint(motion, f"{self.pivot}_foot")[:, :2]
+        angle, ball = degrees_turned(motion), joint(motion, f"{self.pivot}_foot")[:, :2]
         other = "right" if self.pivot == "left" else "left"
         walks = float(foot_speed(motion, other).sum() / motion.fps) > 0.5
         stays = float((ball - ball[0]).norm(dim=-1).max()) < 0.05

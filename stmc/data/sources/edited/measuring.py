@@ -41,7 +41,7 @@ def leftward(motion: Motion) -> float:
     return float(-offset[0] * ahead[1] + offset[1] * ahead[0])
 
 
-def turned(motion: Motion) -> Float[np.ndarray, " frames"]:
+def degrees_turned(motion: Motion) -> Float[np.ndarray, " frames"]:
     """Return the angle in degrees that the body has turned left since its first frame, including full turns."""
     heading = np.unwrap(motion.heading.numpy())
     return np.degrees(heading - heading[0])

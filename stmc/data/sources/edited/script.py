@@ -75,8 +75,8 @@ class Spot:
 
     def drawn(self, rng: np.random.Generator) -> Spot:
         """Draw a goal, as a spot without ranges."""
-        goal = _between(rng, self.low, self.high)
-        pole, shrug = _between(rng, *self.pole), rng.uniform(*self.shrug)
+        goal = _draw_between(rng, self.low, self.high)
+        pole, shrug = _draw_between(rng, *self.pole), rng.uniform(*self.shrug)
         return Spot(goal, goal, self.frame, (pole, pole), (shrug, shrug), self.arc)
 
     def near(self, rng: np.random.Generator, metres: float | int) -> Spot:
@@ -117,7 +117,7 @@ class Spot:
         )
 
 
-def turned(
+def turn_key(
     time: float | int,
     takes: float | int,
     yaw: float | int = 0.0,
@@ -138,7 +138,7 @@ def turned(
     return TurnKey(time, takes, math.radians(yaw), math.radians(pitch), math.radians(roll), skew)
 
 
-def shifted(
+def pelvis_key(
     time: float | int,
     takes: float | int,
     offset: Triple = (0.0, 0.0, 0.0),
@@ -161,6 +161,6 @@ def shifted(
     return PelvisKey(time, takes, offset, math.radians(yaw), math.radians(pitch), math.radians(roll), skew)
 
 
-def _between(rng: np.random.Generator, low: Triple, high: Triple) -> Triple:
+def _draw_between(rng: np.random.Generator, low: Triple, high: Triple) -> Triple:
     x, y, z = (float(rng.uniform(min(one, other), max(one, other))) for one, other in zip(low, high, strict=True))
     return x, y, z

@@ -51,7 +51,7 @@ def draw_standing(bases: Bases, rng: np.random.Generator, seconds: float, busy: 
     Raises:
         Unusable: If no draw is long enough and calm.
     """
-    draw = _busy if rng.random() < busy else _resting
+    draw = _busy if rng.random() < busy else _draw_resting
     for _ in range(_DRAWS):
         try:
             base = draw(bases, rng, seconds)
@@ -65,17 +65,17 @@ def draw_standing(bases: Bases, rng: np.random.Generator, seconds: float, busy: 
 
 def _busy(bases: Bases, rng: np.random.Generator, seconds: float) -> Base:
     """Draw a part of a `BUSY` action, with the arms of a resting person."""
-    base, other = _part(bases, BUSY[rng.integers(len(BUSY))], rng, seconds), _resting(bases, rng, seconds)
+    base, other = _part(bases, BUSY[rng.integers(len(BUSY))], rng, seconds), _draw_resting(bases, rng, seconds)
     arms = (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)
-    return Base(base.name, base.recording, base.style, _with_arms(base.motion, other.motion, arms))
+    return Base(base.name, base.recording, base.style, _copy_arms(base.motion, other.motion, arms))
 
 
-def _resting(bases: Bases, rng: np.random.Generator, seconds: float) -> Base:
+def _draw_resting(bases: Bases, rng: np.random.Generator, seconds: float) -> Base:
     """Draw a part of a wave, without the wave."""
     action = WAVES[rng.integers(len(WAVES))]
     base = _part(bases, action, rng, seconds)
     arm = BodyPart.LEFT_ARM if action == WAVES[0] else BodyPart.RIGHT_ARM
-    return Base(base.name, base.recording, base.style, _with_arms(base.motion, base.motion.mirrored(), (arm,)))
+    return Base(base.name, base.recording, base.style, _copy_arms(base.motion, base.motion.mirrored(), (arm,)))
 
 
 def _part(bases: Bases, action: str, rng: np.random.Generator, seconds: float) -> Base:
@@ -92,7 +92,7 @@ def _part(bases: Bases, action: str, rng: np.random.Generator, seconds: float) -
     return Base(base.name, base.recording, base.style, base.motion.trimmed(start, start + frames))
 
 
-def _with_arms(motion: Motion, other: Motion, arms: tuple[BodyPart, ...]) -> Motion:
+def _copy_arms(motion: Motion, other: Motion, arms: tuple[BodyPart, ...]) -> Motion:
     """Copy arms from another motion, relative to the chest."""
     rotations = motion.rotations.clone()
     for arm in arms:

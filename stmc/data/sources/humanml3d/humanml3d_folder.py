@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stmc.data.cache import Cache, fingerprint
-from stmc.data.preparation import LayoutError, Piece, Watch, converted
+from stmc.data.preparation import LayoutError, Piece, Watch, convert_pieces
 from stmc.data.sources.amass.annotations import SPLITS
 from stmc.data.sources.humanml3d.humanml3d_texts import WHOLE, Caption, read_captions
 from stmc.data.spans import AnnotatedSpans, CacheBuilder
@@ -143,7 +143,9 @@ class ProcessedHumanML3D:
             convert = partial(convert_clips, self._folder, batch, *self._choices)
             name = fingerprint(inputs, [CACHE_VERSION, batch, *self._choices])
             pieces.append(Piece(f"{names[start]} ...", name, convert))
-        return replace(converted(pieces, len(pieces), scratch, workers, watch, unsafe), statistics=self._statistics)
+        return replace(
+            convert_pieces(pieces, len(pieces), scratch, workers, watch, unsafe), statistics=self._statistics
+        )
 
 
 def convert_clips(

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from stmc.io.untrusted import cut, read_lines, shown
+from stmc.io.untrusted import quote, read_lines, truncate
 
 INDEX_FPS = 20
 """Frame rate of `index.csv`."""
@@ -72,7 +72,7 @@ def _caption(line: str, number: int) -> Caption | str:
     text, *others = line.split("#")
     times = [seconds for value in others[1:] if (seconds := _seconds(value)) is not None]
     if len(others) != 3 or len(times) != 2 or not text.strip():
-        return f"malformed caption: line {number} must be caption#tagged words#start#end, not {shown(line, 80)}"
+        return f"malformed caption: line {number} must be caption#tagged words#start#end, not {quote(line, 80)}"
     start, end = times
     if (start, end) != WHOLE and not 0 <= start < end < math.inf:
         return f"malformed caption: line {number} is from {start:g} to {end:g} s"
@@ -95,7 +95,7 @@ def read_index(path: Path) -> dict[str, Cut | str]:
     rows = csv.DictReader(read_lines(path))
     try:
         if tuple(rows.fieldnames or ()) != COLUMNS:
-            columns = cut(", ".join(rows.fieldnames or ()), 80)
+            columns = truncate(", ".join(rows.fieldnames or ()), 80)
             raise ValueError(f"{path}: its columns must be {', '.join(COLUMNS)}, not {columns}")
         return {str(row["new_name"]).removesuffix(".npy"): _cut(row) for row in rows}
     except csv.Error as error:
@@ -106,9 +106,9 @@ def _cut(row: dict[str, str]) -> Cut | str:
     try:
         first, last = int(row["start_frame"]), int(row["end_frame"])
     except (TypeError, ValueError):
-        return f"malformed index: frames {shown(row['start_frame'])} to {shown(row['end_frame'])}"
+        return f"malformed index: frames {quote(row['start_frame'])} to {quote(row['end_frame'])}"
     if not 0 <= first <= MOST_INDEX or not (last == -1 or first < last <= MOST_INDEX):
-        return f"malformed index: frames {shown(first)} to {shown(last)}"
+        return f"malformed index: frames {quote(first)} to {quote(last)}"
     path = row["source_path"].replace("\\", "/").removeprefix("./").removeprefix("pose_data/").removesuffix(".npy")
     begins = LEAD_INS.get(path.partition("/")[0], 0.0)
     return Cut(path, begins + first / INDEX_FPS, None if last == -1 else begins + last / INDEX_FPS)
