@@ -234,7 +234,7 @@ class Dataset:
         before = (start + position.long()).clamp(max=end - 1)
         share = (position - position.floor())[..., None].float()
         raw = torch.lerp(self.features[before], self.features[(before + 1).clamp(max=end - 1)], share)
-        raw[..., self.velocity] = (self._velocity_until(start, position + speed) - self._velocity_until(start, position)).float()
+        raw[..., self.velocity] = (self._distance(start, position + speed) - self._distance(start, position)).float()
         return self._rotating(raw)
 
     def _rotating(self, raw: Float[Tensor, "*batch features"]) -> Tensor:
@@ -242,7 +242,7 @@ class Dataset:
         raw[..., self.layout["rotations"]] = orthonormal_rows(raw[..., self.layout["rotations"]])
         return raw
 
-    def _velocity_until(self, start: Tensor, position: Tensor) -> Tensor:
+    def _distance(self, start: Tensor, position: Tensor) -> Tensor:
         """Return the cumulated velocity up to `position` (float, in frames) after `start`."""
         whole = start + position.long()
         after = (whole + 1).clamp(max=len(self._travelled) - 1)
