@@ -1,7 +1,4 @@
-"""Tables of `stmc actions`: success by action, by distance from the training texts, and by text of MTT.
-
-This module knows results and consoles; it knows no model and no motion.
-"""
+"""Tables of `stmc actions`: success by action, by distance from the training texts, and by text of MTT."""
 
 from __future__ import annotations
 

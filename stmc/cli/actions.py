@@ -50,7 +50,6 @@ from stmc.timeline import Prompt, Timeline
 
 WINDOW = 4.0
 """Length in seconds of the windows of cyclic clips, and the maximum length of samples."""
-
 AMONG = 3
 """A content counts as found if the evaluator ranks it among this many best."""
 

@@ -31,8 +31,6 @@ from stmc.settings.records import SettingError, defaults, field_infos, record_of
 
 Config = Any
 """A configuration composed by Hydra: an OmegaConf `DictConfig`."""
-
-
 SHORT = {"import": "import_checkpoint"}
 """Commands whose names differ from their modules'."""
 

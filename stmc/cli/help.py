@@ -12,11 +12,8 @@ from stmc.settings.records import FieldInfo, defaults, field_infos
 WIDTH = 100
 _NAMES = 18
 """Width of a line, and of its first column, which holds the names."""
-
 Parts = Mapping[str, tuple[str, Sequence[str]]]
 """Groups of a configuration, each with its default choice and all choices."""
-
-
 Tables = Mapping[str, tuple[type, Mapping[str, Any]]]
 """Records of parts of a configuration, such as `data/sampling`, each with its configured values."""
 

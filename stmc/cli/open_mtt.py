@@ -40,13 +40,10 @@ from stmc.settings.records import setting
 PLAIN = "normal"
 MOST_CLIPS, PARTNERS = 12, 4
 """Maximum number of clips per prompt for the retrieval report, and number of compositions per clip."""
-
 SHORT_CLIP = 1.5
 """Length in seconds; shorter clips are ground truth only if there is no longer one."""
-
 MAX_STRETCH, MIN_LONGEST = 1.5, 4.0
 """Longest prompt of a non-cyclic action, as a multiple of its longest clip, and at least in seconds."""
-
 MAX_WORST = 10
 
 

@@ -26,7 +26,6 @@ from stmc.settings.records import SettingError, setting
 
 INPUTS = ("source", "annotations", "body")
 """Settings that name the inputs of a data set; each data set needs some of them."""
-
 MAX_PRINTED = 20
 """Maximum number of skipped clips to print; the report lists all."""
 

@@ -1,7 +1,4 @@
-"""The output folder of `stmc sample`: the files of each motion beside a record of their request.
-
-Depends on requests, formats and digests; independent of models and of the command line.
-"""
+"""The output folder of `stmc sample`: the files of each motion beside a record of their request."""
 
 from __future__ import annotations
 

@@ -37,7 +37,6 @@ from stmc.timeline import TimelineError
 
 MOST_LETTERS = 1_000_000
 """Maximum number of characters of a line on stdin."""
-
 MOST_EDITS = 1000
 """Maximum number of edits that wait for the next frame."""
 

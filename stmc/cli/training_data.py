@@ -1,7 +1,4 @@
-"""Training data of denoisers and evaluators, as the settings of a command describe them.
-
-This module knows settings; it knows no network and no loss.
-"""
+"""Training data of denoisers and evaluators, as the settings of a command describe them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""DoubleTake's second take: the surroundings of transitions are generated again (Shafir et al. 2024).
-
-Depends on plans; independent of networks, texts and samplers.
-"""
+"""DoubleTake's second take: the surroundings of transitions are generated again (Shafir et al. 2024)."""
 
 from __future__ import annotations
 

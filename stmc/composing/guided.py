@@ -1,7 +1,4 @@
-"""Predictors with classifier-free guidance for plans: of their crops, or of the sequences of their body parts.
-
-Depends on plans, texts and embeddings; independent of text encoders, samplers and the composition of timelines.
-"""
+"""Predictors with classifier-free guidance for plans: of their crops, or of the sequences of their body parts."""
 
 from __future__ import annotations
 
@@ -21,7 +18,6 @@ from stmc.timeline.planning import Plan
 
 NULL = ""
 """The text that represents no text: the network saw its embedding when a text was dropped in training."""
-
 PADDING = 0.1
 """Maximum fraction of padding among the frames that a step denoises."""
 

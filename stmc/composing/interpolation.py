@@ -1,7 +1,4 @@
-"""Smoothing of seams after sampling: SINC's linear interpolation, and TEACH's spherical interpolation.
-
-Depends on plans without overlap and on layouts of features; independent of networks, texts and samplers.
-"""
+"""Smoothing of seams after sampling: SINC's linear interpolation, and TEACH's spherical interpolation."""
 
 from __future__ import annotations
 

@@ -34,10 +34,8 @@ Features = Float[Tensor, "batch frames features"]
 Rule = Callable[[Plan], Plan]
 Baseline = Callable[[Timeline, "float | int", int], Timeline]
 """(timeline, frames per second, frames of the longest crop) → the timeline that is sampled instead."""
-
 SECOND_TAKE_SKIP = 0.1
 """Fraction of the steps, the noisiest, that DoubleTake's second take skips (Shafir et al. 2024)."""
-
 TEACH_CONTEXT_SECONDS = 5 / 30
 """TEACH's context in seconds: five frames at 30 fps (Athanasiou et al. 2022). The prompt also covers the context, so a
 longer context shortens the action itself."""

@@ -27,7 +27,6 @@ from stmc.timeline.planning import Plan, Span, transition_spans
 
 ARMS = (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)
 """The retimed body parts. Retimed legs would slide, and arms hang on the other parts."""
-
 MAX_SPEED_RATIO = 2.0
 """Maximum speed of an arm in a transition relative to its mean speed there. A swing to and fro has pi / 2, and a reach
 3 / 2: both stay unchanged."""

@@ -1,8 +1,4 @@
-"""One run of sampling: everything that a method may use, and the building blocks of methods.
-
-Depends on timelines, seeds, settings, a predictor of crops and a schedule; independent of networks, embeddings and
-`Model`.
-"""
+"""One run of sampling: everything that a method may use, and the building blocks of methods."""
 
 from __future__ import annotations
 

@@ -29,11 +29,8 @@ FEATURES, TABLE = "clips.safetensors", "clips.json"
 
 HELD_OUT = ("test", "val")
 """Splits that are never used for training."""
-
 MOST_BYTES = 256 * 2**20
 """Maximum size of the table; 40,000 clips take about 20 MB."""
-
-
 TOUCHING = 0.3
 """Maximum gap in seconds between two clips of a recording that count as continuous."""
 

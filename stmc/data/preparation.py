@@ -22,7 +22,6 @@ from stmc.data.cache import Cache, is_current, merge_caches
 
 Watch = Callable[[Iterable, int], Iterable]
 """(items, number of items) → the same items; displays progress."""
-
 Job = tuple[Any, ...]
 """A function and its arguments for another process; all of them can be pickled."""
 

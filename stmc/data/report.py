@@ -1,7 +1,4 @@
-"""A report on a prepared data set and its omissions: text for people, JSON for programs.
-
-Depends on caches; independent of data sets.
-"""
+"""A report on a prepared data set and its omissions: text for people, JSON for programs."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Spans of frames with sentences → clips and their texts, for data sets of unique recordings.
-
-Depends on caches; independent of data sets and seconds.
-"""
+"""Spans of frames with sentences → clips and their texts, for data sets of unique recordings."""
 
 from __future__ import annotations
 

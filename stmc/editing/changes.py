@@ -1,7 +1,4 @@
-"""The regenerated and the kept parts of a motion: weights over frames × body parts, with soft borders.
-
-Depends on timelines, motions and seconds; independent of features and sampling.
-"""
+"""The regenerated and the kept parts of a motion: weights over frames × body parts, with soft borders."""
 
 from __future__ import annotations
 
@@ -24,10 +21,8 @@ from stmc.timeline.planning import assign
 
 BORDER = 0.5
 """Seconds inside a change over which the old motion fades into the new one; with half of it, hands jump."""
-
 _PRECISION = 1000
 """Frames per second at which two timelines are compared."""
-
 _SAME_BODY = 0.005
 """Metres by which bone lengths may differ before a motion is moved to the model's body."""
 

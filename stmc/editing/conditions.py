@@ -31,10 +31,8 @@ from stmc.timeline import Prompt
 
 _STEP_FEATURES = ("root_velocity", "yaw_velocity")
 """Features of the step from a frame to the next: not observed in a motion's last frame."""
-
 _BORDER = 0.9
 """Weight of a feature at a kept frame whose value is not observed."""
-
 _REFINEMENT_PASSES = 4
 """Whole-body refinement passes after sampling, before limb IK."""
 

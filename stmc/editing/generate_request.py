@@ -1,7 +1,4 @@
-"""A request for motions: one frozen record, read from Python, a command line or JSON by the same code.
-
-Depends on timelines, methods, sampling settings, kept motions and constraints; independent of models and files.
-"""
+"""A request for motions: one frozen record, read from Python, a command line or JSON by the same code."""
 
 from __future__ import annotations
 
@@ -28,7 +25,6 @@ from stmc.timeline import Prompt, Timeline
 
 Changes = Change | Prompt | Sequence[Change | Prompt]
 """Parts of a motion to regenerate; a prompt of the timeline stands for every interval in which it owns body parts."""
-
 Find = Callable[[str], Motion]
 """Function from a name to a motion, from a file or from a server's memory."""
 
@@ -178,7 +174,6 @@ class GenerateRequest:
 
 _PER_MOTION = ("timelines", "seeds", "keep")
 """Fields with one item per motion."""
-
 _LARGE = ("keep", "constraints")
 """Fields that records hold as digests."""
 

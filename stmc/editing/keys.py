@@ -1,7 +1,4 @@
-"""Keys of authored movement: times of arrival, durations, and minimum-jerk interpolation.
-
-Depends on times and values; independent of the body.
-"""
+"""Keys of authored movement: times of arrival, durations, and minimum-jerk interpolation."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Inverse kinematics of the legs and turns of joints, shared by all edits of whole motions.
-
-Depends on rotations and bone lengths; independent of paths, and of time except for smoothing.
-"""
+"""Inverse kinematics of the legs and turns of joints, shared by all edits of whole motions."""
 
 from __future__ import annotations
 

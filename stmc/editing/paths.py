@@ -33,7 +33,6 @@ from stmc.settings.records import SettingError
 
 Moved = tuple[Float[Tensor, "frames 3 2"], Float[Tensor, "frames 3"]]
 """New positions of the ground below the pelvis and both ankles, and the angles (radians) by which it turns."""
-
 _SHORTEST = 0.05
 """Metres between the ends of the shortest path."""
 _GRID = 0.002

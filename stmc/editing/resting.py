@@ -1,7 +1,4 @@
-"""Smooth concatenation of motions, and rest before and after a motion: the body stands as in a recording.
-
-Depends on motions and legs; independent of text and features.
-"""
+"""Smooth concatenation of motions, and rest before and after a motion: the body stands as in a recording."""
 
 from __future__ import annotations
 

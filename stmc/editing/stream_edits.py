@@ -1,7 +1,4 @@
-"""Edits of a stream as JSON objects: what `stmc stream` reads line by line, and the studio's page sends.
-
-Depends on streams and prompts; independent of where edits come from.
-"""
+"""Edits of a stream as JSON objects: what `stmc stream` reads line by line, and the studio's page sends."""
 
 from __future__ import annotations
 

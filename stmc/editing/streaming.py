@@ -27,16 +27,12 @@ from stmc.timeline.planning import Plan, Span, plan, transition_spans
 
 STREAMED = {"steps": 10, "sampler": "ddim"}
 """Settings of a stream that are not the model's."""
-
 EMPTY = Timeline([Prompt("rest", 14_399, 14_400)])
 """Stands for a timeline without prompts: the body rests."""
-
 BLOCK_SECONDS = 2.0
 """Seconds of motion that a window adds, unless an edit ends the block earlier."""
-
 LOOKAHEAD_SECONDS = 1.0
 """Seconds after a block whose crops the window holds, too, so that the block ends as the motion goes on."""
-
 BORDER_SECONDS = 1.0
 """Seconds at the start of a block in which the frames of the previous window fade out; with half of it, limbs jump
 after edits."""

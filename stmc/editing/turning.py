@@ -1,7 +1,4 @@
-"""Turns on the spot in steps: one foot is the pivot, and the other foot walks round it.
-
-Depends on motions and legs; independent of text and features.
-"""
+"""Turns on the spot in steps: one foot is the pivot, and the other foot walks round it."""
 
 from __future__ import annotations
 

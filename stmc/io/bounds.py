@@ -10,16 +10,12 @@ from stmc.io.untrusted import quote
 
 LEAST_FPS, MOST_FPS = 1, 1000
 """Frames per second; motion capture has 20 to 250."""
-
 MOST_SECONDS = 14_400
 """Seconds of a motion: four hours."""
-
 MOST_FRAMES = 432_000
 """Frames of a motion: four hours at 30 frames per second, or one at 120. They take half a gigabyte in float32."""
-
 MOST_COLUMNS = 200
 """Values per frame of a pose in a file; SMPL-X has 165."""
-
 MOST_METRES = 10_000.0
 """Metres from the world's origin, along each axis."""
 

@@ -10,7 +10,6 @@ from itertools import chain, count
 
 MOST = 150
 """Bytes of a name; a number and a suffix still fit after it (file systems allow 255)."""
-
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(10))}
 
 

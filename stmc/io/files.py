@@ -27,7 +27,6 @@ logger = logging.getLogger(__name__)
 
 LOCK = ".lock"
 """The lock file of a folder; a process that ends normally removes it."""
-
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _TOKEN = secrets.token_hex(4)  # a restarted container reuses process numbers
 _TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-([0-9a-f]{8})-\d+\.tmp")

@@ -12,7 +12,6 @@ from typing import Any, BinaryIO
 
 MOST_BYTES = 2**26
 """Maximum size of a data set's file of lines; HumanML3D's index has 3 MB."""
-
 _CHUNK = 2**20
 
 SHOWN = 60

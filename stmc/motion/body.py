@@ -18,7 +18,6 @@ JOINTS: tuple[str, ...] = (
 
 PARENTS: tuple[int, ...] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 """Index of each joint's parent; -1 for the root. A parent always precedes its children."""
-
 NUM_ROTATIONS = 22
 """Number of joints with their own rotation, the first 22; the two hands follow the wrists."""
 

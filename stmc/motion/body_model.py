@@ -120,7 +120,6 @@ _GENDERS = ("neutral", "female", "male")
 
 _SMPLX_SHAPES, _SMPLX_SHORT = 300, 10
 """Shape directions of SMPL-X files with 400 directions, and of those with 20. The others describe the face."""
-
 _FRAMES_AT_ONCE = 64
 """Number of frames skinned at once: 10,000 vertices in 64 frames take some 100 MB."""
 

@@ -45,20 +45,6 @@ def matrix_to_quaternion(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "
     return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
-def euler_zyx_to_matrix(angles: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """Compute `Rz(angles[0]) Ry(angles[1]) Rx(angles[2])`."""
-    import roma  # imported late: it takes as long to import as torch
-
-    return roma.euler_to_rotmat("ZYX", angles)
-
-
-def matrix_to_euler_zyx(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
-    """Return angles (z, y, x) with `matrix = Rz Ry Rx`; at y = +-pi/2, z and x are not unique."""
-    y = torch.atan2(-matrix[..., 2, 0], torch.hypot(matrix[..., 0, 0], matrix[..., 1, 0]))
-    x = torch.atan2(matrix[..., 2, 1], matrix[..., 2, 2])
-    return torch.stack([heading(matrix), y, x], dim=-1)
-
-
 def heading(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
     """Return the z angle of `matrix` written as `Rz Ry Rx`: the direction of its x axis, seen from above.
 

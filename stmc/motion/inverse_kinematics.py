@@ -24,7 +24,6 @@ _FOOT, _STRAIGHT = 0.03, 0.005
 """Weights of the foot's direction and of no twist, relative to 1 for a limb bent at a right angle."""
 _STIFFNESS = 1.0
 """Weight of an unchanged twist from one frame to the next."""
-
 _STRAIGHT_HINGE = 0.05
 """Sine of the bend at which the plane of a limb has the same weight as its hinge."""
 

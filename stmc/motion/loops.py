@@ -1,7 +1,4 @@
-"""Loops: the part of a motion whose end leads into its beginning, bent to close the gap.
-
-Depends on poses and their velocities; independent of texts and features.
-"""
+"""Loops: the part of a motion whose end leads into its beginning, bent to close the gap."""
 
 from __future__ import annotations
 

@@ -242,7 +242,6 @@ def _is_no_rotation(rotations: Float[Tensor, "frames 22 3 3"]) -> Bool[Tensor, "
 
 _PIXELS = 100
 """Scale of a film strip: pixels per metre, and between neighbouring figures."""
-
 _COLOURS = {"left": "#ea580c", "midline": "#555", "right": "#2563eb"}
 
 

@@ -1,7 +1,4 @@
-"""The vocabulary of a run directory's model, and what was measured of that model: two files beside its weights.
-
-Knows run directories' files; knows no models.
-"""
+"""The vocabulary of a run directory's model, and what was measured of that model: two files beside its weights."""
 
 from __future__ import annotations
 

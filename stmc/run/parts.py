@@ -1,7 +1,4 @@
-"""The parts of a model and of an evaluator, built from the descriptions in a config, with weights that fit.
-
-Depends on descriptions and the headers of weights; independent of folders and numbers.
-"""
+"""The parts of a model and of an evaluator, built from the descriptions in a config, with weights that fit."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Former names of configuration keys: they keep run directories, checkpoints and tables of old versions readable.
-
-Depends on names; independent of files.
-"""
+"""Former names of configuration keys: they keep run directories, checkpoints and tables of old versions readable."""
 
 from __future__ import annotations
 
@@ -63,13 +60,10 @@ RENAMED_ARGUMENTS: Mapping[str, Mapping[str, str]] = {
 
 RENAMED_IN_RECORDS: Mapping[str, str] = {"spread": "noise_scale", "late": "stitch_from", "absolute": "ape_steps"}
 """Renamed settings in records of results."""
-
 RENAMED_COLUMNS: Mapping[str, str] = {"rate": "lr", "loss_feet": "loss_foot_velocity"}
 """Renamed columns of the tables that trainings write."""
-
 ONE_RECORD = ("stmc.data.batches.Sampling", "stmc.training.data.batches.Sampling")
 """The former record with the settings of all batch recipes, at `data.sampling` of trainings."""
-
 _RECIPES = "stmc.training.data"
 BALANCED, PACKED = f"{_RECIPES}.balanced_batches.BalancedBatches", f"{_RECIPES}.packed_rows.PackedRows"
 EPOCHS, RECORDED = f"{_RECIPES}.epoch_batches.EpochBatches", f"{_RECIPES}.recorded_rows.RecordedRows"

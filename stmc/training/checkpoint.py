@@ -1,7 +1,4 @@
-"""Checkpoints that survive a kill at any moment, detect damage, and are read without running code.
-
-This module does not know the meaning of the tensors.
-"""
+"""Checkpoints that survive a kill at any moment, detect damage, and are read without running code."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Batches of matching motions and texts, for contrastive objectives.
-
-This module knows no data set and no network.
-"""
+"""Batches of matching motions and texts, for contrastive objectives."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Choose the device of training, and let one run at a time write to a folder.
-
-This module knows no network.
-"""
+"""Choose the device of training, and let one run at a time write to a folder."""
 
 from __future__ import annotations
 

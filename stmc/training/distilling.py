@@ -20,7 +20,6 @@ from stmc.training.loss import Batch, Teacher
 
 NEIGHBOURS = 5
 """Number of frames beyond either end of a segment that the teacher also sees, where predictions are cross-faded."""
-
 AT_ONCE = 4
 """Number of teacher calls per batch; segments are sorted by length so that short ones need little padding."""
 

@@ -1,7 +1,4 @@
-"""The training loop. Step k is a function of the weights and of (seed, k, process), so killed runs resume exactly.
-
-This module knows batches and objectives; it knows no data set, no body and no configuration files.
-"""
+"""The training loop. Step k is a function of the weights and of (seed, k, process), so killed runs resume exactly."""
 
 from __future__ import annotations
 
@@ -34,11 +31,9 @@ logger = logging.getLogger(__name__)
 
 LARGEST_LR = 1.0
 """Maximum learning rate; with larger ones, losses become infinite within a few steps."""
-
 _END = "lr_decay_steps"
 _LOG_EVERY_SECONDS = 30.0
 """Seconds between two log lines of the loss if there is no terminal for the progress bar."""
-
 Batches = Callable[[int, int], Sequence[Batch]]
 """(step, process) → the chunks of the process's share of the step's batch."""
 

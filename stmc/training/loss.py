@@ -19,7 +19,6 @@ from stmc.diffusion.schedule import Prediction, Schedule
 
 AuxiliaryLoss = Callable[[Float[Tensor, "batch frames features"]], Float[Tensor, "batch _ derived"]]
 """Clean normalised features → derived features that are also trained, each of a frame and the next."""
-
 Teacher = Callable[["Batch", Float[Tensor, "batch frames features"], Int[Tensor, " batch"]], Tensor]
 """A batch, its noisy motion and the steps → the prediction to learn: see `GuidedTeacher` and `MultistepTeacher`."""
 

@@ -1,7 +1,4 @@
-"""Optimisers: AdamW, or Muon for the layers of a network and AdamW for the rest.
-
-This module knows networks as modules with layers; it knows no loss and no data.
-"""
+"""Optimisers: AdamW, or Muon for the layers of a network and AdamW for the rest."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Compare the settings of a resumed run with those that it began with.
-
-This module knows settings as nested plain data; it does not know their meaning.
-"""
+"""Compare the settings of a resumed run with those that it began with."""
 
 from __future__ import annotations
 

@@ -16,10 +16,8 @@ from stmc.io.untrusted import UnreadableError, read_bytes, truncate
 
 MOST_BYTES = 32 * 2**20
 """Maximum size of one file; Bandai's are below 1 MB, and CMU's, three minutes at 120 fps, below 20 MB."""
-
 MOST_MEMBERS = 100_000
 """Maximum number of files in an archive or a folder; Bandai's data set has some 3,100, CMU's some 2,500 per format."""
-
 MOST_ARCHIVE = 16 * 2**30
 """Maximum unpacked size of an archive in bytes; Bandai's has some 1 GB, CMU's whole database some 4 GB per format."""
 

@@ -1,7 +1,4 @@
-"""Parts of speech of captions for the evaluator of Guo et al. (2022): `a/DET person/NOUN walk/VERB`.
-
-Depends on files of tagged captions, and on spaCy if it is installed; independent of evaluators.
-"""
+"""Parts of speech of captions for the evaluator of Guo et al. (2022): `a/DET person/NOUN walk/VERB`."""
 
 from __future__ import annotations
 
@@ -13,7 +10,6 @@ from stmc.data.sources.humanml3d.humanml3d_texts import Caption, read_captions
 
 MODEL = "en_core_web_sm"
 """The spaCy pipeline that tagged HumanML3D's captions."""
-
 LEMMAS = ("NOUN", "VERB")
 """Parts of speech that are replaced by their base form, except for "left"."""
 

@@ -18,13 +18,10 @@ from stmc.text.vocabulary.qualifiers import mirrored
 
 PLAIN_SHARE = 0.5
 """Probability that a styled clip is described without its style, so that plain texts reach every style."""
-
 STYLED = 12
 """Number of sentences of an action, the first ones, that take phrases of a style: all of them would give 20,000."""
-
 ALWAYS_STYLED = frozenset((f"raise-up-{side}", "feminine") for side in ("left-hand", "right-hand", "both-hands"))
 """Clips that no plain sentence describes: these raises end at the shoulder, lower than "raise the arm" would mean."""
-
 FORWARD_WALKS = ("walk", "walk-left", "walk-right")
 """Labels with the same meaning, because the direction in the room is not visible in the actor's own frame."""
 
@@ -81,7 +78,6 @@ def _read() -> Iterator[Content]:
 
 CONTENTS: Mapping[str, Content] = MappingProxyType({content.name: content for content in _read()})
 """Actions by name: the labels of the Bandai dataset, and further actions in segments of recordings."""
-
 _MASCULINE = ("like a man", "in a masculine way", "in a manly manner", "with a masculine manner")
 _OLD = ("like an old person", "like an elderly person", "in an elderly way", "as if very old", "like a grandparent")
 _TIRED = ("tiredly", "wearily", "in a tired way", "as if exhausted", "with no energy at all")

@@ -14,10 +14,8 @@ from stmc.data.sources.contents import CONTENTS, FORWARD_WALKS, Content
 
 PER_PAIR = 2
 """Number of joined sentences per pair of actions: some thousand pairs have to be embedded."""
-
 Phrase = tuple[str, str]
 """An imperative and its gerund: "walk forwards", "walking forwards"."""
-
 Joined = Mapping[frozenset[str], tuple[str, ...]]
 """Sentences about two actions at once, by the actions' names."""
 

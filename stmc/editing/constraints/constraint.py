@@ -1,7 +1,4 @@
-"""The base class of constraints: the interface for sampling, projection, JSON and the studio's page.
-
-Independent of particular kinds, features and networks.
-"""
+"""The base class of constraints: the interface for sampling, projection, JSON and the studio's page."""
 
 from __future__ import annotations
 

@@ -27,16 +27,12 @@ from stmc.motion.representation import SmplRepresentation
 
 TOLERANCE = 0.01
 """Error in metres that costs as much as one standard deviation of one feature in one frame."""
-
 ROOT = 0.3
 """Weight of changes of the root's velocities relative to rotations: they move all later frames."""
-
 _SMOOTH = 0.15
 """Standard deviation, in seconds, of the Gaussian over which a change spreads."""
-
 _ITERATIONS = 6
 """Iterations of L-BFGS at each step."""
-
 _ROUNDS = 3
 """Rounds in which roots are moved to a path; each round corrects what smoothing left in the previous one."""
 

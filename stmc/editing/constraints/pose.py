@@ -20,7 +20,6 @@ from stmc.settings.records import SettingError
 
 RAMP = 0.3
 """Seconds over which a correction fades in, and out."""
-
 Place = tuple[float, float, float, float]
 """The start of a motion: x, y and z of the pelvis in metres, and the heading in radians."""
 

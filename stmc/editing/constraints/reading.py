@@ -17,7 +17,6 @@ from stmc.settings.records import SettingError
 
 _MOST = 2**24
 """Bytes of a constraint file, enough for a path of a hundred thousand points."""
-
 KINDS: tuple[type[Constraint], ...] = (Path, Heading, Keyframe, Target, Hold)
 """All kinds for JSON and the studio; the only listing."""
 

@@ -21,13 +21,10 @@ from stmc.settings.records import SettingError
 
 SWAY = 0.02
 """Metres by which the pelvis may leave its path to either side, as it does in walking."""
-
 _LOOK = 0.15
 """Radians by which a heading may differ; also the cost in metres of each further radian."""
-
 _AHEAD = 0.3
 """Seconds over which the direction of a path is measured."""
-
 _ROUNDS = 4
 """Rounds in which a finished motion is moved onto a path."""
 

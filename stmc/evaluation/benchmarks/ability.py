@@ -18,10 +18,8 @@ from stmc.timeline import Timeline
 
 WALK, RAISE = (0.0, 8.0), (2.5, 5.5)
 """Spans in seconds of the walk and the raise of "walk and raise"."""
-
 LONG, PACE = (8, 15, 30), 1.8
 """Seconds for which a run must keep its pace, and the minimum pace in m/s."""
-
 SLACK = 0.75
 """Seconds by which a raised arm may be early or late: half a transition and the time that an arm takes."""
 

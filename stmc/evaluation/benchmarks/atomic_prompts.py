@@ -21,20 +21,16 @@ from stmc.timeline import Prompt, Timeline, TimelineError
 
 SHORTEST, LONGEST = 2.0, 9.2
 """Minimum and maximum duration of a prompt in seconds, as in the published timelines."""
-
 MEAN, DEVIATION = 6.0, 1.2
 """Mean and standard deviation of durations in seconds. The paper gives a standard deviation of 1.0; its timelines have
 1.2."""
 
 LEGS_WEIGHT = 3
 """Weight of the legs, relative to 1 for any other body part, in draws for the first track."""
-
 STRADDLES = 1 / 7
 """Fraction of the draws in which the third prompt overlaps both prompts of the first track."""
-
 _HUNDREDTH = 100
 """Resolution of times: hundredths of a second."""
-
 _KEYS = ("text", "body_parts", "clip", "start", "end", "shortest", "longest", "cyclic")
 """Keys of an atomic prompt in JSON."""
 

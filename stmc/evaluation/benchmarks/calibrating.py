@@ -1,7 +1,4 @@
-"""From measured success and two lists of prompts to the recogniser's thresholds, and how well it then warns.
-
-Knows recognitions and MTT's texts; knows no model and no motion.
-"""
+"""From measured success and two lists of prompts to the recogniser's thresholds, and how well it then warns."""
 
 from __future__ import annotations
 
@@ -16,13 +13,10 @@ from stmc.text.vocabulary import RARELY, Calibration, Recognition
 
 SHOWN = 0.75
 """The share of a text's samples that show it, where a model can do it: 6 of 8."""
-
 MOST_LOST = 0.05
 """The share of known prompts that may warn."""
-
 ENOUGH = 8
 """Known prompts, and unknown ones, that an action needs for a threshold of its own."""
-
 _MOST_BYTES = 2**22
 
 

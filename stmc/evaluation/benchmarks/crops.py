@@ -1,7 +1,4 @@
-"""The frames of motions that should show each text, and the windows of transitions, for the benchmarks of timelines.
-
-Depends on timelines, motions and names of methods; independent of evaluators and of metrics other than jerk.
-"""
+"""The frames of motions that should show each text, and the windows of transitions, for the benchmarks of timelines."""
 
 from __future__ import annotations
 

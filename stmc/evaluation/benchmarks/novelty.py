@@ -1,7 +1,4 @@
-"""The distance of test sentences from training sentences, and the success of a model on near and far ones.
-
-Depends on sentences and their embeddings; independent of models.
-"""
+"""The distance of test sentences from training sentences, and the success of a model on near and far ones."""
 
 from __future__ import annotations
 

@@ -21,7 +21,6 @@ maximum duration still fits the longest crop of MDM."""
 
 LEGS = 3
 """Weight of the legs, relative to 1 for other body parts, when prompts are drawn in proportion to their parts."""
-
 ATTEMPTS = 1000
 """Number of consecutive failed draws after which no three of the atomic prompts can be combined."""
 

@@ -21,10 +21,8 @@ from stmc.motion.motion import Motion
 
 DRAWS = 200
 """Number of draws; the standard error is then accurate within 5 %."""
-
 FEWEST = 5
 """Minimum number of units for a bootstrap: draws of one or two units hardly differ."""
-
 Units = Int[np.ndarray, " units"]
 Measured = Callable[[Units], Mapping[str, float]]
 

@@ -1,7 +1,4 @@
-"""The motions of one run on disk, one file each, written by any process on any machine in any order.
-
-Depends on indices and motions; independent of timelines, methods and benchmarks.
-"""
+"""The motions of one run on disk, one file each, written by any process on any machine in any order."""
 
 from __future__ import annotations
 

@@ -33,10 +33,8 @@ from stmc.timeline import Prompt, Timeline
 
 UNIT = 4
 """Number of frames of a movement; motions are whole numbers of movements."""
-
 SHORTER = 1 / 3
 """Fraction of the motions that are one movement shorter than their clips."""
-
 ASKED, REFERENCE, REAL = range(3)
 """Uses of a seed; each has its own random stream."""
 

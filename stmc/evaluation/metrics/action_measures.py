@@ -1,7 +1,4 @@
-"""Measures of actions from joints: jumping, sitting down, leaning, reaching and waving.
-
-Depends on joints, metres and seconds; independent of data sets, texts and models.
-"""
+"""Measures of actions from joints: jumping, sitting down, leaning, reaching and waving."""
 
 from __future__ import annotations
 
@@ -17,10 +14,8 @@ from stmc.motion.motion import Motion
 
 SEATED, UPRIGHT = 0.62, 0.75
 """Heights in metres: a person whose pelvis is below the first sits or squats, above the second stands."""
-
 _STOOPED = math.radians(20)
 """Lean of the trunk above which a person is bent, as in a bow."""
-
 OFF_THE_FLOOR, FLIGHT = 0.06, 0.12
 """Height in metres above the lowest point of both feet from which a foot is off the floor, and seconds with both feet
 off the floor that make a jump."""

@@ -17,7 +17,6 @@ from stmc.evaluation.metrics.retrieval import ranks
 
 POOL_SIZE = 32
 """Number of candidates of R-precision."""
-
 TOP = (1, 2, 3)
 
 

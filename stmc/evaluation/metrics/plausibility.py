@@ -18,15 +18,12 @@ from stmc.motion.body_model import Skeleton
 
 SIZES = (0.8, 2.8)
 """Legal mean of the larger side of the box around a person's joints in metres, from crouching to raised arms."""
-
 UNITS = {"centimetres": 100.0, "millimetres": 1000.0, "inches": 39.37, "decimetres": 10.0}
 
 LIMBS = ("knee", "ankle", "elbow", "wrist")
 """Joints at the ends of long bones. Other bones are shorter, and their lengths vary between skeletons."""
-
 PROPORTION = 1.8
 """Maximum ratio between a long bone and the bundled skeleton's, relative to the other long bones."""
-
 UPRIGHT = 0.5
 """Minimum mean cosine between trunks and the vertical in a set of motions; 1 is standing."""
 

@@ -18,11 +18,8 @@ from stmc.motion.motion import Motion
 
 HUMANML3D_JERK, BABEL_JERK = 0.033031363, 0.016383045
 """Averages over the data sets of the largest jerk of any joint, in m/frame³ at 20 and at 30 fps (FlowMDM)."""
-
 HUMANML3D_WINDOW, BABEL_WINDOW = 60, 30
 """Lengths in frames of a transition in the two data sets (FlowMDM, section 4.1)."""
-
-
 JERKED = 22
 """Number of joints whose jerk counts: SMPL's without the hands, as in HumanML3D."""
 

@@ -19,7 +19,6 @@ from stmc.motion.motion import Motion
 
 TAKE_OFF_SECONDS = 0.2
 """Seconds before and after a flight within which both feet are on the floor if a person jumps and does not run."""
-
 TURN_MARGIN = math.radians(12)
 """Angle from the initial and final heading at which a turn begins and ends."""
 

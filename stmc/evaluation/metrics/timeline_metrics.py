@@ -1,8 +1,4 @@
-"""The metrics of motions generated from timelines (STMC, section 4.2): text agreement of crops, and realism.
-
-Depends on motions, the spans of their prompts, and any evaluator that embeds motions; independent of timeline files,
-networks and the generation of motions.
-"""
+"""The metrics of motions generated from timelines (STMC, section 4.2): text agreement of crops, and realism."""
 
 from __future__ import annotations
 
@@ -235,7 +231,6 @@ class Formulas:
 
 DEFINED = Formulas(timeline_scores, real_transition)
 """The formulas defined in the paper."""
-
 PUBLISHED = Formulas(published_timeline_scores, published_real_transition)
 """The formulas of the published code, to compare with the paper's tables."""
 

@@ -1,7 +1,4 @@
-"""Elements of figures of results: panels, lines, legends and their style.
-
-This module knows records and matplotlib's axes; it knows no particular figure.
-"""
+"""Elements of figures of results: panels, lines, legends and their style."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Figures of Barquero et al. 2024: jerk around transitions, the trade-off of absolute steps, and attention of a frame.
-
-This module knows records and matplotlib's figures, like `charts`.
-"""
+"""Figures of Barquero et al. 2024: jerk around transitions, trade-off of absolute steps, and attention of a frame."""
 
 from __future__ import annotations
 

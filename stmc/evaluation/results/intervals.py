@@ -1,7 +1,4 @@
-"""Means over seeds with confidence intervals, over seeds alone or over timelines and seeds.
-
-This module knows only numbers.
-"""
+"""Means over seeds with confidence intervals, over seeds alone or over timelines and seeds."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Motions of the same timelines by two methods, read from two folders of `stmc sample`.
-
-This module knows the records beside the motions; it does not know surveys.
-"""
+"""Motions of the same timelines by two methods, read from two folders of `stmc sample`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Surveys: the choice of questions, their order and their sides, all drawn from one seed.
-
-This module knows pairs and the key; it knows no page.
-"""
+"""Surveys: the choice of questions, their order and their sides, all drawn from one seed."""
 
 from __future__ import annotations
 

@@ -20,10 +20,8 @@ from stmc.io.untrusted import truncate
 
 LARGEST = 2**31
 """Maximum size of one decompressed array in bytes. A zip of a few kilobytes can expand beyond any memory."""
-
 MOST_ARRAYS = 1000
 """Maximum number of arrays in an `.npz`."""
-
 _SHOWN = 200
 """Maximum number of characters of names in a message."""
 

@@ -26,12 +26,10 @@ from stmc.io.untrusted import quote
 _SPARSE = ("csc", "csr", "coo")
 _LARGEST_MATRIX = 2**27
 """Maximum size in bytes of a dense copy of a sparse matrix; SMPL-X's regressor has 2**22."""
-
 _NUMPY = ("numpy.core", "numpy._core")
 """Modules of NumPy's functions before and after version 2."""
 _KINDS = "biufSU"
 """Kinds of supported arrays: booleans, integers, floats, bytes and texts."""
-
 _MOST_AXES = 32
 """Maximum number of axes of an array, as in NumPy 1."""
 _MOST_LEVELS = 8

@@ -1,7 +1,4 @@
-"""Leg inverse kinematics for given feet: bending of the legs, and sinking of the pelvis.
-
-Depends on hips, knees and ankles; independent of contacts.
-"""
+"""Leg inverse kinematics for given feet: bending of the legs, and sinking of the pelvis."""
 
 from __future__ import annotations
 
@@ -16,7 +13,6 @@ from stmc.motion.inverse_kinematics import bend_limb
 
 LEG = ("hip", "knee", "ankle")
 """Joints of a leg, without its side."""
-
 _STRETCH = 0.99
 """Fraction of its length to which a bent leg may be stretched."""
 _DEEPEST = 0.1

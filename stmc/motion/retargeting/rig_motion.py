@@ -25,7 +25,6 @@ from stmc.motion.retargeting.spreading import spread_limbs
 
 _UP = torch.from_numpy(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 """From SMPL's rest axes (y up, facing z) to the world's (z up, facing -y)."""
-
 _SPINE = ("pelvis", "spine1", "spine2", "spine3")
 _NECK = ("spine3", "neck")
 _SITTING = (0.1, 0.4)

@@ -1,7 +1,4 @@
-"""Batches that oversample rare contents, and whose rows may be compositions.
-
-This module knows the clips of a split and the body parts that they claim; it knows no features and no network.
-"""
+"""Batches that oversample rare contents, and whose rows may be compositions."""
 
 from __future__ import annotations
 
@@ -18,7 +15,6 @@ from stmc.training.data.dataset import NULL, BatchPlan, Dataset
 
 WHOLE_RECEIVERS = 1 / 3
 """Fraction of compositions that show the receiver's whole crop, with its own text."""
-
 Receivers = Literal["walking", "any"]
 """Choice of the receivers of compositions: see `BalancedBatches.receivers`."""
 

@@ -1,7 +1,4 @@
-"""Training batches, drawn by a recipe as a function of (seed, step, process).
-
-This module knows datasets and the interface of recipes; it knows no recipe, no features and no network.
-"""
+"""Training batches, drawn by a recipe as a function of (seed, step, process)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Rows that are one crop of one clip each: their settings, and the cutting of crops.
-
-This module knows the clips of a split; it knows neither the choice of clips nor features.
-"""
+"""Rows that are one crop of one clip each: their settings, and the cutting of crops."""
 
 from __future__ import annotations
 

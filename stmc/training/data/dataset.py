@@ -1,7 +1,4 @@
-"""A prepared cache with its texts, normalised for training, and plans of its batches.
-
-This module knows prepared caches and layouts; it knows no particular data set, no body and no network.
-"""
+"""A prepared cache with its texts, normalised for training, and plans of its batches."""
 
 from __future__ import annotations
 
@@ -29,14 +26,10 @@ from stmc.training.loss import Batch
 
 NULL = 0
 """Index of the empty text among the sentences, which stands for "no text"."""
-
 SEAM = 6
 """Number of frames over which the donor of a composition fades in and out."""
-
 FLOOR = 1e-3
 """Minimum divisor of the values of words, and of features whose field has no floor."""
-
-
 MeansOver = Literal["clips", "entries"]
 """Samples of the statistics: see `Dataset`."""
 

@@ -1,7 +1,4 @@
-"""Packing of crops into the rows of a batch, with cross-fades between them.
-
-This module knows the lengths of crops and of cross-fades; it knows no data set and no meaning of features.
-"""
+"""Packing of crops into the rows of a batch, with cross-fades between them."""
 
 from __future__ import annotations
 

@@ -21,10 +21,8 @@ from stmc.training.data.dataset import NULL, BatchPlan, Crops, Dataset
 
 FADE = 0.5
 """Length in seconds of the cross-fade between crops of different recordings."""
-
 CANDIDATES = 32
 """Number of random crops from which the one with the nearest pose comes next."""
-
 FARTHEST = 1.0
 """Maximum distance of two cross-faded poses, in standard deviations (root mean square over features)."""
 

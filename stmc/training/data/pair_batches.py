@@ -1,7 +1,4 @@
-"""Batches for contrastive training, with the texts that are true of each motion.
-
-This module knows plans of batches and the sentences of clips; it knows no network and no loss.
-"""
+"""Batches for contrastive training, with the texts that are true of each motion."""
 
 from __future__ import annotations
 

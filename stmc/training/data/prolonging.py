@@ -23,25 +23,18 @@ from stmc.motion.representation.layout import Layout
 
 FADE = 0.4
 """Length in seconds of cross-fades between two moments."""
-
 CYCLE = 0.6
 """Length in seconds of the shortest cycle: two steps of a run."""
-
 NEAR = 0.10
 """Maximum mean distance in metres between the joints of two moments that are cross-faded."""
-
 SPEED = 0.15
 """Distance in metres that equals a difference of one metre per second in the velocity of the root."""
-
 REST = (0.5, 4.0)
 """Minimum and maximum length in seconds of the motion that follows a non-cyclic clip."""
-
 CANDIDATES = 60
 """Maximum number of clips of each content among which to search for a successor."""
-
 TOGETHER = 64
 """Number of clips for which to search for successors at once."""
-
 Features = Float[Tensor, "_ features"]
 
 

@@ -1,7 +1,4 @@
-"""AMASS: its SMPL-H and SMPL-X recordings as motions, and their places in a folder.
-
-Depends on AMASS's files and the old and new names of its data sets; independent of annotations and features.
-"""
+"""AMASS: its SMPL-H and SMPL-X recordings as motions, and their places in a folder."""
 
 from __future__ import annotations
 
@@ -35,7 +32,6 @@ order; SMPL-X continues with jaw, eyes and fingers, SMPL-H with fingers only."""
 
 RATES = ("mocap_framerate", "mocap_frame_rate")
 """Names of the frame rate in SMPL-H files and in SMPL-X files."""
-
 _LARGEST_VALUE = 1024
 """Maximum size in bytes of a frame rate or of a body's name."""
 

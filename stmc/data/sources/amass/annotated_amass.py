@@ -28,7 +28,6 @@ from stmc.motion.representation import Representation
 
 TOLERANCE = 0.5
 """Seconds by which an annotation may exceed its recording: clocks and roundings differ."""
-
 CACHE_VERSION = 1
 """Version of the conversion of the same files. Raise it by one with every change that produces other features, clips or
 texts: caches of earlier versions are then prepared again."""

@@ -25,13 +25,10 @@ from stmc.motion.representation import BabelRepresentation
 
 TRANSITION = "transition"
 """Label of the transition between two actions."""
-
 MOST_TEXTS = 10
 """Maximum number of texts of a row."""
-
 MOST_SECONDS = 1e5
 """Maximum time of a label in seconds, longer than any recording."""
-
 Span = tuple[int, int]
 """First frame and the frame after the last, from BABEL's seconds; spans may overlap and leave gaps."""
 

@@ -18,7 +18,6 @@ from stmc.io.untrusted import UnreadableError, load_json, quote, read_text
 
 MOST_BYTES = 16 * 2**20
 """Maximum size of a list; published lists have some 100 kB."""
-
 MOST_FRAMES = 10_000
 """Maximum length of one text in frames."""
 

@@ -23,7 +23,6 @@ from stmc.motion.representation import BabelRepresentation
 
 TRANSITION = "transition"
 """BABEL's label of the transition between two actions."""
-
 POSES = {"t pose": "t-pose", "tpose": "t-pose", "a pose": "a-pose", "apose": "a-pose"}
 """Labels of one pose with several spellings."""
 

@@ -43,7 +43,6 @@ SOURCE_JOINTS: dict[str, str] = {
 
 CLIPS = 3076
 """Number of clips in the published archive."""
-
 FARTHEST = 1e4
 """Distance in metres from the origin, and speed in m/s, that no person reaches in a clip; float32 then resolves a
 millimetre."""
@@ -276,25 +275,3 @@ def gather(clips: Iterable[tuple[str, list | str]], fps: float | int) -> Cache:
         texts={UNLABELLED: ()} | {key: describe(content, style) for key, content, style in labels},
         skipped=tuple(skipped),
     )
-
-
-def measured_offsets(bvh: Bvh) -> dict[str, tuple[float, float, float]]:
-    """Measure every joint's rest offset to its parent, in metres and SMPL's axes, as stored in `assets/skeleton.json`.
-
-    The hands (8 cm beyond the wrists) and the rest position of the pelvis (that of SMPL's neutral body) are not the
-    dataset's, which has neither.
-    """
-    index = {joint: bvh.names.index(name) for joint, name in SOURCE_JOINTS.items()}
-    local = bvh.positions.mean(dim=0) * 0.01
-    offsets = {"pelvis": (-0.0018, -0.2233, 0.0282), "left_hand": (0.08, 0.0, 0.0), "right_hand": (-0.08, 0.0, 0.0)}
-    for joint in JOINTS[1:NUM_ROTATIONS]:
-        if joint.startswith("right_"):  # they differ from the left ones by half a millimetre
-            x, y, z = offsets[joint.replace("right", "left")]
-            offsets[joint] = (-x + 0.0, y, z)
-            continue
-        source = "spine3" if joint == "spine2" else joint
-        parent = bvh.names[bvh.parents[index[source]]]
-        offset = rest_rotations([parent])[0] @ local[index[source]]
-        offset = offset / 2 if joint in ("spine2", "spine3") else offset  # spine2 is halfway between Spine and Chest
-        offsets[joint] = tuple(round(value, 4) + 0.0 for value in offset.tolist())
-    return {joint: offsets[joint] for joint in JOINTS}

@@ -21,7 +21,6 @@ MOST_WORDS, LONGEST_WORD = 4_000_000, 40
 
 LARGEST = 1e9
 """Maximum number, in any unit."""
-
 _ROOT = "root"
 
 

@@ -70,27 +70,21 @@ DAZ = FORMATS[3]
 
 DAMAGED = 9
 """Number of frames after the T-pose that Daz's conversion bent towards the first real frame."""
-
 RATE, SLOW_RATE, SLOW = 120, 60, frozenset({"60", "61", "salsa"})
 """Frames per second, which AMC does not contain; the BVH files of the `SLOW` subjects' salsa contain a wrong value."""
-
 LENT = {"13": "14"}
 ANYBODY = "16"
 """Subject whose skeleton replaces a missing one."""
-
 MOST_SKELETONS, LONGEST_SKELETON = 1000, 2**20
 """Maximum number of skeletons, and of characters of each; the database has 112 of some 10,000. Longer files are not
 skeletons."""
 
 CONTACT = 0.03
 """The floor is at this quantile of the height of the lower toe; deeper toes are noise."""
-
 SPIKE, SPIKE_FRAMES = 90.0, 15
 """A rotation of more than this many degrees in one frame, and back within this many frames, is an artefact."""
-
 LONGEST_LEAP = 0.6
 """Maximum distance in metres that a pelvis moves within a twentieth of a second; beyond it a recording is damaged."""
-
 LIMBS = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow", "hip", "knee"))
 
 

@@ -24,7 +24,6 @@ from stmc.motion.representation.smpl import SmplRepresentation
 
 STYLE = "normal"
 """Style of all clips: CMU has no labels."""
-
 CACHE_VERSION = 1
 """Version of the conversion of the same files. Raise it by one with every change that produces other features, clips or
 texts: caches of earlier versions are then prepared again."""

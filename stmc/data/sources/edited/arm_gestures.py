@@ -42,7 +42,6 @@ time, so that a network can learn the phase. Sizes, places and bodies differ."""
 
 SHORTEST, LONGEST = 3.5, 7.5
 """Minimum and maximum duration of a clip in seconds."""
-
 STANDING: dict[Kind, float] = {"stand": 1.0}
 ANYWHERE: dict[Kind, float] = {"stand": 0.7, "walk": 0.18, "sit": 0.12}
 ON_FEET: dict[Kind, float] = {"stand": 0.82, "walk": 0.18}

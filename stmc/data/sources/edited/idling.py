@@ -1,7 +1,4 @@
-"""The recipe of idling: recorded people who stand, breathe and shift their weight.
-
-Depends on bases and editing; independent of caches and texts.
-"""
+"""The recipe of idling: recorded people who stand, breathe and shift their weight."""
 
 from __future__ import annotations
 

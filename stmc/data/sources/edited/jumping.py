@@ -1,7 +1,4 @@
-"""Recipes of backward jumps and sideways hops: recorded forward jumps, reversed or sheared.
-
-Depends on bases and editing; independent of caches and texts.
-"""
+"""Recipes of backward jumps and sideways hops: recorded forward jumps, reversed or sheared."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Recipes of kicks with the left foot: single recorded kicks, sided by geometry, and low kicks of standing bodies.
-
-Depends on bases and editing; independent of caches and texts.
-"""
+"""Recipes of kicks with the left foot: single recorded kicks, sided by geometry, and low kicks of standing bodies."""
 
 from __future__ import annotations
 

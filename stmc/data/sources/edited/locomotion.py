@@ -1,7 +1,4 @@
-"""Recipes of walking, jogging and turning: recorded walks and runs on other paths, at other paces and backwards.
-
-Depends on bases and editing; independent of caches and texts.
-"""
+"""Recipes of walking, jogging and turning: recorded walks and runs on other paths, at other paces and backwards."""
 
 from __future__ import annotations
 

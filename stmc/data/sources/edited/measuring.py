@@ -1,7 +1,4 @@
-"""Measures for the gates of recipes: distance, speed and turning of a motion, and contacts of the feet.
-
-Depends on motions in metres and radians; independent of recipes.
-"""
+"""Measures for the gates of recipes: distance, speed and turning of a motion, and contacts of the feet."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The interface of recipes: making one clip of an action from recorded motions, and checking the result.
-
-Depends on motions; independent of caches, features and texts.
-"""
+"""The interface of recipes: making one clip of an action from recorded motions, and checking the result."""
 
 from __future__ import annotations
 

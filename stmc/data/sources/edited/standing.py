@@ -22,7 +22,6 @@ from stmc.motion.motion import Motion
 WAVES = ("wave-left-hand", "wave-right-hand")
 BUSY = ("bye", "byebye", "guide", "respond", "stand", "direct-traffic", "referee-signals", "drink", "wash-window")
 """Actions of the arms in which people stand, shift their weight and look about."""
-
 _DRAWS = 40
 """Maximum number of draws of one kind."""
 _UPRIGHT = {"pelvis": 12.0, "spine3": 14.0, "head": 20.0}

@@ -34,16 +34,12 @@ FPS = 20
 
 Span = tuple[int, int]
 """Frames [start, end) of a clip."""
-
 SHORTEST, LONGEST = 40, 199
 """Minimum and maximum length of clips in frames, as in all published training on HumanML3D."""
-
 KIT_WIDTH = 251
 """Number of features of KIT-ML's clips, which have 21 joints of another skeleton."""
-
 AT_ONCE = 256
 """Number of clips per piece; each clip is too small for its own."""
-
 _FOLDERS, _FILES = ("new_joint_vecs", "texts"), ("Mean.npy", "Std.npy", "train.txt", "val.txt", "test.txt")
 
 

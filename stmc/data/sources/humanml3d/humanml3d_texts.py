@@ -1,7 +1,4 @@
-"""HumanML3D's free files: captions of the clips, and the seconds of recordings that clips consist of.
-
-Depends on `texts/` and `index.csv`; independent of features, recordings and splits.
-"""
+"""HumanML3D's free files: captions of the clips, and the seconds of recordings that clips consist of."""
 
 from __future__ import annotations
 
@@ -14,10 +11,8 @@ from stmc.io.untrusted import quote, read_lines, truncate
 
 INDEX_FPS = 20
 """Frame rate of `index.csv`."""
-
 MOST_INDEX = 10**7
 """Maximum frame in `index.csv`."""
-
 WHOLE = (0.0, 0.0)
 """Start and end of a caption that describes its whole clip."""
 
