@@ -185,14 +185,13 @@ def sentences(config: DictConfig, name: str) -> tuple[str, ...]:
 def sample_sentence(config: DictConfig, model: stmc.Model, name: str, text: str, seconds: float) -> list[Motion]:
     """Sample a sentence on the content's body parts."""
     timeline = Timeline((Prompt(text, 0.0, round(seconds, 1), CONTENTS[name].parts),), name=f"{name}: {text}")
-    return model.generate(
-        [timeline] * config.samples,
-        seed=config.seed,
-        guidance=config.guidance,
-        steps=config.steps,
-        noise_scale=config.noise_scale,
-        clean_feet=config.clean_feet,
-    )
+    return generate(config, model, [timeline] * config.samples, config.seed)
+
+
+def generate(config: DictConfig, model: stmc.Model, timelines: list[Timeline], seed: int | list[int]) -> list[Motion]:
+    """Generate motions with the settings of the command."""
+    settings = {name: config[name] for name in ("guidance", "steps", "noise_scale", "clean_feet")}
+    return model.generate(timelines, seed=seed, **settings)
 
 
 class Finder:
@@ -341,14 +340,7 @@ def sample_texts(
     motions: list[Motion] = []
     for start in track(range(0, len(requests), config.batch), "Sampling"):
         batch, seeds = zip(*requests[start : start + config.batch], strict=True)
-        motions += model.generate(
-            list(batch),
-            seed=list(seeds),
-            guidance=config.guidance,
-            steps=config.steps,
-            noise_scale=config.noise_scale,
-            clean_feet=config.clean_feet,
-        )
+        motions += generate(config, model, list(batch), list(seeds))
         while len(motions) >= config.samples:
             yield motions[: config.samples]
             motions = motions[config.samples :]

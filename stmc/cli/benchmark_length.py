@@ -70,9 +70,8 @@ def main(config: DictConfig) -> None:
     console = Console()
     found = {}
     for name, model, seconds in track(jobs, "Lengths", console=console):
-        with ProcessPoolExecutor(
-            1, get_context("spawn")
-        ) as process:  # the system keeps one maximum of memory per process
+        # A process of its own, because the system keeps one maximum of memory per process.
+        with ProcessPoolExecutor(1, get_context("spawn")) as process:
             found[name, model, seconds] = process.submit(measure, name, model, seconds, settings).result()
     rows = records(found)
     console.print(table(rows))

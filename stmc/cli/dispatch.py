@@ -79,13 +79,5 @@ def command_summaries() -> dict[str, str]:
 def list_commands() -> str:
     """Return the text that `stmc --help` prints."""
     rows = [f"  {name:<18}{summary.partition(':')[0].rstrip('.')}" for name, summary in command_summaries().items()]
-    return "\n".join(
-        [
-            "Usage: stmc COMMAND [SETTING=VALUE …]",
-            "",
-            *rows,
-            "",
-            "See stmc COMMAND --help for the settings of a command.",
-            "",
-        ]
-    )
+    usage, hint = "Usage: stmc COMMAND [SETTING=VALUE …]", "See stmc COMMAND --help for the settings of a command."
+    return "\n".join([usage, "", *rows, "", hint, ""])

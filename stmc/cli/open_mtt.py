@@ -81,12 +81,8 @@ def main(config: DictConfig) -> None:
     console.print(f"no held-out clip shows {', '.join(find_omitted(cache, prompts)) or 'nothing'}")
     evaluator = stmc.load_evaluator(config.evaluator)
     print_report(console, prompts, rank_texts(evaluator, prompts, single_motions(cache, prompts)), "alone")
-    print_report(
-        console,
-        prompts,
-        rank_texts(evaluator, prompts, composed_motions(cache, prompts)),
-        "with another clip on other body parts",
-    )
+    composed = rank_texts(evaluator, prompts, composed_motions(cache, prompts))
+    print_report(console, prompts, composed, "with another clip on other body parts")
 
 
 def atomic_prompts(cache: Cache) -> list[AtomicPrompt]:

@@ -20,6 +20,7 @@ from stmc.cli.shared_settings import Trained
 from stmc.cli.training_data import read_training_data
 from stmc.composing.sampling import Sampling
 from stmc.data.cache import Cache
+from stmc.denoisers import Network
 from stmc.diffusion import NoiseScale, Schedule, tensors
 from stmc.io.files import write_whole
 from stmc.model import Model
@@ -92,12 +93,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     if started:
         denoiser.load_state_dict(started.network.state_dict())
         denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
-    if recipe.several_texts and not denoiser.per_frame_text:
-        raise ValueError(
-            f"data.sampling: {type(recipe).__name__} makes rows of several texts, which require a denoiser with "
-            f"per_frame_text, such as denoiser=flow_mdm_small, not {type(denoiser).__name__}; for other "
-            "denoisers use data/sampling=balanced, which has one text per row"
-        )
+    check_texts(recipe, denoiser)
     check(model, config.trusted)  # before the first step: refuse to train a model that could not be loaded
     described = resolve_config(config) | {"cache": cache.fingerprint}
     if config.teacher is None:
@@ -123,6 +119,16 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
         allow_changed_settings=config.allow_changed_settings,
     )
     trainer.run()
+
+
+def check_texts(recipe: Recipe, denoiser: Network) -> None:
+    """Raise `ValueError` for rows of several texts if the denoiser takes one text per motion."""
+    if recipe.several_texts and not denoiser.per_frame_text:
+        raise ValueError(
+            f"data.sampling: {type(recipe).__name__} makes rows of several texts, which require a denoiser with "
+            f"per_frame_text, such as denoiser=flow_mdm_small, not {type(denoiser).__name__}; for other "
+            "denoisers use data/sampling=balanced, which has one text per row"
+        )
 
 
 def check_parts(config: DictConfig) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,11 +57,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     """Train an evaluator, from the data to the run directory."""
     settings, recipe = build_part(config, "training", training.Settings), build_part(config, "data.sampling", Recipe)
     objective = build_part(config, "objective", Objective)
-    sentences = (
-        Cached(build_part(config, "false_negative_encoder", TextEncoder), config.text_cache)
-        if config.false_negative_encoder
-        else None
-    )
+    sentences = build_false_negative_encoder(config)
     started = load_evaluator(config.init_from, trusted=config.trusted) if config.init_from else None
     cache, dataset = read_training_data(config, started.text_statistics if started else None, accelerator.device)
     batches, held_out = (
@@ -77,7 +73,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
         evaluator.network.load_state_dict(started.network.state_dict())
         evaluator.network.restate(started.motion_statistics, dataset.motion.to("cpu"))
     check(evaluator, config.trusted)  # before the first step: refuse to train an evaluator that could not be loaded
-    trainer = training.Trainer(
+    trainer: training.Trainer = training.Trainer(
         evaluator.network,
         objective,
         batches,
@@ -89,7 +85,10 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
                 settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))
             ),
             training.Callback(
-                settings.checkpoint_every, lambda step, network: export(step, replace(evaluator, network=network))
+                settings.checkpoint_every,
+                lambda step, network: export(
+                    config, replace(evaluator, network=network), held_out, step, trainer.changes
+                ),
             ),
         ],
         accelerator=accelerator,
@@ -104,17 +103,25 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
         found = measure_retrieval(evaluator, held_out, "val")["true"]
         table.write(step, {f"{way}_R{count}": found[way]["recall"][count] for way in found for count in (1, 3, 10)})
 
-    def export(step: int, evaluator: Evaluator) -> None:
-        """Save the moving average as a run directory, with retrieval on the test split."""
-        results = {"step": step, "test": measure_retrieval(evaluator, held_out, "test")}
-        text = json.dumps(results, indent=1) + "\n"
-        write_text(folder / "results.json", text)
-        made = f"# Trained with stmc train_tmr, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
-        changed = "".join(f"\n\nSettings changed {change}" for change in trainer.changes)
-        card = f"{made}{changed}\n\nOn the test split:\n\n```json\n{text}```\n"
-        save_evaluator(evaluator, folder, card, trusted=config.trusted)
-
     trainer.run()
+
+
+def build_false_negative_encoder(config: DictConfig) -> Cached | None:
+    """Build the encoder of sentences that tells false negatives, if there is one."""
+    if not config.false_negative_encoder:
+        return None
+    return Cached(build_part(config, "false_negative_encoder", TextEncoder), config.text_cache)
+
+
+def export(config: DictConfig, evaluator: Evaluator, held_out: PairBatches, step: int, changes: Sequence[str]) -> None:
+    """Save the moving average as a run directory, with retrieval on the test split and the changes of settings."""
+    folder = Path(config.run).expanduser()
+    text = json.dumps({"step": step, "test": measure_retrieval(evaluator, held_out, "test")}, indent=1) + "\n"
+    write_text(folder / "results.json", text)
+    made = f"# Trained with stmc train_tmr, step {step}\n\n```yaml\n{OmegaConf.to_yaml(config, resolve=True)}```"
+    changed = "".join(f"\n\nSettings changed {change}" for change in changes)
+    card = f"{made}{changed}\n\nOn the test split:\n\n```json\n{text}```\n"
+    save_evaluator(evaluator, folder, card, trusted=config.trusted)
 
 
 def build_evaluator(config: DictConfig, dataset: Dataset) -> Evaluator:

@@ -86,9 +86,8 @@ def bend_path(
     along = line.coordinates(body.translation[:, :2])[:, 0]
     speed = smooth(torch.gradient(along)[0] * body.fps, _SLOW * body.fps / 20) if body.frames > 1 else 0 * along
     turning = speed * torch.from_numpy(np.interp(along.numpy(), curve.positions, curve.curvature))
-    return match_dtype(
-        _lean(bent, skeleton, speed, smooth(turning, _SLOW * body.fps / 20), line.angle, curve, along), motion
-    )
+    turning = smooth(turning, _SLOW * body.fps / 20)
+    return match_dtype(_lean(bent, skeleton, speed, turning, line.angle, curve, along), motion)
 
 
 def change_pace(motion: Motion, tempo: float | int = 1.0, stride: float | int = 1.0) -> Motion:
@@ -261,10 +260,8 @@ def _lean(
     motion: Motion, skeleton: Skeleton, speed: Tensor, turning: Tensor, angle: float, curve: _Curve, along: Tensor
 ) -> Motion:
     """Lean the body into the curve about its tangent, with the feet in place, and turn the head ahead."""
-    feet, ankles = (
-        select_legs(global_rotations(motion.rotations, PARENTS), "ankle"),
-        select_legs(motion.joints, "ankle"),
-    )
+    feet = select_legs(global_rotations(motion.rotations, PARENTS), "ankle")
+    ankles = select_legs(motion.joints, "ankle")
     tangent = angle + torch.from_numpy(np.interp(along.numpy(), curve.positions, curve.direction))
     axis = torch.stack([tangent.cos(), tangent.sin(), torch.zeros_like(tangent)], dim=1)
     lean = _LEAN * torch.atan(speed * turning / _GRAVITY)

@@ -73,14 +73,8 @@ def turn_on_spot(
     body, skeleton = exact(motion)
     plan = _Plan(frame_times(body), angle, steps, start, seconds)
     side = SIDES.index(pivot)
-    world, balls, ankles = (
-        select_legs(values, name)
-        for values, name in (
-            (global_rotations(body.rotations, PARENTS), "ankle"),
-            (body.joints, "foot"),
-            (body.joints, "ankle"),
-        )
-    )
+    world = select_legs(global_rotations(body.rotations, PARENTS), "ankle")
+    balls, ankles = select_legs(body.joints, "foot"), select_legs(body.joints, "ankle")
     centre = balls[:, side].mean(dim=0)
     feet, ankles = _turn_feet(plan, side, centre, world, balls, ankles, lift)
     turn = plan.angles(-_EARLY, (0.0, 1.0))
@@ -92,9 +86,8 @@ def turn_on_spot(
     speed = torch.gradient(turn)[0] * body.fps
     for name, ahead in (("spine3", _CHEST), ("neck", (_HEAD - _CHEST) / 2), ("head", (_HEAD - _CHEST) / 2)):
         rotations = turn_joint(rotations, name, ahead * smooth(speed, 0.1 * body.fps))
-    return match_dtype(
-        reach_with_legs(Motion.posed(rotations, pelvis, body.fps, skeleton), ankles, feet, skeleton), motion
-    )
+    posed = Motion.posed(rotations, pelvis, body.fps, skeleton)
+    return match_dtype(reach_with_legs(posed, ankles, feet, skeleton), motion)
 
 
 def _turn_feet(

@@ -86,6 +86,19 @@ _ROWS = ("curves", "resampled")
 _KINDS: Mapping[str, type] = {"method": str, "seed": int, "denoiser": str, "metrics": dict} | dict.fromkeys(_ROWS, dict)
 
 
+def _check_values(data: Mapping[str, Any]) -> None:
+    for name, kind in _KINDS.items():
+        if name in data:
+            _check(name, data[name], kind)
+    for name, value in data["metrics"].items():
+        _check(f"metrics.{name}", value, int, float)
+    rows = {f"{kind}.{name}": row for kind in _ROWS for name, row in data.get(kind, {}).items()}
+    for name, row in rows.items():
+        _check(name, row, list)
+        for value in row:
+            _check(name, value, int, float)
+
+
 def _check(name: str, value: Any, *kinds: type) -> None:
     if not isinstance(value, kinds) or isinstance(value, bool):
         raise ResultError(f"{name}: {quote(value)} is not {' or '.join(kind.__name__ for kind in kinds)}")
@@ -167,16 +180,7 @@ def _of_line(line: str) -> Result:
         raise ResultError(f"unknown key {quote(unknown[0])}; choose from {', '.join(known)}")
     if missing := [key for key in ("method", "seed", "metrics") if key not in data]:
         raise ResultError(f"missing {', '.join(missing)}")
-    for name, kind in _KINDS.items():
-        if name in data:
-            _check(name, data[name], kind)
-    for name, value in data["metrics"].items():
-        _check(f"metrics.{name}", value, int, float)
-    rows = {f"{kind}.{name}": row for kind in _ROWS for name, row in data.get(kind, {}).items()}
-    for name, row in rows.items():
-        _check(name, row, list)
-        for value in row:
-            _check(name, value, int, float)
+    _check_values(data)
     try:
         sampling = record_of(Sampling, {name: data.pop(name) for name in field_infos(Sampling) if name in data})
     except SettingError as error:

@@ -198,9 +198,8 @@ def features_to_joints(features: Float[Tensor, "*batch frames _"]) -> Float[Tens
 def features_to_posed_joints(features: Float[Tensor, "*batch frames _"]) -> Float[Tensor, "*batch frames 22 3"]:
     """Compute joint positions with y up from the `rotations`, on HumanML3D's skeleton; see `features_to_joints`."""
     heading, pelvis = _root(features)
-    local = rows_to_matrix(
-        _per_joint(features, "rotations", 6)
-    ).mT  # the two columns of the format are the rows of the transpose
+    # The two columns of the format are the rows of the transpose.
+    local = rows_to_matrix(_per_joint(features, "rotations", 6)).mT
     offsets = _target_offsets(features)
     world, positions = [_rotation_y(-heading)], [pelvis]
     for joint in range(1, NUM_ROTATIONS):

@@ -136,14 +136,7 @@ def _goals(rig: Rig, linkage: Linkage, turns: np.ndarray, places: np.ndarray, le
         places[:, rig.place(f"{side}_elbow")] + _unit(bend) * leg for side, (bend, _) in zip(SIDES, bends, strict=True)
     ]
     points = np.concatenate([places, np.stack(tips, axis=1), corners], axis=1)
-    rows: list[tuple[dict[int, float], np.ndarray | float]] = []
-    for number in range(len(soles)):
-        height = corners[:, number, 2] / leg
-        rows.append(({len(driven) + 2 + number: 1.0}, _LIFTED + (_SOLE - _LIFTED) * _share(height, _LOW, _HIGH)))
-    rows += [({rig.place("pelvis"): 1.0}, _PELVIS), *_bones(rig), *_hands(rig, places)]
-    for number, (side, (bend, _)) in enumerate(zip(SIDES, bends, strict=True)):
-        tip = {len(driven) + number: 1.0, rig.place(f"{side}_elbow"): -1.0}
-        rows.append((tip, _BEND * np.linalg.norm(bend, axis=-1)))
+    rows = _rows(rig, places, corners[..., 2] / leg, [bend for bend, _ in bends])
     sums = np.zeros((len(rows), points.shape[1]))
     weights = np.empty((len(places), len(rows)))
     for number, (row, weight) in enumerate(rows):
@@ -167,6 +160,21 @@ def _goals(rig: Rig, linkage: Linkage, turns: np.ndarray, places: np.ndarray, le
         np.array([_TURNS[joint] for joint in turned]),
         len(soles),
     )
+
+
+def _rows(
+    rig: Rig, places: np.ndarray, heights: np.ndarray, bends: list[np.ndarray]
+) -> list[tuple[dict[int, float], np.ndarray | float]]:
+    """Return the sums of points with their weights; the tips of the arms and the soles' corners follow the nodes."""
+    count = len(rig.driven)
+    rows: list[tuple[dict[int, float], np.ndarray | float]] = []
+    for number, height in enumerate(heights.T):
+        rows.append(({count + 2 + number: 1.0}, _LIFTED + (_SOLE - _LIFTED) * _share(height, _LOW, _HIGH)))
+    rows += [({rig.place("pelvis"): 1.0}, _PELVIS), *_bones(rig), *_hands(rig, places)]
+    for number, (side, bend) in enumerate(zip(SIDES, bends, strict=True)):
+        tip = {count + number: 1.0, rig.place(f"{side}_elbow"): -1.0}
+        rows.append((tip, _BEND * np.linalg.norm(bend, axis=-1)))
+    return rows
 
 
 def _bones(rig: Rig) -> list[tuple[dict[int, float], float]]:

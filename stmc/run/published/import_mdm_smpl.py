@@ -16,6 +16,7 @@ from stmc.run.published.torch_checkpoint import (
     Imported,
     build_parts,
     check_size,
+    describe_weights,
     fill,
     read_checkpoint,
     read_json,
@@ -69,11 +70,7 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
     text = _statistics(rest, "text", parts["text_encoder"].width, checkpoint)
     if unknown := [name for name in rest if not name.startswith(("motion_normalizer.", "text_normalizer."))]:
         raise CheckpointError(f"{checkpoint} has weights of another model: {', '.join(unknown)}")
-    fps = _setting(settings, "data.motion_loader.fps", folder / "config.json")
-    if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps <= 1000:
-        raise CheckpointError(
-            f"{folder / 'config.json'}: data.motion_loader.fps must be a positive number up to 1000, not {quote(fps)}"
-        )
+    fps = _fps(settings, folder / "config.json")
     model = Model(
         **parts,
         motion_statistics=motion,
@@ -84,13 +81,19 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         prediction=_prediction(settings, folder / "config.json"),
         config=config,
     )
-    epoch = content.get("epoch")
     facts = (
         "MDM-SMPL (Petrovich et al. 2024), trained with the code of STMC.",
-        f"Weights: {checkpoint.name}{f', after epoch {epoch}' if isinstance(epoch, int) else ''}.",
+        describe_weights(checkpoint, content.get("epoch")),
         "Sampled as published: DDPM's noise scaled by the posterior's variance, guidance 2.5.",
     )
     return Imported(model, "MDM-SMPL", facts)
+
+
+def _fps(settings: Mapping[str, Any], path: Path) -> float | int:
+    fps = _setting(settings, "data.motion_loader.fps", path)
+    if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps <= 1000:
+        raise CheckpointError(f"{path}: data.motion_loader.fps must be a positive number up to 1000, not {quote(fps)}")
+    return fps
 
 
 def _describe_parts(

@@ -15,6 +15,7 @@ from stmc.run.published.torch_checkpoint import (
     Imported,
     build_parts,
     check_size,
+    describe_weights,
     drop_prefix,
     fill,
     identity_statistics,
@@ -72,10 +73,9 @@ def read(folder: Path, checkpoint: Path | None = None, text_model: str | None = 
         sampling=Sampling(guidance=1.0, noise_scale="std"),
         config=config,
     )
-    epoch = content.get("ep")
     facts = (
         "MotionDiffuse (Zhang et al. 2022), text to motion, trained on HumanML3D.",
-        f"Weights: {checkpoint.name}{f', after epoch {epoch}' if isinstance(epoch, int) else ''}.",
+        describe_weights(checkpoint, content.get("ep")),
         "Sampled as published: the textbook's DDPM, without guidance.",
     )
     return Imported(model, "MotionDiffuse", facts)

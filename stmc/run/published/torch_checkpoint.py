@@ -246,6 +246,11 @@ def identity_statistics(width: int) -> Statistics:
     return Statistics(torch.zeros(width), torch.ones(width))
 
 
+def describe_weights(path: Path, epoch: Any) -> str:
+    """Return a sentence of the card: the file of the weights, and its epoch if it is known."""
+    return f"Weights: {path.name}{f', after epoch {epoch}' if isinstance(epoch, int) else ''}."
+
+
 def drop_prefix(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     """Return the weights whose names do not start with `prefix`."""
     return {name: value for name, value in weights.items() if not name.startswith(prefix)}

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from stmc.data.cache import Cache, Clip
@@ -81,10 +81,7 @@ class Dataset:
             )
         parts = list(layout.columns)
         self.claims = np.array([[part in clip.parts for part in parts] for clip in cache.clips], dtype=bool)
-        owned = torch.zeros(len(parts), layout.width, dtype=torch.bool)
-        for row, part in enumerate(parts):
-            owned[row, list(layout.columns[part])] = True
-        self.legs, self._owned = parts.index(BodyPart.LEGS), owned.to(device)
+        self.legs, self._owned = parts.index(BodyPart.LEGS), _columns_of_parts(layout).to(device)
         self.features = cache.features.to(device)
         first = _first_of_entries(training, statistics_over)
         frames = torch.cat([torch.arange(clip.start, clip.end) for clip in first or training])
@@ -311,6 +308,14 @@ class BatchPlan:
         crops = np.concatenate([np.flatnonzero(self.row == row) for row in rows])
         chosen = self[crops]
         return replace(chosen, row=np.cumsum(np.diff(chosen.row, prepend=chosen.row[0]) != 0))
+
+
+def _columns_of_parts(layout: Layout) -> Bool[Tensor, "parts features"]:
+    """Return which features belong to each body part, in the order of the layout."""
+    owned = torch.zeros(len(layout.columns), layout.width, dtype=torch.bool)
+    for row, columns in enumerate(layout.columns.values()):
+        owned[row, list(columns)] = True
+    return owned
 
 
 def _first_of_entries(training: Sequence[Clip], over: MeansOver) -> list[Clip]:
