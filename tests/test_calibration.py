@@ -14,7 +14,7 @@ import stmc
 from stmc.data.cache import Cache, Clip
 from stmc.data.sources.contents import CONTENTS, describe
 from stmc.evaluation.benchmarks.calibrating import (
-    calibrated,
+    calibrate_thresholds,
     rates_of_warnings,
     read_prompts,
     threshold_between,
@@ -280,7 +280,7 @@ def test_actions_with_enough_prompts_have_thresholds_of_their_own_and_rare_ones_
     unknown = [f"crawl {number}" for number in range(8)] + ["swim"]
     scores = {text: 0.9 for text in known} | {text: 0.8 for text in unknown} | {"swim": 0.1, "wave": -1.0}
     found = {text: scored(text, known.get(text, "walk"), score) for text, score in scores.items()}
-    after = calibrated(RARE, known, unknown, found)
+    after = calibrate_thresholds(RARE, known, unknown, found)
     assert after.thresholds == {"walk": 0.85} and after.threshold == 0.85 and after.trials == RARE.trials
     assert after.threshold_of("walk", 0.6) == 0.85 and Calibration().threshold_of("walk", 0.6) == 0.6
     before, now = (rates_of_warnings(each, known, unknown, found) for each in (RARE, after))

@@ -10,7 +10,7 @@ from helpers.tiny_model import tiny
 
 import stmc
 from stmc.denoisers import MdmSmpl
-from stmc.editing import Change, Kept, changed_prompt, changed_prompts, on_body
+from stmc.editing import Change, Kept, changed_prompt, changed_prompts, move_to_body
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import rotation_z
@@ -118,7 +118,7 @@ def test_a_recording_of_another_body_and_frame_rate_is_put_on_the_models(model):
     tall = Skeleton(Skeleton.default().offsets.double() * 1.2)
     own = walking(seconds=3, fps=30.0)
     recorded = Motion.posed(own.rotations, own.translation * 1.2, 30.0, tall)
-    body = on_body(recorded, model.skeleton, 20)
+    body = move_to_body(recorded, model.skeleton, 20)
     assert body.frames == 60 and body.fps == 20
     expected = walking(seconds=3, fps=30.0).resampled(20)
     assert (body.translation - expected.translation)[:, :2].abs().max() < 0.02
@@ -126,7 +126,7 @@ def test_a_recording_of_another_body_and_frame_rate_is_put_on_the_models(model):
     assert apart(changed, body.to(dtype=torch.float32), slice(0, 40)) < 1e-5
     giant = Skeleton(Skeleton.default().offsets.double() * 3)
     with pytest.raises(SettingError, match="its legs are"):
-        on_body(Motion.posed(own.rotations, own.translation, 30.0, giant), model.skeleton, 20)
+        move_to_body(Motion.posed(own.rotations, own.translation, 30.0, giant), model.skeleton, 20)
 
 
 def test_what_a_prompt_decides_and_where_timelines_differ():

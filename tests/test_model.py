@@ -190,7 +190,7 @@ def test_the_pieces_of_generate_give_what_generate_gives(model):
     bare, layout = model.plans(THREE, overlap=0.5), model.representation.layout
     plans = [cross_fade(plan) for plan in bare]
     predict = stmc.collage(model.guided(plans, guidance=2.5), plans, layout.columns)
-    predict = stmc.composing.retimed(predict, bare, layout, model.motion_statistics)
+    predict = stmc.composing.time_warp(predict, bare, layout, model.motion_statistics)
     draw = Noise([0, 1, 2], [plan.frames for plan in plans], model.representation.width)
     with torch.inference_mode():
         for x0 in stmc.ddim(predict, model.schedule, draw(), draw, steps=5):  # noqa: B007

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_hex
 
 from stmc.composing.sampling import Sampling
-from stmc.evaluation.benchmarks.resampling import DRAWS, resampled
+from stmc.evaluation.benchmarks.resampling import DRAWS, draw_metrics
 from stmc.evaluation.results import (
     Result,
     ResultError,
@@ -113,7 +113,7 @@ def test_few_timelines_have_neither_an_interval_nor_a_best_row():
 @pytest.mark.parametrize(("count", "draws"), [(1, 0), (4, 0), (5, DRAWS)])
 def test_fewer_than_five_units_are_not_drawn_anew(count, draws):
     values = np.arange(count, dtype=float)
-    assert len(resampled(count, lambda units: {"fid": values[units].mean()})["fid"]) == draws
+    assert len(draw_metrics(count, lambda units: {"fid": values[units].mean()})["fid"]) == draws
 
 
 def test_action_success_is_headed_by_what_it_is_by_chance():

@@ -12,7 +12,7 @@ from test_model import WALK_WAVE, apart
 from torch import Tensor
 
 import stmc
-from stmc.composing.retiming import MAX_SPEED_RATIO, _locate, limit_speed, retimed
+from stmc.composing.retiming import MAX_SPEED_RATIO, _locate, limit_speed, time_warp
 from stmc.diffusion.statistics import Statistics
 from stmc.motion.body import BodyPart
 from stmc.motion.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rows, rows_to_matrix, wrap
@@ -50,7 +50,7 @@ def angles_of(features: Tensor) -> Tensor:
 
 
 def steady(features: Tensor, *plans: Plan, layout: Layout = LAYOUT) -> Tensor:
-    return retimed(lambda x, t: x, plans, layout, STATISTICS)(features, 0)
+    return time_warp(lambda x, t: x, plans, layout, STATISTICS)(features, 0)
 
 
 def jumping(frames: int, at: int, by: float = 2.0) -> Tensor:

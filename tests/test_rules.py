@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from stmc.composing import collage, crop_lengths, guided_crops, inpaint, kept_shares, slerp, smooth_seams
+from stmc.composing import collage, crop_lengths, first_take_weights, guided_crops, inpaint, slerp, smooth_seams
 from stmc.diffusion import Schedule, ddim, ddpm
 from stmc.motion.body import BodyPart
 from stmc.motion.geometry import matrix_to_rows, rows_to_matrix
@@ -179,7 +179,7 @@ def test_inpainting_goes_on_only_where_nothing_is_kept():
 
 def test_what_a_second_take_keeps_is_a_matter_of_each_part():
     plans = plans_of(WALK_WAVE, GAP)
-    kept = kept_shares(plans, COLUMNS, ramp=4)
+    kept = first_take_weights(plans, COLUMNS, ramp=4)
     legs, arm = (kept[0, :, list(COLUMNS[part])] for part in (BodyPart.LEGS, BodyPart.RIGHT_ARM))
     before, after = torch.tensor([0.85, 0.6375, 0.425, 0.2125]), torch.tensor([0.0, 0.2125, 0.425, 0.6375])
     expected = torch.ones(74)
@@ -340,7 +340,7 @@ class DoubleTake:
     def second_take(self, content: Tensor) -> Tensor:
         noise = iter(self.second_noise[1:])
         crops = CropsAlone([self.taken], factor=0.9)
-        kept = kept_shares([self.plan], self.columns, int(self.data["blend_len"]))
+        kept = first_take_weights([self.plan], self.columns, int(self.data["blend_len"]))
         predict = inpaint(collage(crops, [self.taken], self.columns), content, kept)
         x, short = (
             self.placed(frames(self.data["second_take_first_input"])),
@@ -363,7 +363,7 @@ def test_both_takes_are_the_published_doubletake(folder):
     close(first, run.mixed(frames(run.data["first_take"])))
     close(run.second_take(first), frames(run.data["final_unfolded"]))
     masks = frames(run.data["second_take_mask"])
-    kept = kept_shares([run.plan], run.columns, int(run.data["blend_len"]))
+    kept = first_take_weights([run.plan], run.columns, int(run.data["blend_len"]))
     covered = run.placed(torch.ones_like(masks)).bool()
     close(run.placed(masks)[covered], kept[covered])
     start = run.schedule.q_sample(first, run.steps - run.skip - 1, run.placed(run.second_noise[0]))

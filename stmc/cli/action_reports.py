@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stmc.data.sources.contents import CONTENTS
-from stmc.evaluation.benchmarks.calibrating import SHOWN
+from stmc.evaluation.benchmarks.calibrating import SHOWN_RATE
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, mirror_words
 from stmc.evaluation.benchmarks.novelty import success_by_distance
 from stmc.text import MiniLM
@@ -63,12 +63,12 @@ def print_texts(results: Mapping[str, Mapping], samples: int) -> None:
         warns = {None: "?", True: "warns", False: ""}[row["warned"]]
         table.add_row(name, counts[0], counts[1] if mirror_words(text) != text else "", warns, name_confusions(row))
     console.print(table)
-    shown = {text: row["sided"] >= SHOWN for text, row in results.items()}
+    shown = {text: row["sided"] >= SHOWN_RATE for text, row in results.items()}
     silent = sum(not shown[text] and row["warned"] is False for text, row in results.items())
     warned = sum(shown[text] and bool(row["warned"]) for text, row in results.items())
     mean = fmean(row["shown"] for row in results.values())
     console.print(
-        f"shown: {sum(shown.values())} of {len(results)} texts, in {SHOWN:.0%} of the samples or more; "
+        f"shown: {sum(shown.values())} of {len(results)} texts, in {SHOWN_RATE:.0%} of the samples or more; "
         f"mean {mean:.2f}; missed without a warning: {silent}; shown despite a warning: {warned}",
         soft_wrap=True,
     )

@@ -31,7 +31,7 @@ from stmc.data.cache import Cache, read_caches
 from stmc.data.sources.contents import CONTENTS
 from stmc.diffusion import NoiseScale
 from stmc.evaluation.benchmarks.atomic_prompts import AtomicPrompt, read_texts
-from stmc.evaluation.benchmarks.calibrating import calibrated, rates_of_warnings, read_prompts
+from stmc.evaluation.benchmarks.calibrating import calibrate_thresholds, rates_of_warnings, read_prompts
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, confusions, mirror_words, same_meaning
 from stmc.evaluation.benchmarks.questions import QUESTIONS, rates
 from stmc.evaluation.metrics.retrieval import cosines, ranks
@@ -50,7 +50,7 @@ from stmc.timeline import Prompt, Timeline
 
 WINDOW = 4.0
 """Length in seconds of the windows of cyclic clips, and the maximum length of samples."""
-AMONG = 3
+RANKED_BEST = 3
 """A content counts as found if the evaluator ranks it among this many best."""
 
 
@@ -114,8 +114,8 @@ def main(config: DictConfig) -> None:
         sampled = [motion for several in motions.values() for motion in several]
         plausible = {"sampled": measure_plausibility(sampled), "real": measure_plausibility(real[name])}
         found = {text: finder.recall(name, several) for text, several in motions.items()}
-        heard = {"found": fmean(found.values()), "real_found": finder.recall(name, real[name])}
-        results[name] = answers | heard | plausible
+        retrieval = {"found": fmean(found.values()), "real_found": finder.recall(name, real[name])}
+        results[name] = answers | retrieval | plausible
         for text, several in motions.items():
             trials[text] = make_trial(config, model, name, several, answers["sentences"].get(text), found[text])
         draw(folder / f"{name}.png", {f"{name}, recorded": real[name][0]} | {t: m[0] for t, m in motions.items()})
@@ -195,7 +195,7 @@ def generate(config: DictConfig, model: stmc.Model, timelines: list[Timeline], s
 
 
 class Finder:
-    """Retrieval by an evaluator: a content is found if it ranks among the best `AMONG` of the data's `contents`.
+    """Retrieval by an evaluator: a content is found if it ranks among the best `RANKED_BEST` of the data's `contents`.
 
     The first sentence of a content stands for it.
     """
@@ -211,7 +211,7 @@ class Finder:
         features = [self.evaluator.features(motion) for motion in motions]
         scores = cosines(self.evaluator.motions(features), self.latents)
         own = torch.tensor([text == CONTENTS[name].sentences[0] for text in self.texts])
-        return float((ranks(scores, own.expand(len(motions), -1)) < AMONG).float().mean())
+        return float((ranks(scores, own.expand(len(motions), -1)) < RANKED_BEST).float().mean())
 
 
 def measure_plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:
@@ -307,7 +307,7 @@ def calibrate_warnings(config: DictConfig) -> None:
     found = {each.text: each for each in model.recognise(texts)}
     if not found:
         raise SettingError(f"prompts={config.prompts}: comparing prompts needs MiniLM, which is not available")
-    after = calibrated(before, known, unknown, found)
+    after = calibrate_thresholds(before, known, unknown, found)
     console = Console(soft_wrap=True, highlight=False)
     for name, calibration in (("before", before), ("after", after)):
         console.print(f"{name}: {rates_of_warnings(calibration, known, unknown, found)}")

@@ -185,11 +185,13 @@ def find_teacher(config: DictConfig, teacher: Model | None) -> Model | None:
         )
     described = resolve_config(config)
     reading = () if config.teacher else ("text_encoder",)  # another model may have its own text encoder
-    asked = {part: described[part] for part in ("schedule", "representation", *reading)}
-    asked |= {"objective.prediction": config.objective.prediction, "schedule": noise_levels(asked["schedule"])}
+    wanted = {part: described[part] for part in ("schedule", "representation", *reading)}
+    wanted |= {"objective.prediction": config.objective.prediction, "schedule": noise_levels(wanted["schedule"])}
     has = {**teacher.config, "objective.prediction": teacher.prediction}
     has["schedule"] = noise_levels(has["schedule"])
-    differing = [f"{part} is {has[part]} there and {value} here" for part, value in asked.items() if has[part] != value]
+    differing = [
+        f"{part} is {has[part]} there and {value} here" for part, value in wanted.items() if has[part] != value
+    ]
     named = teacher_path(config)
     if differing:
         raise ValueError(f"{named} cannot be distilled by this training: {'; '.join(differing)}")

@@ -12,7 +12,7 @@ from stmc.composing.stitching import Columns
 from stmc.timeline.planning import Plan, transition_spans
 
 
-def kept_shares(
+def first_take_weights(
     plans: Sequence[Plan], columns: Columns, ramp: int, share: float = 0.85
 ) -> Float[Tensor, "batch frames features"]:
     """Compute the weight of the first take in DoubleTake's second take, at each frame and body part.

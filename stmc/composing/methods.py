@@ -17,10 +17,10 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.composing.double_take import kept_shares
+from stmc.composing.double_take import first_take_weights
 from stmc.composing.inpainting import inpaint
 from stmc.composing.interpolation import slerp, smooth_seams
-from stmc.composing.retiming import retimed
+from stmc.composing.retiming import time_warp
 from stmc.composing.running import Run, settings_taken
 from stmc.composing.sampling import INDEPENDENT, Sampling
 from stmc.composing.sequences import compose_tracks
@@ -118,7 +118,7 @@ def cross_faded(run: Run) -> Features:
     """Sample with STMC and cross-faded transitions, in which arms with a long way to go move more slowly."""
     plans = run.plans()
     plans_with_fades = [cross_fade(plan) for plan in plans]
-    return stitch(run, plans_with_fades, retimed(run.collage(plans_with_fades), plans, run.layout, run.statistics))
+    return stitch(run, plans_with_fades, time_warp(run.collage(plans_with_fades), plans, run.layout, run.statistics))
 
 
 def stitch(run: Run, plans: Sequence[Plan], predict: Predict | None = None) -> Features:
@@ -199,7 +199,7 @@ def sample_double_take(run: Run) -> Features:
     if not ramp:
         return content
     takes = [second_take(plan, run.longest) for plan in plans]
-    weights = kept_shares(plans, run.columns, ramp).to(content)
+    weights = first_take_weights(plans, run.columns, ramp).to(content)
     weights = F.pad(weights, (0, 0, 0, content.shape[1] - weights.shape[1]), value=1.0)
     steps = max(1, len(run.times) - int(SECOND_TAKE_SKIP * len(run.times)))
     draw = run.noise(takes, [(seed, 0) for seed in run.seeds])

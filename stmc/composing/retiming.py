@@ -34,7 +34,7 @@ MAX_SPEED_RATIO = 2.0
 Steps = Float[Tensor, "windows steps"]
 
 
-def retimed(predict: Predict, plans: Sequence[Plan], layout: Layout, statistics: Statistics) -> Predict:
+def time_warp(predict: Predict, plans: Sequence[Plan], layout: Layout, statistics: Statistics) -> Predict:
     r"""Wrap a predictor of timelines so that arms use the whole transition from one crop to another.
 
     If an arm rotates further in some frame than `MAX_SPEED_RATIO` times the mean of its transition, it passes through
@@ -52,7 +52,7 @@ def retimed(predict: Predict, plans: Sequence[Plan], layout: Layout, statistics:
         >>> model = stmc.load()
         >>> plans = model.plans([stmc.Timeline.parse("walk # 0 # 2\nraise the right arm # 1 # 2 # right arm")])
         >>> predict = stmc.collage(model.guided(plans), plans, model.representation.columns)
-        >>> predict = stmc.composing.retimed(predict, plans, model.representation.layout, model.motion_statistics)
+        >>> predict = stmc.composing.time_warp(predict, plans, model.representation.layout, model.motion_statistics)
         >>> predict(torch.zeros(1, 40, 205), 50).shape
         torch.Size([1, 40, 205])
     """

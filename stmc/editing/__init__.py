@@ -4,7 +4,7 @@ pace, turned on the spot, or one after the other.
 Depends on timelines, motions and the body; independent of features and sampling.
 """
 
-from stmc.editing.changes import BORDER, Change, Kept, changed_prompt, changed_prompts, on_body
+from stmc.editing.changes import BORDER, Change, Kept, changed_prompt, changed_prompts, move_to_body
 from stmc.editing.paths import bend_path, change_pace, reverse, shift_sideways
 from stmc.editing.posture import FootKey, PelvisKey, TurnKey, bend_down, shift_pelvis, step, turn_head, turn_trunk
 from stmc.editing.reaching import Oscillation, WristKey, body_frame, copy_arm, reach
@@ -29,7 +29,7 @@ __all__ = [
     "changed_prompts",
     "copy_arm",
     "follow",
-    "on_body",
+    "move_to_body",
     "reach",
     "reverse",
     "shift_pelvis",

@@ -171,7 +171,7 @@ def _fade(new: Bool[Tensor, " frames"], border: Float[Tensor, " frames"]) -> Flo
     return weights
 
 
-def on_body(motion: Motion, skeleton: Skeleton, fps: float | int) -> Motion:
+def move_to_body(motion: Motion, skeleton: Skeleton, fps: float | int) -> Motion:
     """Resample a motion and move it to a body.
 
     If the bone lengths are those of `skeleton`, the motion stays as it is. Otherwise its rotations stay, and the path

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from stmc.composing import Known, Run
 from stmc.diffusion.statistics import Statistics
-from stmc.editing import Kept, changed_prompt, on_body
+from stmc.editing import Kept, changed_prompt, move_to_body
 from stmc.editing.constraints import Constraint, Guidance, Order, Pose, project
 from stmc.editing.constraints.pose import Place
 from stmc.editing.generate_request import GenerateRequest
@@ -216,7 +216,7 @@ def prepare_kept(request: GenerateRequest, frames: Sequence[int], skeleton: Skel
     Raises:
         SettingError: If every frame of a motion is kept, so that there is nothing to generate.
     """
-    bodies = {id(motion): on_body(motion, skeleton, fps) for motion in request.keep}
+    bodies = {id(motion): move_to_body(motion, skeleton, fps) for motion in request.keep}
     kept = []
     for motion, timeline, count in zip(request.keep, request.timelines, frames, strict=bool(request.keep)):
         changes = [changed_prompt(timeline, item) if isinstance(item, Prompt) else (item,) for item in request.change]

@@ -14,7 +14,7 @@ MOST_BYTES = 2**26
 """Maximum size of a data set's file of lines; HumanML3D's index has 3 MB."""
 _CHUNK = 2**20
 
-SHOWN = 60
+MAX_QUOTED = 60
 """Maximum number of characters of a value in a message."""
 
 
@@ -97,7 +97,7 @@ def _build_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return data
 
 
-def quote(value: Any, most: int = SHOWN) -> str:
+def quote(value: Any, most: int = MAX_QUOTED) -> str:
     """Quote a value for a message: on one line, escaped, truncated after `most` characters; data as JSON."""
     if isinstance(value, str):
         quoted = repr(value[: most + 1])
@@ -114,7 +114,7 @@ def quote(value: Any, most: int = SHOWN) -> str:
     return truncate(text, most)
 
 
-def truncate(text: str, most: int = SHOWN) -> str:
+def truncate(text: str, most: int = MAX_QUOTED) -> str:
     """Truncate a text to `most` printable characters, with … for the rest; other characters are escaped."""
     escaped = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text[: most + 1])
     return escaped if len(escaped) <= most else escaped[: most - 1] + "…"

@@ -11,7 +11,7 @@ from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
 from stmc.io.untrusted import UnreadableError, load_json, quote, read_text
 from stmc.text.vocabulary import RARELY, Calibration, Recognition
 
-SHOWN = 0.75
+SHOWN_RATE = 0.75
 """The share of a text's samples that show it, where a model can do it: 6 of 8."""
 MOST_LOST = 0.05
 """The share of known prompts that may warn."""
@@ -58,7 +58,7 @@ def read_prompts(path: str | Path) -> tuple[dict[str, str], list[str]]:
     return {text: action for action, text in inside}, [text for texts in outside for text in texts]
 
 
-def calibrated(
+def calibrate_thresholds(
     calibration: Calibration, known: Mapping[str, str], unknown: Sequence[str], found: Mapping[str, Recognition]
 ) -> Calibration:
     """Choose the threshold that tells most of the `unknown` prompts from the `known` ones, of which at most `MOST_LOST`
@@ -102,13 +102,13 @@ def rates_of_warnings(
     calibration: Calibration, known: Mapping[str, str], unknown: Sequence[str], found: Mapping[str, Recognition]
 ) -> Rates:
     """Count the warnings: for the texts of MTT that were tried, for known prompts of actions that work, for unknown
-    ones. The arguments are those of `calibrated`."""
+    ones. The arguments are those of `calibrate_thresholds`."""
     warns = {
         text: not replace(each, threshold=calibration.threshold_of(each.action, each.threshold)).works
         for text, each in found.items()
     }
     asked = [text for text in MTT_CHECKS if text in calibration.trials]
-    missed = [text for text in asked if (calibration.trials[text].rate or 0.0) < SHOWN and not warns[text]]
+    missed = [text for text in asked if (calibration.trials[text].rate or 0.0) < SHOWN_RATE and not warns[text]]
     working = working_prompts(calibration, known)
     shares = [sum(map(warns.__getitem__, texts)) / len(texts) if texts else None for texts in (working, unknown)]
     return Rates(len(missed), len(asked), *shares)

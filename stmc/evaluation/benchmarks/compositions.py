@@ -19,7 +19,7 @@ from torch import Tensor
 from stmc.data.cache import Cache, CacheError, Clip
 from stmc.evaluation.benchmarks.benchmark_protocol import Scores, TextEvaluator
 from stmc.evaluation.benchmarks.pieces import pieces_of
-from stmc.evaluation.benchmarks.resampling import Rows, Units, resampled
+from stmc.evaluation.benchmarks.resampling import Rows, Units, draw_metrics
 from stmc.evaluation.metrics.matching_metrics import POOL_SIZE, embedding_diversity, matching_score, r_precision
 from stmc.evaluation.metrics.plausibility import check_joints
 from stmc.evaluation.metrics.realism import fid
@@ -28,7 +28,7 @@ from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, Representation
 from stmc.timeline import Prompt, Timeline
 
-ASKED, REFERENCE, REAL = range(3)
+REQUESTED, REFERENCE, REAL = range(3)
 """Uses of a seed; each has its own random stream."""
 
 
@@ -119,7 +119,7 @@ class Compositions:
         self._contents = _contents(cache, min_clips, cyclic=repeats > 1)
         self._reference_motions = _reference_motions(cache, representation, evaluator.fps, self._contents)
         self._long = self._long_enough()
-        rng = np.random.default_rng([seed, ASKED])
+        rng = np.random.default_rng([seed, REQUESTED])
         self.compositions = [self._composition(segments, rng) for _ in range(count)]
 
     def timelines(self, method: str) -> list[Timeline]:
@@ -235,7 +235,7 @@ class Compositions:
 
     def _scores(self, measurements: Measurements, seed: int) -> Scores:
         true, everything = self._describes(measurements.segments), np.arange(len(self.compositions))
-        draws = resampled(len(everything), lambda units: self._score_some(measurements, true, units, seed).metrics)
+        draws = draw_metrics(len(everything), lambda units: self._score_some(measurements, true, units, seed).metrics)
         return self._score_some(measurements, true, everything, seed)._replace(resampled=draws)
 
     def _score_some(

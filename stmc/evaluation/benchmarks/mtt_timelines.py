@@ -24,7 +24,7 @@ from stmc.evaluation.benchmarks.benchmark_protocol import Scores, TextEvaluator
 from stmc.evaluation.benchmarks.crops import crop_spans, jerk_rows, requested_timelines
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, same_meaning
 from stmc.evaluation.benchmarks.published_timelines import sample_published_timelines
-from stmc.evaluation.benchmarks.resampling import Rows, Units, resampled
+from stmc.evaluation.benchmarks.resampling import Rows, Units, draw_metrics
 from stmc.evaluation.metrics.retrieval import cosines, ranks, scores
 from stmc.evaluation.metrics.smoothness import pose_steps, quarter_points
 from stmc.evaluation.metrics.timeline_metrics import Span, measured_points
@@ -88,9 +88,9 @@ class MttOpen:
         if self.recorded:
             metrics["shown_chance"] = self._chance
         if method == INDEPENDENT:
-            return Scores(metrics, resampled=resampled(len(self.requested), compute))
+            return Scores(metrics, resampled=draw_metrics(len(self.requested), compute))
         metrics["hand_step"] = 100 * max(map(hand_step, motions))
-        scores = Scores(metrics, resampled=resampled(len(self.requested), compute))
+        scores = Scores(metrics, resampled=draw_metrics(len(self.requested), compute))
         jerks = evidence.jerks.values
         return scores.with_jerk(jerks, self._real_jerk(jerks)) if len(jerks) else scores
 

@@ -24,7 +24,7 @@ from stmc.evaluation.benchmarks.benchmark_protocol import Scores, TextEvaluator
 from stmc.evaluation.benchmarks.crops import crop_spans, jerk_rows, requested_timelines
 from stmc.evaluation.benchmarks.ground_truth import ReferenceMotions, amass_reference_motions, cache_reference_motions
 from stmc.evaluation.benchmarks.questions import QUESTIONS, Question
-from stmc.evaluation.benchmarks.resampling import Remembering, Rows, Units, resampled
+from stmc.evaluation.benchmarks.resampling import Remembering, Rows, Units, draw_metrics
 from stmc.evaluation.metrics.realism import fid
 from stmc.evaluation.metrics.smoothness import pose_steps, quarter_points
 from stmc.evaluation.metrics.timeline_metrics import (
@@ -146,7 +146,7 @@ class MultiTrack:
         if method != INDEPENDENT:
             metrics |= {"fid_plus": scores.fid_plus, "transition": scores.transition} | _hand_steps(motions)
         result = Scores(
-            metrics, resampled=resampled(len(self.requested), partial(self._measure_again, evidence, method))
+            metrics, resampled=draw_metrics(len(self.requested), partial(self._measure_again, evidence, method))
         )
         return result if method == INDEPENDENT else self._with_jerk(result, evidence.jerks.values)
 

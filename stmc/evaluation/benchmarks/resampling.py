@@ -27,7 +27,7 @@ Units = Int[np.ndarray, " units"]
 Measured = Callable[[Units], Mapping[str, float]]
 
 
-def resampled(count: int, measured: Measured) -> dict[str, list[float]]:
+def draw_metrics(count: int, measured: Measured) -> dict[str, list[float]]:
     """Measure `DRAWS` draws of `count` units with replacement: values of each metric, with six digits.
 
     Metrics that some draw lacks are omitted. With fewer than `FEWEST` units the lists are empty.

@@ -35,7 +35,7 @@ UNIT = 4
 """Number of frames of a movement; motions are whole numbers of movements."""
 SHORTER = 1 / 3
 """Fraction of the motions that are one movement shorter than their clips."""
-ASKED, REFERENCE, REAL = range(3)
+REQUESTED, REFERENCE, REAL = range(3)
 """Uses of a seed; each has its own random stream."""
 
 
@@ -82,7 +82,7 @@ class SingleText:
         joints_from: JointsFrom = "features",
     ) -> None:
         self.evaluator, self.joints_from, self._clips = evaluator, joints_from, clips
-        rng = np.random.default_rng([seed, ASKED])
+        rng = np.random.default_rng([seed, REQUESTED])
         indices = rng.permutation(len(clips))[:first].tolist()
         self.requests = [_request(clips[index], rng) for index in indices]
         self._texts, self._samples, self._pairs, self._compared = texts, samples, pairs, diversity_pairs

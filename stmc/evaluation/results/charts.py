@@ -24,7 +24,7 @@ from stmc.evaluation.results.chart_axes import (
 )
 from stmc.evaluation.results.intervals import estimate, estimates
 from stmc.evaluation.results.naming import REAL, SETTINGS, Measure, place, variant
-from stmc.evaluation.results.result_records import Result, ResultError, Setting, by_setting, refuse_other_differences
+from stmc.evaluation.results.result_records import Result, ResultError, Setting, by_setting, check_only_varied
 from stmc.viewing.colours import palette
 from stmc.viewing.figure import Figure
 from stmc.viewing.timeline_figure import INK
@@ -59,7 +59,7 @@ def quality_against_cost(results: Sequence[Result], keys: Sequence[str] = ("reca
     `ResultError` if `results` differ in more than sampler, noise scale and steps, such as in method or denoiser.
     """
     groups = {setting: runs for setting, runs in by_setting(results).items() if setting.sampling.steps is not None}
-    refuse_other_differences(groups, ("sampler", "noise_scale", "steps"))
+    check_only_varied(groups, ("sampler", "noise_scale", "steps"))
     columns = select_measures(groups, keys)
     timed = all(SECONDS in result.metrics for runs in groups.values() for result in runs)
     plot = Figure(figsize=(4.4 * (1 + timed), 2.9 * len(columns)), layout="constrained")
@@ -96,7 +96,7 @@ def sweep(results: Sequence[Result], varied: str, keys: Sequence[str] | None = N
     groups = {setting: runs for setting, runs in by_setting(results).items() if setting.value(varied) is not None}
     if not groups:
         raise ResultError(f"no record has {varied}")
-    refuse_other_differences(groups, (varied, "denoiser", "method"))
+    check_only_varied(groups, (varied, "denoiser", "method"))
     columns = select_measures(groups, keys)
     plot, panels = grid(len(columns), wide=3.0, tall=2.6)
     for axes, measure in zip(panels, columns, strict=True):

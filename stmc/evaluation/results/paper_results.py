@@ -39,11 +39,11 @@ def with_published(results: Iterable[Result], table: Callable[[Iterable[Result]]
     own, theirs = table(results), table(published_results(published))
     headings = max(own.headings, theirs.headings, key=len)
 
-    def labelled(source: str, row: Row) -> Row:
+    def label_row(source: str, row: Row) -> Row:
         return replace(row, labels=(source, *row.labels, *["–"] * (len(headings) - len(row.labels))))
 
     blocks = tuple(
-        tuple(labelled(source, row) for row in block)
+        tuple(label_row(source, row) for row in block)
         for source, made in (("ours", own), ("published", theirs))
         for block in made.blocks
     )

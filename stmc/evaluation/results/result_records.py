@@ -118,7 +118,7 @@ def by_setting(results: Iterable[Result]) -> dict[Setting, list[Result]]:
     return groups
 
 
-def refuse_other_differences(groups: Iterable[Setting], varied: Sequence[str]) -> None:
+def check_only_varied(groups: Iterable[Setting], varied: Sequence[str]) -> None:
     """Raise `ResultError` if settings differ in more than `varied`."""
     first, *others = (setting.without(varied) for setting in groups)
     for other in others:

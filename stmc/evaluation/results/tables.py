@@ -17,8 +17,8 @@ from stmc.evaluation.results.result_records import (
     ResultError,
     Setting,
     by_setting,
+    check_only_varied,
     difference,
-    refuse_other_differences,
 )
 
 _SPECIAL = {
@@ -98,7 +98,7 @@ def comparison_table(results: Iterable[Result]) -> Table:
     otherwise.
     """
     groups = by_setting(results)
-    _refuse_ambiguous(groups)
+    _check_unambiguous(groups)
     blocks: dict[str, list[tuple[tuple[int, float], Row]]] = {}
     for setting, runs in groups.items():
         shown = method_row(setting.method)
@@ -121,7 +121,7 @@ def sweep_table(results: Iterable[Result], varied: Sequence[str]) -> Table:
     groups = by_setting(result for result in results if any(result.setting.value(name) is not None for name in varied))
     if not groups:
         raise ResultError(f"no record has {' or '.join(varied)}")
-    refuse_other_differences(groups, varied)
+    check_only_varied(groups, varied)
     rows = [
         Row(tuple(_value(setting.value(name)) for name in varied), estimates(runs))
         for setting, runs in sorted(groups.items(), key=lambda group: _order(group[0], varied))
@@ -141,7 +141,7 @@ def _value(value: str | float | int | None) -> str:
     return "–" if value is None else value if isinstance(value, str) else f"{value:g}"
 
 
-def _refuse_ambiguous(groups: Mapping[Setting, Sequence[Result]]) -> None:
+def _check_unambiguous(groups: Mapping[Setting, Sequence[Result]]) -> None:
     seen: dict[tuple[str, str, float | int | None], Setting] = {}
     for setting in groups:
         other = seen.setdefault((setting.denoiser, setting.method, setting.sampling.stitch_from), setting)
@@ -169,14 +169,14 @@ def _interval(made: Sequence[Mapping[str, Estimate]], columns: Sequence[Measure]
     kinds = {each: {row[each.key].bootstrapped for row in made if each.key in row} for each in columns}
     if not any(True in found for found in kinds.values()):
         return "" if one else " ± 95% confidence intervals (t distribution)"
-    told = f" ± 95% confidence intervals (bootstrap over timelines{'' if one else ' and seeds'}"
+    text = f" ± 95% confidence intervals (bootstrap over timelines{'' if one else ' and seeds'}"
     if alone := [each for each, found in kinds.items() if found == {False}]:
-        told += (
+        text += (
             f"; {', '.join(each.heading for each in alone)}: {'none' if one else 'over seeds alone, t distribution'}"
         )
     if mixed := [each for each, found in kinds.items() if len(found) > 1]:
-        told += f"; {', '.join(each.heading for each in mixed)}: some rows {'without' if one else 'over seeds alone'}"
-    return f"{told})"
+        text += f"; {', '.join(each.heading for each in mixed)}: some rows {'without' if one else 'over seeds alone'}"
+    return f"{text})"
 
 
 def _is_best(block: Sequence[Row], row: Row, measure: Measure) -> bool:

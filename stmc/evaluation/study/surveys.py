@@ -58,8 +58,8 @@ def design(pairs: Sequence[Pair], methods: tuple[str, str], seed: int = 0, size:
     order = rng.sample(named, len(named))
     surveys, entries = [], {}
     for start in range(0, len(order), size):
-        asked = [order[place % len(order)] for place in range(start, start + size)]
-        survey, own = _survey(asked, order, methods, rng)
+        chosen = [order[place % len(order)] for place in range(start, start + size)]
+        survey, own = _survey(chosen, order, methods, rng)
         surveys.append(survey)
         entries[survey.id] = own
     return surveys, Key(methods, entries)
@@ -84,12 +84,12 @@ def stranger(timeline: Timeline, others: Sequence[Pair]) -> Pair:
 
 
 def _survey(
-    asked: Sequence[Pair], pairs: Sequence[Pair], methods: tuple[str, str], rng: random.Random
+    chosen: Sequence[Pair], pairs: Sequence[Pair], methods: tuple[str, str], rng: random.Random
 ) -> tuple[Survey, dict[str, Entry]]:
-    names = {pair.name for pair in asked}
+    names = {pair.name for pair in chosen}
     others = rng.sample([pair for pair in pairs if pair.name not in names], _APART)
-    first = rng.sample([index % 2 == 0 for index in range(len(asked))], len(asked))
-    counted = [_compare(Kind.PAIR, pair, methods, left, rng) for pair, left in zip(asked, first, strict=True)]
+    first = rng.sample([index % 2 == 0 for index in range(len(chosen))], len(chosen))
+    counted = [_compare(Kind.PAIR, pair, methods, left, rng) for pair, left in zip(chosen, first, strict=True)]
     warm = [_compare(Kind.WARM_UP, pair, methods, rng.random() < 0.5, rng) for pair in others[:WARM_UPS]]
     limbs, lost = others[WARM_UPS:]
     counted.append(_honeypot(Kind.REALISM_HONEYPOT, limbs, Clip.of(limbs.second).stretched(), rng))

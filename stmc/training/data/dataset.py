@@ -116,8 +116,8 @@ class Dataset:
         exists = tensors.mask(lengths, words.shape[1])
         place = {text: index for index, text in enumerate(self.sentences)}
         trained = {clip.texts for clip in cache.clips if clip.split == "train"} & keys
-        said = sorted({place[text] for key in trained for text, _ in cache.texts[key]})
-        rows = [place[cache.texts[clip.texts][0][0]] for clip in first if clip.texts in keys] or said
+        trained_sentences = sorted({place[text] for key in trained for text, _ in cache.texts[key]})
+        rows = [place[cache.texts[clip.texts][0][0]] for clip in first if clip.texts in keys] or trained_sentences
         self.text = (text or Statistics.of(words[rows][exists[rows]].float(), FLOOR)).to(device)
         self._text = torch.where(exists[..., None].to(device), self.text.normalise(words.to(device).float()), 0.0)
         self.choices = {

@@ -33,7 +33,7 @@ REST = (0.5, 4.0)
 """Minimum and maximum length in seconds of the motion that follows a non-cyclic clip."""
 CANDIDATES = 60
 """Maximum number of clips of each content among which to search for a successor."""
-TOGETHER = 64
+CLIPS_AT_ONCE = 64
 """Number of clips for which to search for successors at once."""
 Features = Float[Tensor, "_ features"]
 
@@ -158,8 +158,8 @@ class _Following:
         frames to tens of thousands are bound by memory.
         """
         last = self.joining.fade - 1
-        for first in track(range(0, len(clips), TOGETHER), "searching for successors", transient=True):
-            ends = clips[first : first + TOGETHER]
+        for first in track(range(0, len(clips), CLIPS_AT_ONCE), "searching for successors", transient=True):
+            ends = clips[first : first + CLIPS_AT_ONCE]
             begun = self.joining.apart(torch.stack([clip[-last - 1] for clip in ends]), self.features[:-last])
             ended = self.joining.apart(torch.stack([clip[-1] for clip in ends]), self.features[last:])
             for clip, count, distance in zip(ends, frames[first:], (begun + ended) / 2, strict=False):
