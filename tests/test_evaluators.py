@@ -261,7 +261,7 @@ def test_a_composition_shows_what_both_of_its_clips_show():
     [plan] = batches.batches.plans(0)
     composed = plan.donor.frames > 0
     assert composed.any() and not composed.all()
-    alike = batches.alike(plan)
+    alike = batches.match_texts(plan)
     assert alike[:, torch.from_numpy(composed)].all()  # walks and raises: true of both texts
     assert not alike[:, torch.from_numpy(~composed)].all()
 
@@ -273,8 +273,8 @@ def test_what_a_cut_has_lost_is_no_answer():
     composed = torch.from_numpy(plan.donor.frames > 0)
     says = [batches.batches.dataset.sentences[sentence] for sentence in plan.sentence]
     walks = torch.tensor(["walk" in text for text in says])
-    assert walks.any() and not batches.alike(cut)[walks][:, composed].any()
-    assert batches.alike(cut)[~walks][:, composed].all()
+    assert walks.any() and not batches.match_texts(cut)[walks][:, composed].any()
+    assert batches.match_texts(cut)[~walks][:, composed].all()
 
 
 def test_half_of_the_compositions_have_the_text_of_the_other_clip(monkeypatch):

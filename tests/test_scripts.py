@@ -344,7 +344,7 @@ def job_of(sample, config, timeline: stmc.Timeline, name: str = "nod", seed: int
 def jobs_left(sample, config, timeline: str = TIMELINES.split("\n\n")[1]) -> int:
     seeds, folder = range(config.seed, config.seed + config.samples), sample.open_folder(config)
     jobs = [job_of(sample, config, stmc.Timeline.parse(timeline), seed=seed) for seed in seeds]
-    return sum(not folder.finished(job) for job in jobs)
+    return sum(not folder.is_finished(job) for job in jobs)
 
 
 def test_a_motion_is_made_again_where_anything_it_depends_on_has_changed(sample, run, tmp_path):
@@ -399,11 +399,11 @@ def test_what_is_kept_changed_and_constrained_decides_what_a_motion_becomes(samp
     assert (changed.joints - motion.joints)[:20].abs().max() < 1e-5
     assert (changed.joints - motion.joints)[25:35].abs().max() > 1e-3
     folder.save(changed, job)
-    assert folder.finished(job_of(sample, config, timeline, "walk"))
+    assert folder.is_finished(job_of(sample, config, timeline, "walk"))
     for other in (keep[:1], keep[:2], keep[:1] + keep[2:], keep[2:]):
-        assert not folder.finished(job_of(sample, settings(*base, *other), timeline, "walk"))
+        assert not folder.is_finished(job_of(sample, settings(*base, *other), timeline, "walk"))
     (tmp_path / "beside.json").write_text('[{"heading": {"angle": 2, "start": 1.5}}]')
-    assert not folder.finished(job_of(sample, config, timeline, "walk"))
+    assert not folder.is_finished(job_of(sample, config, timeline, "walk"))
 
 
 def test_the_motion_that_a_keyframe_names_decides_what_a_motion_becomes(sample, run, tmp_path):
@@ -414,9 +414,9 @@ def test_the_motion_that_a_keyframe_names_decides_what_a_motion_becomes(sample, 
     (tmp_path / "beside.json").write_text(json.dumps([{"keyframe": {"motion": str(pose), "at": 1}}]))
     config = settings(f"output={tmp_path}", f"model={run}", f"constraints={tmp_path / 'beside.json'}", "formats=[npz]")
     sample.open_folder(config).save(motions[0], job_of(sample, config, timeline))
-    assert sample.open_folder(config).finished(job_of(sample, config, timeline))
+    assert sample.open_folder(config).is_finished(job_of(sample, config, timeline))
     stmc.write(motions[1], pose)
-    assert not sample.open_folder(config).finished(job_of(sample, config, timeline))
+    assert not sample.open_folder(config).is_finished(job_of(sample, config, timeline))
 
 
 def test_a_moved_model_is_the_same_and_another_model_in_its_place_is_not(sample, run, tmp_path):

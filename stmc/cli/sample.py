@@ -103,7 +103,7 @@ def main(settings: Settings) -> None:
     folder, shard = open_folder(settings, character), Shard.read(settings.shard)
     everything = read_jobs(settings, folder, console)
     wanted = everything if shard.number is None else shard.of(everything)
-    missing = {job.name for job in wanted if not folder.finished(job)}
+    missing = {job.name for job in wanted if not folder.is_finished(job)}
     if missing and shard.number is None:
         lacking = shard.count_missing([job.name for job in everything], missing)
         raise Incomplete(f"{settings.output}: motions are missing of {describe_shards(lacking)}")

@@ -64,7 +64,7 @@ class MotionFolder:
         rate = {} if self.fps is None else {"fps": self.fps}
         return {**job.request.decides(), **rate, **self.made_by, "version": stmc.__version__}
 
-    def finished(self, job: Job) -> bool:
+    def is_finished(self, job: Job) -> bool:
         """Return whether the folder holds the motion of this request in all formats."""
         request, digests = self._recorded(job.name)
         return request == self.record(job) and set(self.formats) <= self._whole(job.name, digests)

@@ -146,7 +146,7 @@ def measure_retrieval(evaluator: Evaluator, pairs: PairBatches, split: str) -> d
     counts), and "guo" ("all" in batches of 32). "confused" lists the contents that are most often mistaken.
     """
     dataset = pairs.batches.dataset
-    clips, sentences = pairs.drawn(split)
+    clips, sentences = pairs.draw(split)
     chosen = [dataset.clips[clip] for clip in clips]
     longest = int(pairs.batches.recipe.longest * dataset.fps)
     motions = evaluator.motions([dataset.features[clip.start : clip.end][:longest].cpu() for clip in chosen])

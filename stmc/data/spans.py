@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
 from dataclasses import dataclass
 
 import torch
@@ -63,14 +63,10 @@ class CacheBuilder:
                     whole=whole,
                 )
             )
-            self._texts[name] = _frequencies(sentences)
+            frequencies = Counter(sentences)
+            self._texts[name] = tuple((text, count / len(sentences)) for text, count in frequencies.items())
 
     def cache(self, fps: float | int, representation: str) -> Cache:
         """Build the cache of everything that was added."""
         features = torch.cat(self._features)
         return Cache(fps, representation, features, tuple(self._clips), self._texts, tuple(self.skipped))
-
-
-def _frequencies(texts: Sequence[str]) -> tuple[tuple[str, float], ...]:
-    """Return each distinct text with its relative frequency."""
-    return tuple((text, texts.count(text) / len(texts)) for text in dict.fromkeys(texts))

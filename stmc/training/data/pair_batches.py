@@ -54,11 +54,11 @@ class PairBatches:
             texts = plan.sentence, plan.other
             plan = replace(plan, sentence=np.where(swapped, *texts[::-1]), other=np.where(swapped, *texts))
             batch = dataset.batch(plan)
-            alike = self.alike(plan).to(batch.motion.device)
+            alike = self.match_texts(plan).to(batch.motion.device)
             pieces.append(Pairs(batch.motion, batch.mask, batch.text, batch.text_mask, batch.frames, alike))
         return pieces
 
-    def alike(self, plan: BatchPlan) -> Bool[Tensor, "batch batch"]:
+    def match_texts(self, plan: BatchPlan) -> Bool[Tensor, "batch batch"]:
         """Return which row's text is true of which row's motion: see `Pairs`."""
         composed = plan.donor.frames > 0
         cut = composed & (plan.other == plan.sentence)  # the body's own action has been cut off
@@ -73,7 +73,7 @@ class PairBatches:
         """Return whether each sentence belongs to each clip, both given by their indices in the dataset."""
         return torch.from_numpy(self._true[sentences][:, self._key[clips]])
 
-    def drawn(self, split: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def draw(self, split: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Return all clips of a split that have texts, and the index of a random sentence of each, for retrieval."""
         dataset, rng = self.batches.dataset, np.random.default_rng(seed)
         clips = np.flatnonzero([clip.split == split for clip in dataset.clips] & dataset.described)

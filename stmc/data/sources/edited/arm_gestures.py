@@ -80,7 +80,7 @@ def _end(rng: np.random.Generator, time: float, returning: float) -> tuple[tuple
 def phone(rng: np.random.Generator) -> Script:
     """Script a phone call: the hand goes to the ear and stays; the head leans to it and turns slightly."""
     begins, takes, stays = ONSET, rng.uniform(0.7, 0.8), rng.uniform(2.4, 3.8)
-    there, ear = begins + takes, EAR.drawn(rng)
+    there, ear = begins + takes, EAR.draw(rng)
     back, seconds = _end(rng, there + stays, 0.5)
     roll, nods = rng.uniform(4, 13), [turn_key(there, takes * 0.8, roll=rng.uniform(4, 13))]
     time = there + rng.uniform(0.2, 0.6)
@@ -94,7 +94,7 @@ def phone(rng: np.random.Generator) -> Script:
 
 def eat(rng: np.random.Generator) -> Script:
     """Script a meal: from the plate to the mouth and back, three times; the head meets the hand."""
-    time, plate, mouth = ONSET + 0.7, PLATE.drawn(rng), MOUTH.drawn(rng)
+    time, plate, mouth = ONSET + 0.7, PLATE.draw(rng), MOUTH.draw(rng)
     keys, nods, pitch = [plate.key(time, 0.6)], [], rng.uniform(6, 14)
     up, stay, down = 0.5, 0.3, 0.5
     for _ in range(3):
@@ -111,10 +111,10 @@ def eat(rng: np.random.Generator) -> Script:
 
 def drink(rng: np.random.Generator) -> Script:
     """Script a drink: a cup goes to the mouth once or twice, and the head tips back while the elbow rises."""
-    cup, count, time, nods = CUP.drawn(rng), int(rng.integers(1, 3)), ONSET + 0.6, []
+    cup, count, time, nods = CUP.draw(rng), int(rng.integers(1, 3)), ONSET + 0.6, []
     keys = [cup.key(time, 0.6)]
     time += 0.25
-    sip = SIP.drawn(rng)
+    sip = SIP.draw(rng)
     for _ in range(count):
         up, stay, down = rng.uniform(0.6, 0.7), rng.uniform(1.1, 1.3), rng.uniform(0.55, 0.7)
         time += up
@@ -130,12 +130,12 @@ def drink(rng: np.random.Generator) -> Script:
 def touch_head(rng: np.random.Generator) -> Script:
     """Script a touch: the hand goes past the ear to the back of the head and stays, rubbing in half of the draws."""
     begins, takes, stays = ONSET, rng.uniform(0.9, 1.0), rng.uniform(2.0, 2.8)
-    there, nape = begins + takes, NAPE.drawn(rng)
+    there, nape = begins + takes, NAPE.draw(rng)
     rub = Oscillation(RUBBING, (0.004, 0.014, 0.0)) if rng.uniform() < 0.5 else None
-    via = BESIDE_HEAD.drawn(rng).key(begins + 0.72 * takes, 0.72 * takes, 1.2)
+    via = BESIDE_HEAD.draw(rng).key(begins + 0.72 * takes, 0.72 * takes, 1.2)
     back, seconds = _end(rng, there + stays, 0.55)
     if back:
-        out = BESIDE_HEAD.drawn(rng).key(back[0].time - 0.35, 0.5)
+        out = BESIDE_HEAD.draw(rng).key(back[0].time - 0.35, 0.5)
         back = (out, back[0])
     ends = [turn_key(back[-1].time, 0.7)] if back else []
     nod = turn_key(there, takes * 0.7, rng.uniform(-6, 6), rng.uniform(4, 16), rng.uniform(-2, 4))
@@ -167,7 +167,7 @@ def wipe(rng: np.random.Generator) -> Script:
     wide, narrow = rng.uniform(0.075, 0.105), rng.uniform(0.01, 0.05)
     around = Oscillation(hertz, (wide, 0.0, 0.0), (0.0, 0.25 * narrow, narrow) if table else (0.0, narrow, 0.0))
     back, seconds = _end(rng, there + rng.uniform(4.8, 5.6), 0.0)
-    spot = (TABLE if table else PANE).drawn(rng)
+    spot = (TABLE if table else PANE).draw(rng)
     pitch, nod = (rng.uniform(10, 18), rng.uniform(6, 14)) if table else (rng.uniform(0, 5), 0.0)
     ends = [turn_key(back[0].time, 0.8)] if back else []
     return Script(
@@ -201,7 +201,7 @@ def applause(rng: np.random.Generator) -> Script:
     begins, takes, hertz = ONSET, 0.6, CLAPPING
     there, wide, lead = begins + takes, rng.uniform(0.044, 0.052), rng.uniform(0.004, 0.02)
     back, seconds = _end(rng, there + rng.uniform(4.8, 5.6), 0.0)
-    spot = CLAP.drawn(rng)
+    spot = CLAP.draw(rng)
     hands = []
     for up in (lead, -lead):
         goal = (spot.low[0], spot.low[1] + up, spot.low[2])
@@ -214,7 +214,7 @@ def applause(rng: np.random.Generator) -> Script:
 def guitar(rng: np.random.Generator) -> Script:
     """Script guitar playing: the right hand strums, the left one moves on the neck every two strums."""
     begins, takes, hertz = ONSET, 0.7, STRUMMING
-    there, neck = begins + takes, NECK.drawn(rng)
+    there, neck = begins + takes, NECK.draw(rng)
     back, seconds = _end(rng, there + rng.uniform(4.8, 5.6), 0.0)
     strum = Oscillation(hertz, (0.0, rng.uniform(0.05, 0.065), 0.012), (0.012, 0.0, 0.0))
     left, change, inner = [neck.key(there, takes)], there, False
@@ -226,7 +226,7 @@ def guitar(rng: np.random.Generator) -> Script:
         left.append(Spot(goal, goal, pole=neck.pole).key(change, 0.3))
     head = turn_key(there, takes, float(rng.uniform(2, 14)), float(rng.uniform(10, 20)))
     ends = (turn_key(back[0].time, 0.7),) if back else ()
-    right = (STRINGS.drawn(rng).key(there, takes, 1.25, strum), *back)
+    right = (STRINGS.draw(rng).key(there, takes, 1.25, strum), *back)
     return Script(seconds, left=(*left, *back), right=right, head=(head, *ends))
 
 
@@ -239,8 +239,8 @@ def violin(rng: np.random.Generator) -> Script:
     vibrato = Oscillation(hertz, (0.006, 0.0, 0.004))
     head = turn_key(there, takes, float(rng.uniform(12, 22)), float(rng.uniform(6, 12)), float(rng.uniform(10, 18)))
     ends = (turn_key(back[0].time, 0.7),) if back else ()
-    left = (SCROLL.drawn(rng).key(there, takes, 1.2, vibrato), *back)
-    right = (BOW.drawn(rng).key(there, takes, 1.2, bow), *back)
+    left = (SCROLL.draw(rng).key(there, takes, 1.2, vibrato), *back)
+    right = (BOW.draw(rng).key(there, takes, 1.2, bow), *back)
     return Script(seconds, left=left, right=right, head=(head, *ends), tremor=(0.0008, 0.0014))
 
 

@@ -26,7 +26,7 @@ SHIELD = Spot((0.04, -0.04, 0.20), (0.10, 0.06, 0.25), pole=((0.5, -1, 0.1), (0.
 def punch(rng: np.random.Generator) -> Script:
     """Script one to three straight punches from a guard: the hip turns, the trunk and the fist follow."""
     time, count = ONSET + 0.45, int(rng.integers(1, 4))
-    guard, keys, hips, twists = GUARD.drawn(rng), [], [], []
+    guard, keys, hips, twists = GUARD.draw(rng), [], [], []
     raised, hip, yaw = float(time), rng.uniform(10, 18), rng.uniform(16, 26)
     ahead, depth = rng.uniform(0.03, 0.06), -rng.uniform(0.02, 0.045)
     keys.append(guard.key(time, 0.45, 1.3))
@@ -35,7 +35,7 @@ def punch(rng: np.random.Generator) -> Script:
     for _ in range(count):
         out, back = 0.2, rng.uniform(0.25, 0.30)
         time += 0.5 + out
-        keys += [JAB.drawn(rng).key(time, out, 1.2), guard.near(rng, 0.015).key(time + back + 0.06, back, 1.35)]
+        keys += [JAB.draw(rng).key(time, out, 1.2), guard.near(rng, 0.015).key(time + back + 0.06, back, 1.35)]
         hips += [
             pelvis_key(time, out + 0.08, (0.0, depth, ahead), -hip),
             pelvis_key(time + 0.45, 0.4, (0, depth, 0), hip * 0.4),
@@ -46,7 +46,7 @@ def punch(rng: np.random.Generator) -> Script:
     seconds = max(3.5, ends + rng.uniform(0.3, 1.0))
     hips.append(pelvis_key(ends, 0.7))
     twists.append(turn_key(ends, 0.7))
-    right = (GUARD.drawn(rng).key(raised, 0.45, 1.3), WristKey(ends + 0.05, 0.7)) if rng.uniform() < 0.5 else ()
+    right = (GUARD.draw(rng).key(raised, 0.45, 1.3), WristKey(ends + 0.05, 0.7)) if rng.uniform() < 0.5 else ()
     return Script(seconds, (*keys, WristKey(ends, 0.7)), right, trunk=tuple(twists), pelvis=tuple(hips), gaze=0.9)
 
 
@@ -73,14 +73,14 @@ def throw(rng: np.random.Generator) -> Script:
         turn_key(down + 0.05, follow, -over, 18, -6),
         turn_key(ends, 0.8),
     )
-    cocked, release = COCKED.drawn(rng), RELEASE.drawn(rng)
+    cocked, release = COCKED.draw(rng), RELEASE.draw(rng)
     left = (
         cocked.key(wound, winds, 1.15),
         release.key(throws, forward, 0.85, roundness=0.8),
-        FOLLOW.drawn(rng).key(down, follow, 1.25, roundness=0.7),
+        FOLLOW.draw(rng).key(down, follow, 1.25, roundness=0.7),
         WristKey(ends, 0.8),
     )
-    right = (BALANCE.drawn(rng).key(wound, winds), WristKey(down + 0.1, follow + 0.2)) if rng.uniform() < 0.6 else ()
+    right = (BALANCE.draw(rng).key(wound, winds), WristKey(down + 0.1, follow + 0.2)) if rng.uniform() < 0.6 else ()
     feet = (
         FootKey(wound + 0.16, 0.45, (0.02, 0.0, stride), rng.uniform(0.05, 0.09)),
         FootKey(ends + 0.3, 0.6, lift=0.05),
@@ -102,9 +102,9 @@ def pick_up(rng: np.random.Generator) -> Script:
     hips = (pelvis_key(low, takes, (0.0, -depth, -rng.uniform(0.08, 0.13)), -0.4 * yaw, pitch), pelvis_key(stands, up))
     trunk = (turn_key(low, takes, -yaw, spine, 5), turn_key(stands, up))
     head = (turn_key(low - 0.15 * takes, takes * 0.8, 4, rng.uniform(-4, 8)), turn_key(stands, up))
-    carried = BELLY.drawn(rng).key(stands, up, 1.1)
-    left: tuple[WristKey, ...] = (FLOOR.drawn(rng).key(low, takes * 0.9, 1.1), carried, WristKey(ends, 0.7))
-    other = (THIGH if rng.uniform() < 0.6 else ASIDE).drawn(rng)
+    carried = BELLY.draw(rng).key(stands, up, 1.1)
+    left: tuple[WristKey, ...] = (FLOOR.draw(rng).key(low, takes * 0.9, 1.1), carried, WristKey(ends, 0.7))
+    other = (THIGH if rng.uniform() < 0.6 else ASIDE).draw(rng)
     right = (other.key(low, takes, 1.1), WristKey(stands, up, skew=1.1))
     if rng.uniform() < 0.4:
         left, ends = left[:2], stands + 0.5
@@ -191,7 +191,7 @@ def dodge(rng: np.random.Generator) -> Script:
     left: tuple[WristKey, ...] = ()
     right: tuple[WristKey, ...] = ()
     if rng.uniform() < 0.6:
-        hands = [SHIELD.drawn(rng).near(rng, 0.03) for _ in range(2)]
+        hands = [SHIELD.draw(rng).near(rng, 0.03) for _ in range(2)]
         left, right = ((hand.key(away + 0.05, out, 1.4), WristKey(ends + 0.1, back)) for hand in hands)
     seconds = max(3.0, ends + rng.uniform(0.6, 1.2))
     return Script(seconds, left, right, head, trunk, hips, gaze=rng.uniform(0.1, 0.5))

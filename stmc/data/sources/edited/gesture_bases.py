@@ -67,12 +67,9 @@ def draw_base(bases: Bases, rng: np.random.Generator, seconds: float, kind: Kind
         base = bases[action][int(rng.integers(len(bases[action])))]
         motion = _window(base.motion, seconds, rng, kind != "walk")
         if motion is not None and _is_calm(motion, kind, actions[action][1]):
-            return Base(base.name, base.recording, base.style, _rest_arm(motion, actions[action][1]))
+            busy = actions[action][1]
+            return Base(base.name, base.recording, base.style, copy_arm(motion, busy) if busy else motion)
     raise Unusable(f"no calm base of {seconds:.1f} s to {kind} among {', '.join(_ACTIONS[kind])}")
-
-
-def _rest_arm(motion: Motion, side: str) -> Motion:
-    return copy_arm(motion, side) if side else motion
 
 
 def _window(motion: Motion, seconds: float, rng: np.random.Generator, bounce: bool) -> Motion | None:

@@ -73,7 +73,7 @@ class Spot:
     shrug: Spread = (0.0, 0.0)
     arc: Triple = (0.0, 0.0, 0.0)
 
-    def drawn(self, rng: np.random.Generator) -> Spot:
+    def draw(self, rng: np.random.Generator) -> Spot:
         """Draw a goal, as a spot without ranges."""
         goal = _draw_between(rng, self.low, self.high)
         pole, shrug = _draw_between(rng, *self.pole), rng.uniform(*self.shrug)
