@@ -31,10 +31,9 @@ def frechet_distance(first: Float[Tensor, "_ width"], second: Float[Tensor, "_ w
     """
     roots, means = [], []
     for latents in (first, second):
-        if len(latents) < 2 or not latents.isfinite().all():
-            raise ValueError(
-                f"a covariance needs at least 2 finite latents; {_count_finite(latents)} of {len(latents)} are finite"
-            )
+        finite = int(latents.isfinite().all(dim=1).sum())
+        if finite < max(2, len(latents)):
+            raise ValueError(f"a covariance needs at least 2 finite latents; {finite} of {len(latents)} are finite")
         values = latents.double()
         means.append(values.mean(dim=0))
         roots.append((values - means[-1]) / (len(values) - 1) ** 0.5)
@@ -77,7 +76,3 @@ def published_crop_starts(features: int = 263, crop: int = 100, count: int = CRO
         count: Number of crops per motion.
     """
     return tuple(np.random.RandomState(0).randint(0, features - crop, size=count).tolist())
-
-
-def _count_finite(latents: Tensor) -> int:
-    return int(latents.isfinite().all(dim=1).sum())

@@ -183,10 +183,8 @@ def convert(name: str, text: str, fps: float | int) -> list[tuple[Clip, Float[Te
     skeleton, representation = Skeleton.default(), SmplRepresentation()
     motion = retarget(parse_bvh(text), skeleton).resampled(fps)
     rows = []
-    for mirrored, content, version in (
-        (False, label.content, motion),
-        (True, mirror_content(label.content), motion.mirrored()),
-    ):
+    for mirrored, version in ((False, motion), (True, motion.mirrored())):
+        content = mirror_content(label.content) if mirrored else label.content
         posed = Motion.posed(version.rotations, version.translation, fps, skeleton)
         cuts = read_segments("bandai").get(name, ())
         unlabelled = name in MISNAMED or content in {cut.content for cut in cuts}  # one of several actions
