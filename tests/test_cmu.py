@@ -127,10 +127,10 @@ def test_a_bone_that_flips_away_and_back_goes_the_direct_way():
     smooth = axis_angle_to_matrix(torch.stack([angle, 0 * angle, 0 * angle], dim=-1))[:, None]
     flipped = smooth.clone()
     flipped[10:14] = flipped[10:14] @ axis_angle_to_matrix(torch.tensor([0.0, 3.0, 0.0], dtype=torch.float64))
-    torch.testing.assert_close(cmu.without_spikes(flipped), smooth)
+    torch.testing.assert_close(cmu.remove_spikes(flipped), smooth)
     turning = smooth.clone()
     turning[10:] = turning[10:] @ axis_angle_to_matrix(torch.tensor([0.0, 3.0, 0.0], dtype=torch.float64))
-    torch.testing.assert_close(cmu.without_spikes(turning), turning)  # it never came back
+    torch.testing.assert_close(cmu.remove_spikes(turning), turning)  # it never came back
 
 
 def test_recordings_that_cannot_be_used_say_why():
