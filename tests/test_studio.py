@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.studio import PORT, WALK, bearer, entered, knowing, studio
+from helpers.studio import PORT, WALK, bearer, draw_nothing, entered, knowing, studio
 from helpers.tiny_model import tiny
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +19,8 @@ from stmc.data.sources.contents import CONTENTS
 from stmc.motion.body import JOINTS
 from stmc.viewing.studio import Documents, Jobs, Motions, Sessions, application
 from stmc.viewing.studio.auth import MOST_BYTES
-from stmc.viewing.studio.jobs import MOST_WAITING, PREVIEW, stages_by_quality
+from stmc.viewing.studio.job_queue import MOST_WAITING
+from stmc.viewing.studio.jobs import PREVIEW, stages_by_quality
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.storage import ID
 
@@ -201,7 +202,7 @@ ANY = st.recursive(
 )
 ADDRESSES = [("POST", "/api/check"), ("POST", "/api/read"), ("POST", "/api/write"), ("POST", "/api/motions"),
              ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs"), ("POST", "/api/map"),
-             ("POST", "/api/retarget")]  # fmt: skip
+             ("POST", "/api/retarget"), ("POST", "/api/films")]  # fmt: skip
 
 
 @given(
@@ -473,6 +474,49 @@ def test_frame_rates_are_bounded(client, fps):
 def test_a_motion_that_is_brought_along_is_read_as_its_file_s_name_says(client, name):
     [told] = made(sampled(client, steps="preview"))
     content = client.get(f"/api/motions/{told['motion']['id']}.{name[-3:].lower()}").content
+def test_a_film_is_a_job_that_counts_pictures_and_its_file_is_there_once_it_is_done(client, monkeypatch):
+    drawn = []
+
+    def render(motion, path, timeline, progress):
+        drawn.append((motion.frames, timeline))
+        draw_nothing(motion, path, timeline, progress)
+
+    monkeypatch.setattr(client.app.state.films, "render", render)
+    [told] = made(sampled(client, steps="preview"))
+    asked = {"motion": told["motion"]["id"], "format": "gif", "fps": 10, "timeline": WALK}
+    for loop in (False, True):
+        job = client.post("/api/films", json=asked | {"loop": loop}).json()["job"]
+        stages = events(client.get(f"/api/jobs/{job}/events").text)
+        (frames, timeline), (kind, last) = drawn[-1], stages[-2]
+        assert (kind, last) == ("progress", {"stage": "film", "step": frames, "steps": frames})
+        assert stages[-1] == ("done", {}) and (timeline is None) == loop and (frames < 20 if loop else frames == 20)
+        film = client.get(f"/api/films/{job}")
+        assert film.status_code == 200 and film.content == b"film" and film.headers["content-type"] == "image/gif"
+        assert "motion.gif" in film.headers["content-disposition"]
+    assert client.get("/api/films/none").status_code == 404
+    assert client.post("/api/films", json=asked | {"motion": "none"}).status_code == 404
+    monkeypatch.setattr("stmc.viewing.studio.storage.MOST_FILM_FRAMES", 5)
+    assert "5 at most" in client.post("/api/films", json=asked).json()["error"]
+
+
+def test_a_film_that_is_cancelled_by_its_job_has_no_file(client, monkeypatch):
+    drawing, may = threading.Event(), threading.Event()
+
+    def render(motion, path, timeline, progress):
+        for _ in progress(range(motion.frames), total=motion.frames):
+            drawing.set()
+            assert may.wait(timeout=60)
+
+    monkeypatch.setattr(client.app.state.films, "render", render)
+    [told] = made(sampled(client, steps="preview"))
+    job = client.post("/api/films", json={"motion": told["motion"]["id"]}).json()["job"]
+    assert drawing.wait(timeout=60)
+    assert client.delete(f"/api/jobs/{job}").status_code == 200
+    may.set()
+    assert events(client.get(f"/api/jobs/{job}/events").text)[-1] == ("cancelled", {})
+    assert client.get(f"/api/films/{job}").status_code == 404
+
+
     answer = client.post("/api/motions", content=content, headers={"X-Filename": name})
     assert answer.status_code == 201
     own, folder = answer.json()["motion"], Path(client.app.state.folder) / "motions"

@@ -48,7 +48,7 @@ PATHS = [
     "/", "/api/model", "/api/check", "/api/read", "/api/write", "/api/motions", "/api/motions/a.glb", "/api/jobs",
     "/api/characters", "/api/characters/a", "/api/characters/a/poses/b", "/api/motions/a.glb?character=%00",
     "/api", "/api/map", "/api/retarget", "/api/openapi.json", "/api/jobs/a", "/api/jobs/a/events",
-    "/api/documents", "/api/documents/", "/api/documents/fuzz",
+    "/api/films", "/api/films/a", "/api/documents", "/api/documents/", "/api/documents/fuzz",
     "/api/session", "//", "/api/documents/%2e%2e%2f", "/assets/main.js", "/assets/%00", "/assets/../server.py", "/%ff",
 ]  # fmt: skip
 BROKEN = [b"", b"{", b"[]", b"null", b"\xff\xfe", b"[" * 5000, b'{"base": ' + b"9" * 4300 + b', "content": {}}',

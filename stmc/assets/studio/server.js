@@ -81,6 +81,9 @@ export const motionFile = async (id, extension, settings = {}) => {
   return (await answered(`/api/motions/${encodeURIComponent(id)}.${extension}${query && "?" + query}`)).blob();
 };
 
+export const startFilm = (request) => json("/api/films", unsafe("POST", request));
+export const filmFile = async (job) => (await answered(`/api/films/${encodeURIComponent(job)}`)).blob();
+
 export const listDocuments = async () => (await json("/api/documents")).documents;
 export const openDocument = (id) => json(`/api/documents/${encodeURIComponent(id)}`);
 export const saveDocument = (id, base, content) => json(`/api/documents/${encodeURIComponent(id)}`, unsafe("PUT", { base, content }));

@@ -6,7 +6,8 @@ views.
 """
 
 from stmc.viewing.studio.character_storage import Characters
-from stmc.viewing.studio.jobs import Job, Jobs, Stage
+from stmc.viewing.studio.job_queue import Job
+from stmc.viewing.studio.jobs import Jobs, Stage
 from stmc.viewing.studio.server import application
 from stmc.viewing.studio.sessions import Sessions, program_token
 from stmc.viewing.studio.storage import Documents, Motions

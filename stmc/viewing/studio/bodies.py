@@ -14,6 +14,7 @@ from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import GenerateRequest
 from stmc.settings.records import check_name, check_value, field_infos, setting
 from stmc.timeline import Timeline
+from stmc.viewing.exports import FILMS
 from stmc.viewing.studio.documents_json import MOST_FILE, TIMELINE_FILES, timeline_of
 from stmc.viewing.studio.request_errors import RequestError, read_value
 from stmc.viewing.studio.skeletons_json import JointMap, RestSkeleton, joint_map_of, skeleton_of
@@ -32,6 +33,9 @@ STAGES = ("preview", "full")
 
 RECEIVED = (".glb", ".gltf", ".vrm")
 """Files of characters that the studio takes: those with a mesh to show."""
+
+FILM_NAMES = tuple(suffix[1:] for suffix in FILMS)
+"""Names of the formats of films."""
 
 LEAST_FPS, MOST_FPS = 1, 240
 """Frame rates of exported motions."""
@@ -137,6 +141,19 @@ class ExportQuery:
     timeline: Timeline | None = setting(None, "timeline of the motion, for formats that hold it")
     character: str | None = setting(None, "id of a character, for formats that show it")
     constraints: dict | None = setting(None, 'constraints to draw on a page: {"constraints": [...]}')
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmBody:
+    """A film of a stored motion."""
+
+    motion: str = setting(MISSING, "id of a stored motion")
+    format: str = setting(FILM_NAMES[0], "format of the film", choices=FILM_NAMES)
+    fps: float | int | None = setting(
+        None, "frames per second; null: those of the motion", at_least=LEAST_FPS, at_most=MOST_FPS
+    )
+    loop: bool = setting(False, "a loop, without the timeline")
+    timeline: Timeline | None = setting(None, "timeline whose prompts give colours and texts")
 
 
 _READERS: Mapping[Any, Callable[[Any], Any]] = {

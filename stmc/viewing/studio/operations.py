@@ -150,6 +150,21 @@ OPERATIONS: tuple[Operation, ...] = (
         refusals=_NO_MOTION | {429: "another film is being rendered", 501: "a package is missing"},
     ),
     Operation(
+        method="POST", path="/api/films", handler="add_film", topic="Motions", status=201,
+        summary="Draw a film of a motion",
+        about="Queues a job, for which the addresses of jobs hold: its events count the pictures. Films are drawn one "
+        "after the other, some four pictures a second.",
+        takes=JsonBody(bodies.FilmBody, {"motion": "ID", "format": "webp"}), gives=JsonOutput(responses.QueuedJob),
+        refusals=_NO_MOTION | {429: "too many films are waiting", 501: "a package is missing"},
+    ),
+    Operation(
+        method="GET", path="/api/films/{name}", handler="send_film", topic="Motions",
+        summary="Read the film of a job that is done",
+        about="The newest films are stored until the studio starts again.",
+        gives=FileOutput(tuple(each.media_type for each in EXPORTS if each.drawn)),
+        refusals={404: "there is no such film, or not yet"},
+    ),
+    Operation(
         method="GET", path="/api/characters", handler="list_characters", topic="Characters",
         summary="List the characters",
         gives=JsonOutput(responses.CharacterList),

@@ -96,8 +96,8 @@ class QueuedJob(TypedDict):
 class ProgressEvent(TypedDict):
     """The job has come to a step."""
 
-    stage: Literal["waiting", "preview", "full"]
-    step: int
+    stage: Literal["waiting", "preview", "full", "film"]
+    step: Annotated[int, "denoising step, or picture of a film"]
     steps: int
 
 
