@@ -142,6 +142,18 @@ def test_a_check_says_who_owns_which_part_when_and_what_was_suggested(client):
     assert told["duration"] == 2 and told["rows"] == 2
 
 
+def test_a_check_says_which_parts_an_action_needs_whatever_the_prompt_lists_unless_the_model_hardly_knows_it(client):
+    listed = enumerate([("walk", ["right arm"]), ("walk", []), ("swim across the river", ["right arm"])])
+    prompts = [{"text": text, "start": at, "end": at + 1, "parts": parts} for at, (text, parts) in listed]
+    told = client.post("/api/check", json={"timeline": {"prompts": prompts}}).json()["prompts"]
+    assert [(each["parts"], each["needs"]) for each in told] == [
+        (["right arm"], ["legs"]),
+        (["legs"], ["legs"]),
+        (["right arm"], []),
+    ]
+    assert [each["suggested"] for each in told] == [False, True, False] and told[0]["confidence"] is None
+
+
 @pytest.mark.parametrize(("text", "near"), [("swim across the river", True), ("qwxz vvv kkk", False)])
 def test_an_unknown_prompt_is_advised_with_the_known_ones_that_are_near(client, text, near):
     prompts = [{"text": text, "start": 0, "end": 1, "parts": []}]
@@ -459,21 +471,6 @@ def test_a_film_that_needs_what_is_not_installed_is_refused_with_what_to_install
     assert answer.status_code == 501 and "pip install" in answer.json()["error"]
 
 
-@pytest.mark.parametrize("path", ["none.glb", "..%2Fmodel.npz", "x" * 50 + ".bvh", "a.exe"])
-def test_what_is_no_motion_is_not_found(client, path):
-    assert client.get(f"/api/motions/{path}").status_code == 404
-
-
-@pytest.mark.parametrize("fps", ["0", "1e9", "nan", "-3", "241"])
-def test_frame_rates_are_bounded(client, fps):
-    [told] = made(sampled(client, steps="preview"))
-    assert client.get(f"/api/motions/{told['motion']['id']}.bvh", params={"fps": fps}).status_code == 422
-
-
-@pytest.mark.parametrize("name", ["walk.bvh", "W%C3%A4lk.BVH", "walk.npz"])
-def test_a_motion_that_is_brought_along_is_read_as_its_file_s_name_says(client, name):
-    [told] = made(sampled(client, steps="preview"))
-    content = client.get(f"/api/motions/{told['motion']['id']}.{name[-3:].lower()}").content
 def test_a_film_is_a_job_that_counts_pictures_and_its_file_is_there_once_it_is_done(client, monkeypatch):
     drawn = []
 
@@ -517,6 +514,21 @@ def test_a_film_that_is_cancelled_by_its_job_has_no_file(client, monkeypatch):
     assert client.get(f"/api/films/{job}").status_code == 404
 
 
+@pytest.mark.parametrize("path", ["none.glb", "..%2Fmodel.npz", "x" * 50 + ".bvh", "a.exe"])
+def test_what_is_no_motion_is_not_found(client, path):
+    assert client.get(f"/api/motions/{path}").status_code == 404
+
+
+@pytest.mark.parametrize("fps", ["0", "1e9", "nan", "-3", "241"])
+def test_frame_rates_are_bounded(client, fps):
+    [told] = made(sampled(client, steps="preview"))
+    assert client.get(f"/api/motions/{told['motion']['id']}.bvh", params={"fps": fps}).status_code == 422
+
+
+@pytest.mark.parametrize("name", ["walk.bvh", "W%C3%A4lk.BVH", "walk.npz"])
+def test_a_motion_that_is_brought_along_is_read_as_its_file_s_name_says(client, name):
+    [told] = made(sampled(client, steps="preview"))
+    content = client.get(f"/api/motions/{told['motion']['id']}.{name[-3:].lower()}").content
     answer = client.post("/api/motions", content=content, headers={"X-Filename": name})
     assert answer.status_code == 201
     own, folder = answer.json()["motion"], Path(client.app.state.folder) / "motions"

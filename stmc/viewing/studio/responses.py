@@ -57,6 +57,7 @@ class CheckedPrompt(TypedDict):
     parts: list[BodyPart]
     suggested: Annotated[bool, "whether the body parts were suggested"]
     confidence: Annotated[float | None, "of the suggestion, from 0 to 1"]
+    needs: Annotated[list[BodyPart], "the action needs at least one of these body parts; none: not known"]
     advice: Advice | None
     row: Annotated[int, "its track, from 0"]
 
