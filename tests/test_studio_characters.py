@@ -129,6 +129,7 @@ def _changed(change) -> bytes:
         (HERO, "", "must be a .glb"),
         (HERO, "..%2F..%2Fetc%00.bvh", "must be a .glb"),
         (b"HIERARCHY", "hero.bvh", "must be a .glb"),
+        (b"<robot/>", "robot.URDF", "robots move with `stmc sample … character=robot.urdf formats=csv`"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

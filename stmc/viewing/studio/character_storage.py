@@ -35,6 +35,8 @@ MOST_CHARACTERS, MOST_CHARACTER_BYTES = 40, 2**30
 MOST_NAME = 60
 """Maximum number of letters of a character's name."""
 
+MOVED_ELSEWHERE = "skeletons and robots move with `stmc sample … character=robot.urdf formats=csv`, or `formats=bvh`"
+
 _FASTEST = 60
 """Frames per second that a stage shows."""
 
@@ -105,7 +107,9 @@ class Characters:
         """
         suffix = Path(filename).suffix.lower()
         if suffix not in RECEIVED:
-            raise RequestError(422, f"a character must be a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file")
+            message = f"a character must be a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file"
+            other = f"; {MOVED_ELSEWHERE}" if suffix in (".bvh", ".urdf", ".xml") else ""
+            raise RequestError(422, message + other)
         name = hashlib.sha256(content + suffix.encode()).hexdigest()[:32]
         with self._heavy:
             character = _read_content(content, suffix)
