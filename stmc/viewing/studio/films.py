@@ -37,7 +37,7 @@ class Films(JobQueue):
         self.render = render or _render
         self._folder = own_folder(folder)
         for path in self._folder.iterdir():
-            if path.suffix in FILMS:
+            if path.suffix in FILMS and path.is_file():
                 path.unlink()
         self._files: OrderedDict[str, Path] = OrderedDict()
         super().__init__("studio films")
