@@ -17,7 +17,7 @@ from test_characters import humanoid
 import stmc
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.viewing.studio import Characters, character_storage, storage
-from stmc.viewing.studio.operations import MOST_UPLOAD
+from stmc.viewing.studio.inputs_outputs import MOST_UPLOAD
 from stmc.viewing.studio.request_errors import RequestError
 
 HERO = figures.glb(figures.stocky())

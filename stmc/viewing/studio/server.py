@@ -63,9 +63,10 @@ from stmc.viewing.studio.documents_json import (
     read_timelines,
     write_timeline,
 )
+from stmc.viewing.studio.inputs_outputs import MOST_UPLOAD
 from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
 from stmc.viewing.studio.openapi import openapi_document
-from stmc.viewing.studio.operations import GLTF, MOST_UPLOAD, OPERATIONS, PUBLIC, UPLOADS, Operation
+from stmc.viewing.studio.operations import GLTF, OPERATIONS, PUBLIC, UPLOADS, Operation
 from stmc.viewing.studio.request_errors import RequestError, request_error, take
 from stmc.viewing.studio.responses import ContentEntry, ModelData, SkeletonMotion
 from stmc.viewing.studio.sessions import Sessions
