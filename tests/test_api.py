@@ -59,12 +59,14 @@ def document(client) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def names(client) -> dict[str, str]:
-    """Names of a motion, a job that has ended, a document, and a character."""
+    """Names of a motion, a job that has ended, a document, a character, and a stream."""
     job = client.post("/api/jobs", json={"timeline": WALK, "steps": "preview"}).json()["job"]
     told = client.get(f"/api/jobs/{job}/events").text
     client.put("/api/documents/mine", json={"base": 0, "content": {"name": "Mine"}})
     hero = client.post("/api/characters", content=made.glb(made.stocky())).json()["character"]["id"]
-    return {"motion": re.search(r'"id": "([^"]+)"', told)[1], "job": job, "document": "mine", "character": hero}
+    stream = client.post("/api/streams", json={"timeline": WALK}).json()["stream"]
+    motion = re.search(r'"id": "([^"]+)"', told)[1]
+    return {"motion": motion, "job": job, "document": "mine", "character": hero, "stream": stream}
 
 
 # The document is true

@@ -21,6 +21,7 @@ from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.motion import Motion
 from stmc.viewing.studio.request_errors import RequestError, request_error
 from stmc.viewing.studio.storage import Motions
+from stmc.viewing.studio.turns import Turns
 
 logger = logging.getLogger(__name__)
 
@@ -127,6 +128,8 @@ class Job:
 class Jobs:
     """The queue and the single thread that runs its jobs with `sample`, a method of a model.
 
+    Between their steps, jobs give way to streams with the same `turns`.
+
     Examples:
         >>> jobs = stmc.viewing.studio.Jobs(stmc.load().sample, stmc.viewing.studio.Motions("motions"))
         >>> job = jobs.add(stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"}))
@@ -136,8 +139,8 @@ class Jobs:
         >>> jobs.close()
     """
 
-    def __init__(self, sample: Sample, motions: Motions) -> None:
-        self.sample, self.motions = sample, motions
+    def __init__(self, sample: Sample, motions: Motions, turns: Turns | None = None) -> None:
+        self.sample, self.motions, self._turns = sample, motions, turns or Turns()
         self._waiting: deque[Job] = deque()
         self._known: OrderedDict[str, Job] = OrderedDict()
         self._current: Job | None = None
@@ -226,12 +229,14 @@ class Jobs:
         steps, made = stage.steps, itertools.count()
 
         def told() -> None:
+            self._turns.give_way()
             if job.cancelled:
                 raise Cancelled
             job.tell("progress", stage=stage.name, step=min(next(made), steps), steps=steps)
 
         sampling = Sampling(steps=steps).over(job.request.sampling).over(OWN)
-        return self.sample(replace(job.request, sampling=sampling), _watched(told))
+        with self._turns.job():
+            return self.sample(replace(job.request, sampling=sampling), _watched(told))
 
 
 def _watched(told: Callable[[], None]) -> Callable[..., Iterator[Any]]:
