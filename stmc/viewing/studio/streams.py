@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
-from typing import Any
+from typing import Any, cast
 
 import torch
 
@@ -83,7 +83,8 @@ class Streams:
         with self._lock:
             self._make_room()
             self._entries[name] = _Entry(stream, self._clock())
-        return {"stream": name, **describe_stream(stream), "prompts": _describe_prompts(stream)}
+        opened = {"stream": name, **describe_stream(stream), "prompts": _describe_prompts(stream)}
+        return cast(OpenedStream, opened)
 
     def read(self, name: str, edits: Sequence[dict[str, Any]], frames: int) -> StreamFrames:
         """Apply edits, and return the answers to them and the next frames; fewer where the stream ends.
