@@ -856,8 +856,8 @@ def test_what_differs_from_the_stream_becomes_its_edits(tab):
     setting = """
       const prompt = (id, text, start, end, parts = []) => ({ id, text, start, end, parts });
       const [walk, wave] = [prompt("p1", "walk", 0, 4, ["legs"]), prompt("p2", "wave", 3, 5)];
-      const known = new Map([["p1", { number: 0, prompt: walk }], ["p2", { number: 1, prompt: wave }]]);
-      const edits = (prompts) => live.editsOf(prompts, known, ({ start }) => start < 2).map(({ edit }) => edit);"""
+      const streamed = new Map([["p1", { number: 0, prompt: walk }], ["p2", { number: 1, prompt: wave }]]);
+      const edits = (prompts) => live.editsOf(prompts, streamed, ({ start }) => start < 2).map(({ edit }) => edit);"""
 
     def edits(prompts: str) -> list[dict]:
         return tab.ask(f"(() => {{ {setting} return edits({prompts}); }})()")

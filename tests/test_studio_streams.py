@@ -1,11 +1,13 @@
 """Streams of the studio: they are those of the library, in turns with jobs, few, and soon over where nobody reads."""
 
+import itertools
 import json
 import threading
 import time
 from collections.abc import Callable
 
 import pytest
+from helpers.motions import walking
 from helpers.tiny_model import tiny
 
 import stmc
@@ -13,7 +15,7 @@ from stmc.editing.stream_frames import describe_frame
 from stmc.motion.body import JOINTS
 from stmc.settings.records import SettingError
 from stmc.text.vocabulary import Suggestion
-from stmc.viewing.studio import Streams, Turns
+from stmc.viewing.studio import Jobs, Motions, Streams, Turns
 from stmc.viewing.studio.documents_json import MOST_PROMPTS
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.streams import IDLE_SECONDS, MOST_STREAMS, MOST_TEXT, mannequin_file
@@ -59,9 +61,9 @@ def studio_frames(seed: int) -> list[dict]:
 
 
 def test_an_opened_stream_tells_its_skeleton_and_its_prompts():
-    told = studio().open(WALK, 0, {})
-    assert told["fps"] == 20 and told["joints"] == list(JOINTS[:22]) and told["parents"][1:4] == [0, 0, 0]
-    assert told["prompts"] == [{"number": 0, "text": "walk", "start": 0.0, "end": 2.0, "parts": ["legs"]}]
+    answer = studio().open(WALK, 0, {})
+    assert answer["fps"] == 20 and answer["joints"] == list(JOINTS[:22]) and answer["parents"][1:4] == [0, 0, 0]
+    assert answer["prompts"] == [{"number": 0, "text": "walk", "start": 0.0, "end": 2.0, "parts": ["legs"]}]
     assert studio().open(None, 0, {})["prompts"] == []
 
 
@@ -70,22 +72,22 @@ def test_edits_are_answered_in_order_and_what_is_out_is_refused_in_the_stream_s_
     name = opened(streams)
     streams.read(name, (), 20)
     edits = (add(), {"move": 1, "end": 4}, {"move": 0, "start": 0.5}, {"remove": 1}, add(start=0.9), {"jump": 1})
-    told = streams.read(name, edits, 0)
-    assert told["frames"] == [] and [answer["frame"] for answer in told["answers"]] == [20] * 6
-    assert told["answers"][0] == {"added": 1, "start": 1.0, "end": 3.0, "frame": 20}
-    assert told["answers"][1]["moved"] == told["answers"][3]["removed"] == 1
-    assert "'walk' has begun at 0 s; only its end can move" in told["answers"][2]["error"]
-    assert "'wave' cannot start at 0.9 s: changes are possible from 1.00 s on" in told["answers"][4]["error"]
-    assert "one of the keys add, move, remove" in told["answers"][5]["error"]
-    assert [prompt["number"] for prompt in told["prompts"]] == [0]
+    answer = streams.read(name, edits, 0)
+    assert answer["frames"] == [] and [each["frame"] for each in answer["answers"]] == [20] * 6
+    assert answer["answers"][0] == {"added": 1, "start": 1.0, "end": 3.0, "frame": 20}
+    assert answer["answers"][1]["moved"] == answer["answers"][3]["removed"] == 1
+    assert "'walk' has begun at 0 s; only its end can move" in answer["answers"][2]["error"]
+    assert "'wave' cannot start at 0.9 s: changes are possible from 1.00 s on" in answer["answers"][4]["error"]
+    assert "one of the keys add, move, remove" in answer["answers"][5]["error"]
+    assert [prompt["number"] for prompt in answer["prompts"]] == [0]
 
 
 def test_body_parts_that_are_left_out_are_suggested_and_others_are_not():
     streams = studio()
     name = opened(streams, stmc.Timeline.parse("nod # 0 # 1"))
     bare = {"add": {"text": "nod", "seconds": 2}}
-    told = streams.read(name, (bare, add(), add(body_parts=[])), 0)
-    assert [prompt["parts"] for prompt in told["prompts"]] == [["head"], ["head"], ["right arm"], []]
+    answer = streams.read(name, (bare, add(), add(body_parts=[])), 0)
+    assert [prompt["parts"] for prompt in answer["prompts"]] == [["head"], ["head"], ["right arm"], []]
 
 
 @pytest.mark.parametrize(
@@ -105,8 +107,8 @@ def test_body_parts_that_are_left_out_are_suggested_and_others_are_not():
 )
 def test_an_edit_beyond_the_bounds_is_refused_in_a_sentence_and_changes_nothing(edit, words):
     streams = studio()
-    told = streams.read(opened(streams), (edit,), 0)
-    assert words in told["answers"][0]["error"] and len(told["prompts"]) == 1
+    answer = streams.read(opened(streams), (edit,), 0)
+    assert words in answer["answers"][0]["error"] and len(answer["prompts"]) == 1
 
 
 def test_a_stream_holds_as_many_prompts_as_a_timeline():
@@ -120,8 +122,8 @@ def test_a_stream_ends_with_the_longest_timeline(monkeypatch):
     monkeypatch.setattr("stmc.viewing.studio.streams.MOST_SECONDS", 1)
     streams = studio()
     name = opened(streams)
-    told = [streams.read(name, (), frames) for frames in (15, 15, 15)]
-    assert [(len(each["frames"]), each["ended"]) for each in told] == [(15, False), (5, True), (0, True)]
+    answer = [streams.read(name, (), frames) for frames in (15, 15, 15)]
+    assert [(len(each["frames"]), each["ended"]) for each in answer] == [(15, False), (5, True), (0, True)]
 
 
 def test_settings_are_those_of_the_library():
@@ -218,6 +220,27 @@ def test_a_job_gives_way_between_its_steps_and_two_never_sample_at_once():
         assert ("stream", True) in order
     thread.join(PATIENCE)
     assert all(alone for _, alone in order)
+
+
+def test_a_stream_is_read_between_two_steps_of_a_job(tmp_path):
+    turns, began, read, late = Turns(), threading.Event(), threading.Event(), []
+
+    def sample(request, progress) -> list[stmc.Motion]:
+        patience = time.monotonic() + PATIENCE
+        for _ in progress(itertools.count(), total=1):
+            began.set()
+            late.append(time.monotonic() > patience)
+            if read.is_set() or late[-1]:
+                return [walking(seconds=1.0, fps=20)]
+
+    streams, jobs = studio(turns=turns), Jobs(sample, Motions(tmp_path), turns)
+    job = jobs.add(stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"}))
+    assert began.wait(PATIENCE)
+    assert len(streams.read(opened(streams), (), 1)["frames"]) == 1
+    read.set()
+    jobs.wait()
+    jobs.close()
+    assert job.events[-1][0] == "done" and not any(late)
 
 
 def test_the_mannequin_has_the_joints_of_streams():

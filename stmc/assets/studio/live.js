@@ -16,37 +16,37 @@ const sleep = (delay) => new Promise((resolve) => setTimeout(resolve, delay));
 const sameText = (one, other) => one.text === other.text && one.parts.join() === other.parts.join();
 const sameTimes = (one, other) => one.start === other.start && one.end === other.end;
 const partsOf = (parts) => (parts.length ? { body_parts: parts } : {}); // none: the server suggests some
-const added = ({ text, start, end, parts }) => ({ add: { text, start, end, ...partsOf(parts) } });
+const addOf = ({ text, start, end, parts }) => ({ add: { text, start, end, ...partsOf(parts) } });
 
-// What makes the prompts of a stream those of a document: [{edit, id, prompt, replaces}]. `known`: by ids, the number and
+// What makes the prompts of a stream those of a document: [{edit, id, prompt, replaces}]. `streamed`: by ids, the number and
 // the prompt that the stream has; `begun(prompt)`: whether it starts before the stream's next frame.
-export function editsOf(prompts, known, begun) {
+export function editsOf(prompts, streamed, begun) {
   const edits = [];
   for (const prompt of prompts) {
     const { id, start, end } = prompt;
-    const { number, prompt: before } = known.get(id) ?? {};
+    const { number, prompt: before } = streamed.get(id) ?? {};
     if (before && sameText(before, prompt)) {
       if (!sameTimes(before, prompt)) edits.push({ edit: { move: number, start, end }, id, prompt });
       continue;
     }
     if (before && !begun(prompt)) edits.push({ edit: { remove: number }, id, replaces: true });
-    edits.push({ edit: added(prompt), id, prompt }); // refused where it has begun, so that the old one stays
+    edits.push({ edit: addOf(prompt), id, prompt }); // refused where it has begun, so that the old one stays
   }
-  for (const [id, { number }] of known)
+  for (const [id, { number }] of streamed)
     if (!prompts.some((prompt) => prompt.id === id)) edits.push({ edit: { remove: number }, id, prompt: null });
   return edits;
 }
 
 export function createLive(studio, player, stage, work) {
   const { store } = studio;
-  let stream = null; // {name, document, fps, known, figure, seconds, ended, before}
+  let stream = null; // {name, document, fps, streamed, figure, seconds, ended, before}
   let waiting = []; // prompts that are typed: {text, seconds, parts}
 
   async function start() {
     if (store.get().live) return;
     const { id, history } = store.get();
     const document = history.present;
-    const mine = (stream = { name: null, document: id, known: new Map(), seconds: 0, ended: false, before: settled(history) });
+    const mine = (stream = { name: null, document: id, streamed: new Map(), seconds: 0, ended: false, before: settled(history) });
     waiting = [];
     store.set({ live: { seconds: 0 }, pulling: false, drawing: false, span: null });
     work.cancel();
@@ -57,7 +57,7 @@ export function createLive(studio, player, stage, work) {
       const timeline = document.prompts.length ? timelineOf(document) : null;
       const opened = await server.openStream({ ...document.settings, timeline, seed: document.seeds[0] });
       Object.assign(mine, { name: opened.stream, fps: opened.fps });
-      document.prompts.forEach((prompt, index) => mine.known.set(prompt.id, { number: opened.prompts[index].number, prompt }));
+      document.prompts.forEach((prompt, index) => mine.streamed.set(prompt.id, { number: opened.prompts[index].number, prompt }));
       mine.figure = await streamedFigure(await server.mannequinFile(), opened);
     } catch (error) {
       if (stream === mine) return stop(error.message);
@@ -117,7 +117,7 @@ export function createLive(studio, player, stage, work) {
   function take(mine, edits, { answers, frames, prompts, ended }) {
     const first = !mine.seconds && frames.length;
     mine.figure.add(frames);
-    answered(mine, edits, answers);
+    takeAnswers(mine, edits, answers);
     mine.seconds = rounded(mine.seconds + frames.length / mine.fps);
     mine.ended = ended;
     store.set({ live: { seconds: mine.seconds } });
@@ -130,7 +130,7 @@ export function createLive(studio, player, stage, work) {
   function editsNow(mine) {
     const { history } = store.get();
     const begun = ({ start }) => Math.floor(start * mine.fps + 1e-6) < Math.round(mine.seconds * mine.fps);
-    const changed = history.gesture === null ? editsOf(history.present.prompts, mine.known, begun) : [];
+    const changed = history.gesture === null ? editsOf(history.present.prompts, mine.streamed, begun) : [];
     const typed = waiting.map((next) => ({ edit: { add: { text: next.text, seconds: next.seconds, ...partsOf(next.parts) } }, next }));
     const edits = [...typed, ...changed].slice(0, MOST_EDITS);
     waiting = waiting.slice(edits.filter(({ next }) => next).length);
@@ -138,22 +138,22 @@ export function createLive(studio, player, stage, work) {
   }
 
   // The document follows where the stream has refused an edit, or ended a prompt that had begun.
-  function answered(mine, edits, answers) {
+  function takeAnswers(mine, edits, answers) {
     const [restored, without] = [[], []];
     answers.forEach((answer, index) => {
       const { id, prompt, next, replaces } = edits[index];
-      const before = mine.known.get(id)?.prompt;
+      const before = mine.streamed.get(id)?.prompt;
       const asItWas = !next && promptOf(studio.present(), id) === (prompt ?? null); // or it was edited again meanwhile
       if (answer.error) {
         say(server.sentence(answer.error));
         if (asItWas && before) restored.push(before);
         else if (asItWas) without.push(id);
       } else if (next) write(mine, next, answer);
-      else if (prompt) mine.known.set(id, { number: answer.added ?? answer.moved, prompt });
-      else if (replaces || before.start * mine.fps >= answer.frame) mine.known.delete(id);
+      else if (prompt) mine.streamed.set(id, { number: answer.added ?? answer.moved, prompt });
+      else if (replaces || before.start * mine.fps >= answer.frame) mine.streamed.delete(id);
       else {
         const played = { ...before, end: rounded(Math.max(answer.frame / mine.fps, before.start + SHORTEST)) };
-        mine.known.set(id, { number: answer.removed, prompt: played });
+        mine.streamed.set(id, { number: answer.removed, prompt: played });
         if (asItWas) restored.push(played);
       }
     });
@@ -165,7 +165,7 @@ export function createLive(studio, player, stage, work) {
     const { prompts, next } = studio.present();
     const tracks = prompts.filter((other) => other.start < end && start < other.end).map(({ track }) => track);
     studio.edit({ kind: "add", text, start, end, parts, track: Math.max(-1, ...tracks) + 1 });
-    mine.known.set(`p${next}`, { number, prompt: promptOf(studio.present(), `p${next}`) });
+    mine.streamed.set(`p${next}`, { number, prompt: promptOf(studio.present(), `p${next}`) });
   }
 
   // ---- the page ---------------------------------------------------------------------------------------------------------
