@@ -16,7 +16,6 @@ from stmc.motion.body import JOINTS
 from stmc.settings.records import SettingError
 from stmc.text.vocabulary import Suggestion
 from stmc.viewing.studio import Jobs, Motions, Streams, Turns
-from stmc.viewing.studio.documents_json import MOST_PROMPTS
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.streams import IDLE_SECONDS, MOST_STREAMS, MOST_TEXT, mannequin_file
 
@@ -111,11 +110,11 @@ def test_an_edit_beyond_the_bounds_is_refused_in_a_sentence_and_changes_nothing(
     assert words in answer["answers"][0]["error"] and len(answer["prompts"]) == 1
 
 
-def test_a_stream_holds_as_many_prompts_as_a_timeline():
+def test_a_stream_holds_as_many_prompts_as_a_timeline(monkeypatch):
+    monkeypatch.setattr("stmc.viewing.studio.streams.MOST_PROMPTS", 3)
     streams = studio()
-    name = opened(streams, None)
-    answers = [streams.read(name, (add(seconds=0.1),), 0)["answers"][0] for _ in range(MOST_PROMPTS + 1)]
-    assert "error" not in answers[-2] and f"{MOST_PROMPTS} at most" in answers[-1]["error"]
+    answers = streams.read(opened(streams), (add(), add(), add()), 0)["answers"]
+    assert answers[1]["added"] == 2 and "3 prompts: 3 at most" in answers[2]["error"]
 
 
 def test_a_stream_ends_with_the_longest_timeline(monkeypatch):

@@ -39,14 +39,14 @@ export function editsOf(prompts, streamed, begun) {
 
 export function createLive(studio, player, stage, work) {
   const { store } = studio;
-  let stream = null; // {name, document, fps, streamed, figure, seconds, ended, before}
+  let stream = null; // {name, document, fps, streamed, figure, count (of frames), seconds, ended, before}
   let waiting = []; // prompts that are typed: {text, seconds, parts}
 
   async function start() {
     if (store.get().live) return;
     const { id, history } = store.get();
     const document = history.present;
-    const mine = (stream = { name: null, document: id, streamed: new Map(), seconds: 0, ended: false, before: settled(history) });
+    const mine = (stream = { name: null, document: id, streamed: new Map(), count: 0, seconds: 0, ended: false, before: settled(history) });
     waiting = [];
     store.set({ live: { seconds: 0 }, pulling: false, drawing: false, span: null });
     work.cancel();
@@ -103,22 +103,25 @@ export function createLive(studio, player, stage, work) {
   }
 
   async function read(mine, edits, frames) {
+    let answer = null;
     try {
-      const answer = await server.readStream(mine.name, edits.map(({ edit }) => edit), frames);
-      if (stream === mine) take(mine, edits, answer);
+      answer = await server.readStream(mine.name, edits.map(({ edit }) => edit), frames);
     } catch (error) {
       if (stream !== mine) return;
       if (error.status !== 0) return stop(error.message);
       say("The server does not answer; trying again.");
+      waiting = [...edits.flatMap(({ next }) => next ?? []), ...waiting];
       await sleep(AGAIN_AFTER);
     }
+    if (answer && stream === mine) take(mine, edits, answer);
   }
 
   function take(mine, edits, { answers, frames, prompts, ended }) {
     const first = !mine.seconds && frames.length;
     mine.figure.add(frames);
     takeAnswers(mine, edits, answers);
-    mine.seconds = rounded(mine.seconds + frames.length / mine.fps);
+    mine.count += frames.length;
+    mine.seconds = mine.count / mine.fps;
     mine.ended = ended;
     store.set({ live: { seconds: mine.seconds } });
     if (first) stage.show([{ key: "live", figure: mine.figure }], "live");
@@ -129,7 +132,7 @@ export function createLive(studio, player, stage, work) {
   // ---- edits ------------------------------------------------------------------------------------------------------------
   function editsNow(mine) {
     const { history } = store.get();
-    const begun = ({ start }) => Math.floor(start * mine.fps + 1e-6) < Math.round(mine.seconds * mine.fps);
+    const begun = ({ start }) => Math.floor(start * mine.fps + 1e-6) < mine.count;
     const changed = history.gesture === null ? editsOf(history.present.prompts, mine.streamed, begun) : [];
     const typed = waiting.map((next) => ({ edit: { add: { text: next.text, seconds: next.seconds, ...partsOf(next.parts) } }, next }));
     const edits = [...typed, ...changed].slice(0, MOST_EDITS);

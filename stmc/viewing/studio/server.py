@@ -10,6 +10,7 @@ import json
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
 from threading import Lock
@@ -176,6 +177,7 @@ class Answers:
         self._retargeting = Lock()
         self.suggest, turns = suggester(sentence_encoder(model.text_encoder)), Turns()
         self.jobs = Jobs(model.sample, motions, turns)
+        self.mannequin = cache(partial(mannequin_file, model.skeleton, model.fps))
         self.streams = Streams(model.stream, self.stages["preview"][-1].steps, self.suggest, turns)
 
     async def page(self, request: Request) -> Response:
@@ -315,7 +317,7 @@ class Answers:
 
     async def send_mannequin(self) -> Response:
         """Send the figure that the frames of streams move."""
-        return Response(await run_in_threadpool(mannequin_file, self.model.skeleton, self.model.fps), media_type=GLTF)
+        return Response(await run_in_threadpool(self.mannequin), media_type=GLTF)
 
     async def list_documents(self) -> Response:
         """List all readable documents."""
