@@ -242,6 +242,7 @@ def test_a_stream_is_read_between_two_steps_of_a_job(tmp_path):
     assert job.events[-1][0] == "done" and not any(late)
 
 
+@pytest.mark.slow  # its skin takes a second
 def test_the_mannequin_has_the_joints_of_streams():
     content = mannequin_file(stmc.Skeleton.default(), 20)
     length = int.from_bytes(content[12:16], "little")
