@@ -204,7 +204,7 @@ export function createLive(studio, player, stage, work) {
   watch(store, ({ live }) => [live !== null], ({ live }) => {
     find("live").setAttribute("aria-pressed", String(live !== null));
     find("next").hidden = live === null;
-    if (live) return;
+    if (live) return text.focus({ preventScroll: true });
     find("buffering").hidden = true;
     delete document.body.dataset.live;
     if (stream) finish();
