@@ -140,8 +140,8 @@ OPERATIONS: tuple[Operation, ...] = (
     Operation(
         method="POST", path="/api/streams", handler="open_stream", topic="Streams", status=201,
         summary="Open a stream: a timeline that is edited while it plays",
-        about="There are two at most; for another one, the one that was read longest ago ends. So does one that nobody "
-        f"reads for ten minutes, and each after {MOST_SECONDS} s of motion. See also the page on streaming.",
+        about="Two at most: a third ends the one that was read longest ago. A stream also ends after ten minutes "
+        f"without a request, and after {MOST_SECONDS} s of motion. See also the page on streaming.",
         takes=JsonBody(bodies.StreamBody, {"timeline": _WAVE, "seed": 0}),
         gives=JsonOutput(responses.OpenedStream), refusals={429: "all streams are being read"},
     ),

@@ -31,7 +31,7 @@ from stmc.viewing.studio.responses import OpenedStream, StreamFrames, StreamProm
 from stmc.viewing.studio.turns import Turns
 
 MOST_STREAMS = 2
-"""Maximum number of streams; for another one, the one that was read longest ago ends."""
+"""Maximum number of streams; another one ends the one that was read longest ago."""
 
 IDLE_SECONDS = 600.0
 """Seconds without a request after which a stream ends."""
