@@ -60,15 +60,17 @@ def document(client) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def names(client) -> dict[str, str]:
-    """Names of a motion, a job that has ended, a film, a document, and a character."""
+    """Names of a motion, a job that has ended, a film, a document, a character, and a stream."""
     job = client.post("/api/jobs", json={"timeline": WALK, "steps": "preview"}).json()["job"]
     told = client.get(f"/api/jobs/{job}/events").text
     client.put("/api/documents/mine", json={"base": 0, "content": {"name": "Mine"}})
     hero = client.post("/api/characters", content=made.glb(made.stocky())).json()["character"]["id"]
+    stream = client.post("/api/streams", json={"timeline": WALK}).json()["stream"]
     motion = re.search(r'"id": "([^"]+)"', told)[1]
     film = client.post("/api/films", json={"motion": motion}).json()["job"]
     assert "event: done" in client.get(f"/api/jobs/{film}/events").text
-    return {"motion": motion, "job": job, "film": film, "document": "mine", "character": hero}
+    documents = {"document": "mine", "character": hero}
+    return {"motion": motion, "job": job, "film": film, "stream": stream} | documents
 
 
 # The document is true

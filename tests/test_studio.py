@@ -205,7 +205,7 @@ def test_files_of_timelines_are_read_and_written_as_by_the_library(client):
 KEYS = [
     "timeline", "prompts", "text", "start", "end", "parts", "name", "seeds", "steps", "keep", "change", "base",
     "constraints", "target", "keyframe", "path", "motion", "at", "content", "format", "clean_feet", "tab", "skeleton",
-    "joints", "parent", "place", "joint_map", "fps",
+    "joints", "parent", "place", "joint_map", "fps", "seed", "edits", "frames", "add", "move", "remove",
 ]  # fmt: skip
 ANY = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.just("walk"),
@@ -214,7 +214,8 @@ ANY = st.recursive(
 )
 ADDRESSES = [("POST", "/api/check"), ("POST", "/api/read"), ("POST", "/api/write"), ("POST", "/api/motions"),
              ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs"), ("POST", "/api/map"),
-             ("POST", "/api/retarget"), ("POST", "/api/films")]  # fmt: skip
+             ("POST", "/api/retarget"), ("POST", "/api/films"), ("POST", "/api/streams"),
+             ("POST", "/api/streams/none")]  # fmt: skip
 
 
 @given(

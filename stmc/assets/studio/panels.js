@@ -191,7 +191,8 @@ export function createSamplesPanel(studio, work, page) {
 }
 
 // ---- what the model knows ---------------------------------------------------------------------------------------------------
-export function createWordsPanel(studio, player) {
+// `next(text, parts)`: what a stream plays next.
+export function createWordsPanel(studio, player, next) {
   const { store } = studio;
   const panel = find("panel-words");
   const list = make("div", {});
@@ -216,6 +217,7 @@ export function createWordsPanel(studio, player) {
 
   // Into the chosen prompt, or else as a new one at the cursor.
   function write(text, parts) {
+    if (store.get().live) return next(text, parts);
     const prompt = promptOf(studio.present(), store.get().selected);
     if (prompt) return studio.edit({ kind: "write", id: prompt.id, text });
     const start = Math.min(rounded(player.time()), duration(studio.present()));

@@ -92,6 +92,11 @@ export const deleteDocument = (id) => answered(`/api/documents/${encodeURICompon
 export const startJob = (request) => json("/api/jobs", unsafe("POST", request));
 export const cancelJob = (id) => answered(`/api/jobs/${encodeURIComponent(id)}`, unsafe("DELETE"));
 
+export const openStream = (request) => json("/api/streams", unsafe("POST", request));
+export const readStream = (id, edits, frames) => json(`/api/streams/${encodeURIComponent(id)}`, unsafe("POST", { edits, frames }));
+export const closeStream = (id) => answered(`/api/streams/${encodeURIComponent(id)}`, { ...unsafe("DELETE"), keepalive: true });
+export const mannequinFile = () => bytes("/api/mannequin.glb");
+
 // Tells what happens in a job: `hear(kind, data)`. Returns what stops listening. A connection that breaks is taken up
 // again; where the server knows the job no more, it is "lost".
 export function followJob(id, hear) {

@@ -25,6 +25,12 @@ MOST_SEEDS = 8
 MOST_CONDITIONS = 100
 """Maximum number of changes, and of constraints, of a job."""
 
+MOST_EDITS = 20
+"""Maximum number of edits of a stream in a request."""
+
+MOST_FRAMES = 200
+"""Maximum number of frames of a stream in a response."""
+
 FARTHEST = 10_000
 """The largest number in a job's settings: metres, radians or seconds."""
 
@@ -102,6 +108,33 @@ class JobBody(TimelineBody):
     steps: str = setting("full", "the preview alone, or the preview and then the motion", choices=STAGES)
     tab: str = setting("", "any name: only the last of the jobs with this name waits")
     settings: Mapping[str, Any] = rest(GenerateRequest, Sampling, without=("timelines", "sampling"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamBody:
+    """A request to open a stream: with the fields of `GenerateRequest` and `Sampling` that a stream has."""
+
+    timeline: Timeline | None = setting(None, "timeline to begin with; null: none")
+    seed: int = setting(0, "seed of the motion", at_least=0)
+    settings: Mapping[str, Any] = rest(
+        GenerateRequest,
+        Sampling,
+        without=("timelines", "seeds", "sampling", "joints_from", "keep", "change", "constraints"),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadStreamBody:
+    """Edits of a stream, and how many frames are wanted after them."""
+
+    edits: tuple[dict, ...] = of_length(
+        (),
+        'edits from the next frame on: {"add": {"text", "start", "end" or "seconds", "body_parts"}}, '
+        '{"move": 0, "start", "end"} or {"remove": 0}',
+        0,
+        MOST_EDITS,
+    )
+    frames: int = setting(MISSING, "number of frames", at_least=0, at_most=MOST_FRAMES)
 
 
 @dataclass(frozen=True, kw_only=True)

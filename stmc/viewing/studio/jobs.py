@@ -18,6 +18,7 @@ from stmc.motion.motion import Motion
 from stmc.viewing.studio.job_queue import Job, JobQueue, watched
 from stmc.viewing.studio.request_errors import RequestError, request_error
 from stmc.viewing.studio.storage import Motions
+from stmc.viewing.studio.turns import Turns
 
 
 class Stage(NamedTuple):
@@ -54,6 +55,8 @@ Sample = Callable[[GenerateRequest, Progress], Sequence[Motion]]
 class Jobs(JobQueue):
     """The queue of requests to sample, which its thread runs with `sample`, a method of a model.
 
+    Between their steps, jobs give way to streams with the same `turns`.
+
     Examples:
         >>> jobs = stmc.viewing.studio.Jobs(stmc.load().sample, stmc.viewing.studio.Motions("motions"))
         >>> job = jobs.add(stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"}))
@@ -63,8 +66,8 @@ class Jobs(JobQueue):
         >>> jobs.close()
     """
 
-    def __init__(self, sample: Sample, motions: Motions) -> None:
-        self.sample, self.motions = sample, motions
+    def __init__(self, sample: Sample, motions: Motions, turns: Turns | None = None) -> None:
+        self.sample, self.motions, self._turns = sample, motions, turns or Turns()
         super().__init__("studio jobs")
 
     def add(self, request: GenerateRequest, stages: tuple[Stage, ...] = (PREVIEW,), tab: str = "") -> Job:
@@ -95,8 +98,10 @@ class Jobs(JobQueue):
         steps, made = stage.steps, itertools.count()
 
         def told() -> None:
+            self._turns.give_way()
             job.check()
             job.tell("progress", stage=stage.name, step=min(next(made), steps), steps=steps)
 
         sampling = Sampling(steps=steps).over(request.sampling).over(OWN)
-        return self.sample(replace(request, sampling=sampling), watched(told))
+        with self._turns.job():
+            return self.sample(replace(request, sampling=sampling), watched(told))

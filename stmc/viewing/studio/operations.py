@@ -14,6 +14,7 @@ from stmc.formats import READABLE
 from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS
 from stmc.viewing.studio import bodies, responses
 from stmc.viewing.studio.bodies import RECEIVED
+from stmc.viewing.studio.documents_json import MOST_SECONDS
 from stmc.viewing.studio.inputs_outputs import (
     MOST_UPLOAD,
     EventOutput,
@@ -72,6 +73,7 @@ _PERSON = {
 _NO_MOTION = {404: "there is no such motion"}
 _NO_CHARACTER = {404: "there is no such character or motion"}
 _NO_JOB = {404: "there is no such job"}
+_NO_STREAM = {404: "there is no such stream, or it has ended"}
 _NO_DOCUMENT = {404: "there is no such document"}
 GLTF = "model/gltf-binary"
 _PYTHON = ("text/x-python",)
@@ -134,6 +136,33 @@ OPERATIONS: tuple[Operation, ...] = (
         summary="Cancel a job",
         about="At once if it waits, before its next step if it runs; a job that has ended stays as it is.",
         gives=JsonOutput(responses.Nothing), refusals=_NO_JOB,
+    ),
+    Operation(
+        method="POST", path="/api/streams", handler="open_stream", topic="Streams", status=201,
+        summary="Open a stream: a timeline that is edited while it plays",
+        about="Two at most: a third ends the one that was read longest ago. A stream also ends after ten minutes "
+        f"without a request, and after {MOST_SECONDS} s of motion. See also the page on streaming.",
+        takes=JsonBody(bodies.StreamBody, {"timeline": _WAVE, "seed": 0}),
+        gives=JsonOutput(responses.OpenedStream), refusals={429: "all streams are being read"},
+    ),
+    Operation(
+        method="POST", path="/api/streams/{name}", handler="read_stream", topic="Streams",
+        summary="Edit a stream and read its next frames",
+        about="Edits come first, as those of `stmc stream`; each is answered, also one that is refused. `body_parts` "
+        "that are left out are suggested.",
+        takes=JsonBody(bodies.ReadStreamBody, {"edits": [{"add": {"text": "wave", "seconds": 2}}], "frames": 10}),
+        gives=JsonOutput(responses.StreamFrames), refusals=_NO_STREAM | {429: "another request reads it"},
+    ),
+    Operation(
+        method="DELETE", path="/api/streams/{name}", handler="close_stream", topic="Streams",
+        summary="End a stream",
+        gives=JsonOutput(responses.Nothing), refusals=_NO_STREAM,
+    ),
+    Operation(
+        method="GET", path="/api/mannequin.glb", handler="send_mannequin", topic="Streams",
+        summary="Read the figure that the frames of streams move",
+        about="At rest; its nodes are called as the joints.",
+        gives=FileOutput((GLTF,)),
     ),
     Operation(
         method="POST", path="/api/motions", handler="receive", topic="Motions", status=201,

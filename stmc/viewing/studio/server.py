@@ -10,6 +10,7 @@ import json
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
 from threading import Lock
@@ -41,8 +42,10 @@ from stmc.viewing.studio.bodies import (
     FilmBody,
     JobBody,
     ReadBody,
+    ReadStreamBody,
     RetargetBody,
     SkeletonBody,
+    StreamBody,
     TimelineBody,
     TokenBody,
     WriteBody,
@@ -61,6 +64,8 @@ from stmc.viewing.studio.responses import SkeletonMotion
 from stmc.viewing.studio.sessions import Sessions
 from stmc.viewing.studio.skeletons_json import MOST_KEY_FRAMES, describe_keys, describe_map, mapped
 from stmc.viewing.studio.storage import Documents, Motions, private_folder
+from stmc.viewing.studio.streams import Streams, mannequin_file
+from stmc.viewing.studio.turns import Turns
 
 logger = logging.getLogger(__name__)
 
@@ -162,8 +167,10 @@ class Answers:
         self.stages = stages_by_quality(model.sampling.steps, steps or model.sampling.steps or FULL_STEPS)
         self.sessions, self.api = sessions, openapi_document(OPERATIONS, stmc.__version__)
         self._retargeting = Lock()
-        self.jobs = Jobs(model.sample, motions)
-        self.suggest = suggester(sentence_encoder(model.text_encoder))
+        self.suggest, turns = suggester(sentence_encoder(model.text_encoder)), Turns()
+        self.jobs = Jobs(model.sample, motions, turns)
+        self.mannequin = cache(partial(mannequin_file, model.skeleton, model.fps))
+        self.streams = Streams(model.stream, self.stages["preview"][-1].steps, self.suggest, turns)
 
     async def page(self, request: Request) -> Response:
         """Send the page."""
@@ -300,6 +307,23 @@ class Answers:
         """Cancel a job."""
         self._queue(name).cancel(name)
         return JSONResponse({})
+
+    async def open_stream(self, body: StreamBody) -> Response:
+        """Open a stream."""
+        return JSONResponse(await run_in_threadpool(self.streams.open, body.timeline, body.seed, body.settings), 201)
+
+    async def read_stream(self, body: ReadStreamBody, name: str) -> Response:
+        """Edit a stream and send its next frames."""
+        return JSONResponse(await run_in_threadpool(self.streams.read, name, body.edits, body.frames))
+
+    async def close_stream(self, name: str) -> Response:
+        """End a stream."""
+        self.streams.close(name)
+        return JSONResponse({})
+
+    async def send_mannequin(self) -> Response:
+        """Send the figure that the frames of streams move."""
+        return Response(await run_in_threadpool(self.mannequin), media_type=GLTF)
 
     async def list_documents(self) -> Response:
         """List all readable documents."""
