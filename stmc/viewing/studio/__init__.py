@@ -8,11 +8,11 @@ exports and views.
 from stmc.viewing.studio.character_storage import Characters
 from stmc.viewing.studio.job_queue import Job
 from stmc.viewing.studio.jobs import Jobs, Stage
+from stmc.viewing.studio.sampling_turns import Turns
 from stmc.viewing.studio.server import application
 from stmc.viewing.studio.sessions import Sessions, program_token
 from stmc.viewing.studio.storage import Documents, Motions
 from stmc.viewing.studio.streams import Streams
-from stmc.viewing.studio.turns import Turns
 
 __all__ = [
     "Characters",

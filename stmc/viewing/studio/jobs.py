@@ -17,8 +17,8 @@ from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.motion import Motion
 from stmc.viewing.studio.job_queue import Job, JobQueue, watched
 from stmc.viewing.studio.request_errors import RequestError, request_error
+from stmc.viewing.studio.sampling_turns import Turns
 from stmc.viewing.studio.storage import Motions
-from stmc.viewing.studio.turns import Turns
 
 
 class Stage(NamedTuple):

@@ -61,11 +61,11 @@ from stmc.viewing.studio.openapi import openapi_document
 from stmc.viewing.studio.operations import GLTF, OPERATIONS, PUBLIC, UPLOADS, Operation
 from stmc.viewing.studio.request_errors import RequestError, request_error, take
 from stmc.viewing.studio.responses import SkeletonMotion
+from stmc.viewing.studio.sampling_turns import Turns
 from stmc.viewing.studio.sessions import Sessions
 from stmc.viewing.studio.skeletons_json import MOST_KEY_FRAMES, describe_keys, describe_map, mapped
 from stmc.viewing.studio.storage import Documents, Motions, private_folder
 from stmc.viewing.studio.streams import Streams, mannequin_file
-from stmc.viewing.studio.turns import Turns
 
 logger = logging.getLogger(__name__)
 

@@ -28,7 +28,7 @@ from stmc.timeline import Prompt, Timeline, TimelineError
 from stmc.viewing.studio.documents_json import MOST_PROMPTS, MOST_SECONDS, in_order
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.responses import OpenedStream, StreamFrames, StreamPrompt
-from stmc.viewing.studio.turns import Turns
+from stmc.viewing.studio.sampling_turns import Turns
 
 MOST_STREAMS = 2
 """Maximum number of streams; another one ends the one that was read longest ago."""
