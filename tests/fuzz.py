@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from helpers import characters as made_characters
 from helpers import guo_files, toy_data
+from helpers import robots as made_robots
 from helpers.acclaim_files import Actor, moving
 from helpers.joblib_files import joblib_bytes
 from helpers.memory import peak
@@ -88,6 +89,8 @@ def corpus(folder: Path) -> Iterator[tuple[str, Path, Callable[[Path], object]]]
     rig = made_characters.lanky()
     yield "character glb", written(folder / "hero.glb", made_characters.glb(rig)), stmc.read_character
     yield "character bvh", written(folder / "hero.bvh", made_characters.bvh(rig).encode()), stmc.read_character
+    yield "robot xml", written(folder / "robot.xml", made_robots.mjcf().encode()), stmc.read_character
+    yield "robot urdf", written(folder / "robot.urdf", made_robots.urdf().encode()), stmc.read_character
     yield from pickles(folder)
     yield from texts(folder)
     yield from folders(folder)

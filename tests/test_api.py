@@ -20,7 +20,7 @@ import pytest
 import torch
 from helpers import characters as made
 from helpers.motions import walking
-from helpers.studio import ADDRESS, PORT, Served, bearer, knowing, served, studio
+from helpers.studio import ADDRESS, PORT, Served, bearer, draw_nothing, knowing, served, studio
 from jsonschema import Draft202012Validator
 from openapi_spec_validator import validate
 from starlette.routing import Route
@@ -43,6 +43,7 @@ def model() -> stmc.Model:
 @pytest.fixture(scope="module")
 def client(model, tmp_path_factory) -> Iterator[TestClient]:
     with studio(model, tmp_path_factory.mktemp("studio")) as client:
+        client.app.state.films.render = draw_nothing
         yield client
 
 
@@ -59,12 +60,17 @@ def document(client) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def names(client) -> dict[str, str]:
-    """Names of a motion, a job that has ended, a document, and a character."""
+    """Names of a motion, a job that has ended, a film, a document, a character, and a stream."""
     job = client.post("/api/jobs", json={"timeline": WALK, "steps": "preview"}).json()["job"]
     told = client.get(f"/api/jobs/{job}/events").text
     client.put("/api/documents/mine", json={"base": 0, "content": {"name": "Mine"}})
     hero = client.post("/api/characters", content=made.glb(made.stocky())).json()["character"]["id"]
-    return {"motion": re.search(r'"id": "([^"]+)"', told)[1], "job": job, "document": "mine", "character": hero}
+    stream = client.post("/api/streams", json={"timeline": WALK}).json()["stream"]
+    motion = re.search(r'"id": "([^"]+)"', told)[1]
+    film = client.post("/api/films", json={"motion": motion}).json()["job"]
+    assert "event: done" in client.get(f"/api/jobs/{film}/events").text
+    documents = {"document": "mine", "character": hero}
+    return {"motion": motion, "job": job, "film": film, "stream": stream} | documents
 
 
 # The document is true

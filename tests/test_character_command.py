@@ -4,6 +4,7 @@ import json
 
 import pytest
 from helpers import characters as made
+from helpers import robots
 from helpers.scripts import loaded
 from helpers.tiny_model import tiny
 
@@ -19,6 +20,13 @@ def run(tmp_path_factory):
 def hero(tmp_path):
     path = tmp_path / "hero.glb"
     path.write_bytes(made.glb(made.stocky()))
+    return path
+
+
+@pytest.fixture
+def robot(tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text(robots.urdf())
     return path
 
 
@@ -39,18 +47,45 @@ def test_files_show_the_character_and_a_change_of_its_file_makes_them_again(run,
 
 
 @pytest.mark.parametrize(
+    ("name", "content", "columns"),
+    [
+        ("robot.xml", robots.mjcf(), ["root_x", "left_knee"]),
+        ("robot.urdf", robots.urdf(), ["pelvis_x", "left_knee"]),
+    ],
+)
+def test_the_table_of_a_robot_has_its_joints_at_its_rate(name, content, columns, run, tmp_path, capsys):
+    robot, folder = tmp_path / name, tmp_path / "out"
+    robot.write_text(content)
+    arguments = ["nod # 0 # 0.4", str(folder), f"model={run}", "steps=1", "formats=csv,bvh", f"character={robot}"]
+    assert loaded("sample").main(arguments) == 0
+    assert "left_knee: left_knee" in "".join(capsys.readouterr())
+    [path] = folder.glob("*.csv")
+    first, *rows = path.read_text().splitlines()
+    assert first.startswith("time,") and set(columns) <= set(first.split(","))
+    assert len(rows) == 20 and {len(row.split(",")) for row in rows} == {first.count(",") + 1}
+    assert "JOINT left_knee" in path.with_suffix(".bvh").read_text(), "the other formats have our body"
+    assert loaded("sample").main(arguments) == 0 and "already" in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
     ("settings", "message"),
     [
         (["formats=npz", "character={hero}"], "none of these formats shows it; add one of glb, vrma, bvh"),
         (["formats=glb,vrm", "character={hero}"], "has no humanoid map of VRM; choose from glb, vrma, bvh"),
         (["formats=vrma"], "need a character: character=hero.vrm"),
         (["joint_map=map.yaml"], "need a character: character=hero.vrm"),
+        (["formats=npz,glb", "character={robot}"], "robot.urdf: none of these formats shows it; add one of csv"),
+        (["formats=csv,vrma", "character={robot}"], "robot.urdf is a robot, whose motions are tables; choose from csv"),
+        (["formats=csv,vrm", "character={robot}"], "robot.urdf has no humanoid map of VRM; choose from csv"),
         (["character={hero}.zip"], "no characters of '.zip' files are read"),
     ],
 )
-def test_a_character_that_cannot_be_shown_is_refused_in_a_sentence(settings, message, hero, run, tmp_path, capsys):
+def test_a_character_that_cannot_be_shown_is_refused_in_a_sentence(
+    settings, message, hero, robot, run, tmp_path, capsys
+):
     folder = tmp_path / "out"
-    arguments = ["nod # 0 # 1", str(folder), f"model={run}", *(each.format(hero=hero) for each in settings)]
+    settings = [each.format(hero=hero, robot=robot) for each in settings]
+    arguments = ["nod # 0 # 1", str(folder), f"model={run}", *settings]
     assert loaded("sample").main(arguments) == 2
     assert message in capsys.readouterr().err
     assert not list(folder.glob("*"))

@@ -26,7 +26,16 @@ def frames(path) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("kind", ["webp", "gif"])
 def test_a_film_has_a_picture_for_every_frame_and_moves(kind, tmp_path):
-    render_film(WALK, tmp_path / f"walk.{kind}", TIMELINE, fps=5)
+    drawn = []
+
+    def progress(pictures, total):
+        drawn.append(total)
+        for picture in pictures:
+            yield picture
+            drawn.append(total)
+
+    render_film(WALK, tmp_path / f"walk.{kind}", TIMELINE, fps=5, progress=progress)
+    assert drawn == [3, 3, 3, 3]
     pictures = frames(tmp_path / f"walk.{kind}")
     assert len(pictures) == 3
     assert all(np.abs(one - other).mean() > 0.2 for one, other in pairwise(pictures))
@@ -52,6 +61,18 @@ def test_a_video_is_written_where_ffmpeg_is_and_refused_with_a_reason_where_it_i
     render_film(WALK, tmp_path / "walk.mp4", TIMELINE)
     count, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "walk.mp4"))
     assert (count, seconds) == (WALK.frames, pytest.approx(WALK.duration, abs=0.06))
+
+
+def test_a_film_whose_drawing_is_interrupted_leaves_the_file_of_before_and_nothing_else(tmp_path):
+    def interrupted(pictures, total):
+        yield next(pictures)
+        raise InterruptedError
+
+    path = tmp_path / "walk.webp"
+    path.write_bytes(b"of before")
+    with pytest.raises(InterruptedError):
+        render_film(WALK, path, fps=2, progress=interrupted)
+    assert list(tmp_path.iterdir()) == [path] and path.read_bytes() == b"of before"
 
 
 def test_another_suffix_is_refused(tmp_path):

@@ -1,5 +1,6 @@
 """Robots' files that are damaged or hostile: refused in one sentence that says what is missing, soon and small."""
 
+import math
 import random
 import re
 import time
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 from fuzz import mutated
 from helpers import robots as made
+from helpers.motions import walking
 
 import stmc
 from stmc.formats.characters import CharacterError
@@ -112,8 +114,8 @@ def test_a_model_includes_files_of_its_own_folder(tmp_path):
     assert refused(tmp_path / "link.xml", text).startswith("it includes 'away.xml', which is not in the model's folder")
 
 
-def try_mutated(folder: Path, count: int, seed: int) -> None:
-    """Damaged robots are read, or refused by name, each within two seconds."""
+def try_mutated(folder: Path, count: int, seed: int, motion: stmc.Motion | None = None) -> None:
+    """Damaged robots are read, or refused by name, each within two seconds; those that are read do the motion."""
     rng, read = random.Random(seed), 0
     good = {"robot.xml": MJCF.encode(), "robot.urdf": URDF.encode()}
     for number in range(count):
@@ -122,12 +124,22 @@ def try_mutated(folder: Path, count: int, seed: int) -> None:
         path.write_bytes(mutated(good[name], rng))
         began = time.process_time()
         try:
-            stmc.read_character(path)
+            robot = stmc.read_character(path)
             read += 1
+            if motion is not None:
+                check_table(stmc.retarget(motion, robot, fps=20).content(".csv").decode(), motion.frames)
         except CharacterError as error:
             assert str(error).startswith(f"{path}: ") and len(str(error)) < LONGEST + len(str(path)), error
         assert time.process_time() - began < 2, number
     assert 0 < read < count
+
+
+def check_table(text: str, frames: int) -> None:
+    """A table has a row of finite numbers for each frame, one below each name."""
+    first, *rows = text.splitlines()
+    values = [[float(value) for value in row.split(",")] for row in rows]
+    assert len(rows) == frames and {len(row) for row in values} == {first.count(",") + 1}
+    assert all(math.isfinite(value) for row in values for value in row)
 
 
 def test_damaged_robots_are_read_or_refused_by_name(tmp_path):
@@ -135,5 +147,5 @@ def test_damaged_robots_are_read_or_refused_by_name(tmp_path):
 
 
 @pytest.mark.slow
-def test_five_hundred_damaged_robots_are_read_or_refused_by_name(tmp_path):
-    try_mutated(tmp_path, count=500, seed=1)
+def test_five_hundred_damaged_robots_do_a_motion_or_are_refused_by_name(tmp_path):
+    try_mutated(tmp_path, count=500, seed=1, motion=walking(seconds=0.2, fps=20))

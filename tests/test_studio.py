@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.studio import PORT, WALK, bearer, entered, knowing, studio
+from helpers.studio import PORT, WALK, bearer, draw_nothing, entered, knowing, studio
 from helpers.tiny_model import tiny
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +19,8 @@ from stmc.data.sources.contents import CONTENTS
 from stmc.motion.body import JOINTS
 from stmc.viewing.studio import Documents, Jobs, Motions, Sessions, application
 from stmc.viewing.studio.auth import MOST_BYTES
-from stmc.viewing.studio.jobs import MOST_WAITING, PREVIEW, stages_by_quality
+from stmc.viewing.studio.job_queue import MOST_WAITING
+from stmc.viewing.studio.jobs import PREVIEW, stages_by_quality
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.storage import ID
 
@@ -141,6 +142,18 @@ def test_a_check_says_who_owns_which_part_when_and_what_was_suggested(client):
     assert told["duration"] == 2 and told["rows"] == 2
 
 
+def test_a_check_says_which_parts_an_action_needs_whatever_the_prompt_lists_unless_the_model_hardly_knows_it(client):
+    listed = enumerate([("walk", ["right arm"]), ("walk", []), ("swim across the river", ["right arm"])])
+    prompts = [{"text": text, "start": at, "end": at + 1, "parts": parts} for at, (text, parts) in listed]
+    told = client.post("/api/check", json={"timeline": {"prompts": prompts}}).json()["prompts"]
+    assert [(each["parts"], each["needs"]) for each in told] == [
+        (["right arm"], ["legs"]),
+        (["legs"], ["legs"]),
+        (["right arm"], []),
+    ]
+    assert [each["suggested"] for each in told] == [False, True, False] and told[0]["confidence"] is None
+
+
 @pytest.mark.parametrize(("text", "near"), [("swim across the river", True), ("qwxz vvv kkk", False)])
 def test_an_unknown_prompt_is_advised_with_the_known_ones_that_are_near(client, text, near):
     prompts = [{"text": text, "start": 0, "end": 1, "parts": []}]
@@ -192,7 +205,7 @@ def test_files_of_timelines_are_read_and_written_as_by_the_library(client):
 KEYS = [
     "timeline", "prompts", "text", "start", "end", "parts", "name", "seeds", "steps", "keep", "change", "base",
     "constraints", "target", "keyframe", "path", "motion", "at", "content", "format", "clean_feet", "tab", "skeleton",
-    "joints", "parent", "place", "joint_map", "fps",
+    "joints", "parent", "place", "joint_map", "fps", "seed", "edits", "frames", "add", "move", "remove",
 ]  # fmt: skip
 ANY = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.just("walk"),
@@ -201,7 +214,8 @@ ANY = st.recursive(
 )
 ADDRESSES = [("POST", "/api/check"), ("POST", "/api/read"), ("POST", "/api/write"), ("POST", "/api/motions"),
              ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs"), ("POST", "/api/map"),
-             ("POST", "/api/retarget")]  # fmt: skip
+             ("POST", "/api/retarget"), ("POST", "/api/films"), ("POST", "/api/streams"),
+             ("POST", "/api/streams/none")]  # fmt: skip
 
 
 @given(
@@ -456,6 +470,49 @@ def test_a_film_that_needs_what_is_not_installed_is_refused_with_what_to_install
     [told] = made(sampled(client, steps="preview"))
     answer = client.get(f"/api/motions/{told['motion']['id']}.mp4")
     assert answer.status_code == 501 and "pip install" in answer.json()["error"]
+
+
+def test_a_film_is_a_job_that_counts_pictures_and_its_file_is_there_once_it_is_done(client, monkeypatch):
+    drawn = []
+
+    def render(motion, path, timeline, progress):
+        drawn.append((motion.frames, timeline))
+        draw_nothing(motion, path, timeline, progress)
+
+    monkeypatch.setattr(client.app.state.films, "render", render)
+    [told] = made(sampled(client, steps="preview"))
+    asked = {"motion": told["motion"]["id"], "format": "gif", "fps": 10, "timeline": WALK}
+    for loop in (False, True):
+        job = client.post("/api/films", json=asked | {"loop": loop}).json()["job"]
+        stages = events(client.get(f"/api/jobs/{job}/events").text)
+        (frames, timeline), (kind, last) = drawn[-1], stages[-2]
+        assert (kind, last) == ("progress", {"stage": "film", "step": frames, "steps": frames})
+        assert stages[-1] == ("done", {}) and (timeline is None) == loop and (frames < 20 if loop else frames == 20)
+        film = client.get(f"/api/films/{job}")
+        assert film.status_code == 200 and film.content == b"film" and film.headers["content-type"] == "image/gif"
+        assert "motion.gif" in film.headers["content-disposition"]
+    assert client.get("/api/films/none").status_code == 404
+    assert client.post("/api/films", json=asked | {"motion": "none"}).status_code == 404
+    monkeypatch.setattr("stmc.viewing.studio.storage.MOST_FILM_FRAMES", 5)
+    assert "5 at most" in client.post("/api/films", json=asked).json()["error"]
+
+
+def test_a_film_that_is_cancelled_by_its_job_has_no_file(client, monkeypatch):
+    drawing, may = threading.Event(), threading.Event()
+
+    def render(motion, path, timeline, progress):
+        for _ in progress(range(motion.frames), total=motion.frames):
+            drawing.set()
+            assert may.wait(timeout=60)
+
+    monkeypatch.setattr(client.app.state.films, "render", render)
+    [told] = made(sampled(client, steps="preview"))
+    job = client.post("/api/films", json={"motion": told["motion"]["id"]}).json()["job"]
+    assert drawing.wait(timeout=60)
+    assert client.delete(f"/api/jobs/{job}").status_code == 200
+    may.set()
+    assert events(client.get(f"/api/jobs/{job}/events").text)[-1] == ("cancelled", {})
+    assert client.get(f"/api/films/{job}").status_code == 404
 
 
 @pytest.mark.parametrize("path", ["none.glb", "..%2Fmodel.npz", "x" * 50 + ".bvh", "a.exe"])

@@ -17,7 +17,7 @@ from test_characters import humanoid
 import stmc
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.viewing.studio import Characters, character_storage, storage
-from stmc.viewing.studio.operations import MOST_UPLOAD
+from stmc.viewing.studio.inputs_outputs import MOST_UPLOAD
 from stmc.viewing.studio.request_errors import RequestError
 
 HERO = figures.glb(figures.stocky())
@@ -129,6 +129,7 @@ def _changed(change) -> bytes:
         (HERO, "", "must be a .glb"),
         (HERO, "..%2F..%2Fetc%00.bvh", "must be a .glb"),
         (b"HIERARCHY", "hero.bvh", "must be a .glb"),
+        (b"<robot/>", "robot.URDF", "robots move with `stmc sample … character=robot.urdf formats=csv`"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -806,3 +806,66 @@ def test_progress_and_errors_are_read_out_once_each_and_not_at_every_step(tab):
     click(tab, "#generate")
     tab.wait("!document.getElementById('message').hidden")
     assert any(role == "alert" for role, _, _ in tree(tab))
+
+
+# ---- live -----------------------------------------------------------------------------------------------------------
+
+LIVE = 'JSON.parse(document.body.dataset.live || \'{"seconds": 0, "prompts": []}\')'
+"""How many seconds have come of the stream that plays, and the texts of its prompts."""
+
+
+def test_live_plays_what_is_typed_and_leaves_it_in_the_timeline_as_one_step(tab):
+    automatic(tab, False)
+    write(tab, "walk")
+    click(tab, "#live")
+    tab.wait(f"{LIVE}.seconds > 0 && {LIVE}.prompts.join() === 'walk'")
+    assert tab.ask("document.getElementById('live').getAttribute('aria-pressed')") == "true"
+    assert nameless(tab) == []
+    picture(tab, "14_live")
+    click(tab, "#next-text")
+    tab.call("Input.insertText", text="wave with the left hand")
+    press(tab, "Enter")
+    tab.wait(f"{LIVE}.prompts.includes('wave with the left hand')")
+    tab.wait(f"{BARS}.some(([text]) => text === 'wave with the left hand')")
+    seconds = tab.ask(f"{LIVE}.seconds")
+    tab.wait(f"{LIVE}.seconds > {seconds} + 1 && parseFloat(document.getElementById('time').textContent) > 0.5")
+    click(tab, "#live")
+    tab.wait("!document.body.dataset.live && document.getElementById('next').hidden")
+    assert sorted(tab.ask(f"{BARS}.map(([text]) => text)")) == ["walk", "wave with the left hand"]
+    tab.ask("document.activeElement.blur()")
+    press(tab, "z", CONTROL)
+    tab.wait(f"{BARS}.length === 1")
+
+
+def test_live_takes_back_an_edit_of_what_has_played_and_says_why(tab):
+    automatic(tab, False)
+    write(tab, "walk")
+    click(tab, "#live")
+    tab.wait(f"{LIVE}.seconds > 1")
+    tab.ask("document.querySelector('.bar').focus()")
+    press(tab, "ArrowRight", CONTROL)  # by 1 s
+    tab.wait("document.getElementById('message').textContent.includes('has begun at 0 s; only its end can move')")
+    tab.wait(f"{BARS}[0][1].startsWith('0 s to 3 s')")
+    press(tab, "Escape")
+    tab.wait("!document.body.dataset.live")
+
+
+def test_what_differs_from_the_stream_becomes_its_edits(tab):
+    tab.ask("import('/assets/live.js').then((module) => { window.live = module; })")
+    tab.wait("window.live !== undefined")
+    setting = """
+      const prompt = (id, text, start, end, parts = []) => ({ id, text, start, end, parts });
+      const [walk, wave] = [prompt("p1", "walk", 0, 4, ["legs"]), prompt("p2", "wave", 3, 5)];
+      const streamed = new Map([["p1", { number: 0, prompt: walk }], ["p2", { number: 1, prompt: wave }]]);
+      const edits = (prompts) => live.editsOf(prompts, streamed, ({ start }) => start < 2).map(({ edit }) => edit);"""
+
+    def edits(prompts: str) -> list[dict]:
+        return tab.ask(f"(() => {{ {setting} return edits({prompts}); }})()")
+
+    assert edits("[walk, wave]") == []
+    assert edits("[walk]") == [{"remove": 1}]
+    assert edits("[walk, {...wave, end: 6}]") == [{"move": 1, "start": 3, "end": 6}]
+    clap = {"add": {"text": "clap", "start": 3, "end": 5, "body_parts": ["left arm"]}}
+    assert edits("[walk, {...wave, text: 'clap', parts: ['left arm']}]") == [{"remove": 1}, clap]
+    run = {"add": {"text": "run", "start": 0, "end": 4, "body_parts": ["legs"]}}
+    assert edits("[{...walk, text: 'run'}, wave]") == [run], "the stream refuses what has begun, and walk stays"

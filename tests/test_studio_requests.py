@@ -42,12 +42,14 @@ TEXTS = [
 NUMBERS = [0, 1, -1, 2, 0.5, 1e-308, 1e308, 1e30, -0.0, 2**31, 2**53, 2**63, 10**400, float("nan"), float("inf")]
 KEYS = ["timeline", "prompts", "text", "start", "end", "parts", "name", "seeds", "steps", "keep", "change", "base",
         "constraints", "target", "keyframe", "path", "hold", "heading", "motion", "at", "points", "joint", "point",
-        "angle", "content", "format", "clean_feet", "tab", "token", "version"]  # fmt: skip
+        "angle", "content", "format", "clean_feet", "tab", "token", "version", "seed", "edits", "frames", "add", "move",
+        "remove"]  # fmt: skip
 SKELETON = next(each.takes.example["skeleton"] for each in OPERATIONS if each.handler == "retarget")
 PATHS = [
     "/", "/api/model", "/api/check", "/api/read", "/api/write", "/api/motions", "/api/motions/a.glb", "/api/jobs",
     "/api/characters", "/api/characters/a", "/api/characters/a/poses/b", "/api/motions/a.glb?character=%00",
     "/api", "/api/map", "/api/retarget", "/api/openapi.json", "/api/jobs/a", "/api/jobs/a/events",
+    "/api/streams", "/api/streams/a", "/api/mannequin.glb", "/api/films", "/api/films/a",
     "/api/documents", "/api/documents/", "/api/documents/fuzz",
     "/api/session", "//", "/api/documents/%2e%2e%2f", "/assets/main.js", "/assets/%00", "/assets/../server.py", "/%ff",
 ]  # fmt: skip

@@ -269,6 +269,20 @@ def test_body_parts_are_suggested_by_what_is_near_and_by_words_for_sides(text, p
     assert stmc.suggest_parts(text).parts == parts
 
 
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("kick", {"legs"}),
+        ("kick with the right leg", {"legs"}),
+        ("wave with the left hand", {"left arm"}),
+        ("clap", {"left arm", "right arm"}),
+        ("qwxz vvv kkk", set()),
+    ],
+)
+def test_an_action_needs_its_legs_or_else_one_of_its_parts_and_nothing_is_known_of_words_without_sense(text, parts):
+    assert stmc.suggest_parts(text).needs == parts
+
+
 def test_listed_parts_stay_and_what_is_for_the_whole_body_goes_on_yielding():
     timeline = stmc.Timeline.parse("walk # 0 # 2 # head\nswim # 2 # 4\nkick with the left foot # 4 # 6")
     assert [prompt.parts for prompt in stmc.with_suggested_parts(timeline).prompts] == [{"head"}, set(), {"legs"}]

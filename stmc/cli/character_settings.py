@@ -9,6 +9,9 @@ from rich.console import Console
 import stmc
 from stmc.settings.records import SettingError
 
+_REASONS = {"vrm": "has no humanoid map of VRM", "vrma": "is a robot, whose motions are tables"}
+"""Why a character cannot be written in a format that our own body does not have."""
+
 
 def read_settings_character(
     path: str | None, joint_map: str | None, formats: Sequence[str], console: Console
@@ -25,7 +28,8 @@ def read_settings_character(
         The character, or None without one.
 
     Raises:
-        SettingError: If no format can show the character, or if a format needs a character and there is none.
+        SettingError: If no format shows the character, if one cannot be written of it, or if one needs a character and
+            there is none.
     """
     if path is None:
         if {"vrm", "vrma"} & set(formats) or joint_map is not None:
@@ -35,8 +39,9 @@ def read_settings_character(
     kinds = [suffix[1:] for suffix in character.formats]
     if not set(kinds) & set(formats):
         raise SettingError(f"character={path}: none of these formats shows it; add one of {', '.join(kinds)}")
-    if "vrm" in formats and "vrm" not in kinds:
-        raise SettingError(f"formats=vrm: {path} has no humanoid map of VRM; choose from {', '.join(kinds)}")
+    for kind, reason in _REASONS.items():
+        if kind in formats and kind not in kinds:
+            raise SettingError(f"formats={kind}: {path} {reason}; choose from {', '.join(kinds)}")
     console.print(f"{path}: joints found by {character.found_by}", markup=False)
     for joint, name in character.joint_map.items():
         console.print(f"  {joint}: {name}", markup=False)

@@ -28,12 +28,11 @@ from stmc.cli.stream_outputs import Output, open_output
 from stmc.composing.sampling import Sampling
 from stmc.diffusion.tensors import found_device
 from stmc.editing.generate_request import GenerateRequest
-from stmc.editing.stream_edits import apply_edit
+from stmc.editing.stream_edits import answer_edit
 from stmc.editing.streaming import Frame, MotionStream
 from stmc.io.untrusted import UnreadableError, load_json
 from stmc.model import Precision
 from stmc.settings.records import SettingError, as_in, setting
-from stmc.timeline import TimelineError
 
 MOST_LETTERS = 1_000_000
 """Maximum number of characters of a line on stdin."""
@@ -173,6 +172,6 @@ def _answer(stream: MotionStream, line: str) -> dict[str, Any]:
         edit = load_json(line)
         if not isinstance(edit, dict):
             raise SettingError("edit: must be a JSON object on one line")
-        return {**apply_edit(stream, edit), "frame": stream.cursor}
-    except (SettingError, TimelineError, UnreadableError) as error:
+    except (SettingError, UnreadableError) as error:
         return {"error": str(error), "frame": stream.cursor}
+    return answer_edit(stream, edit)

@@ -10,15 +10,12 @@ from ipaddress import ip_address
 from typing import Any, Protocol, runtime_checkable
 from urllib.parse import urlsplit
 
+from stmc.editing.stream_frames import describe_frame, describe_stream
 from stmc.editing.streaming import Frame, MotionStream
 from stmc.io.extras import require
 from stmc.io.untrusted import quote
-from stmc.motion.body import JOINTS, NUM_ROTATIONS, PARENTS
-from stmc.motion.geometry import matrix_to_quaternion
+from stmc.motion.body import JOINTS
 from stmc.settings.records import SettingError
-
-_DIGITS = 5
-"""Decimals of metres and of quaternions."""
 
 
 @runtime_checkable
@@ -60,14 +57,11 @@ class JsonLines:
 
     def begin(self, stream: MotionStream) -> None:
         """Write the frame rate and the skeleton."""
-        skeleton = {"joints": JOINTS[:NUM_ROTATIONS], "parents": PARENTS[:NUM_ROTATIONS]}
-        offsets = [[round(value, _DIGITS) for value in row] for row in stream.skeleton.offsets[:NUM_ROTATIONS].tolist()]
-        self._line({"fps": stream.fps, **skeleton, "offsets": offsets})
+        self._line(describe_stream(stream))
 
     def write(self, frame: Frame) -> None:
         """Write a frame."""
-        root, rotations = _pose(frame)
-        self._line({"frame": frame.number, "seconds": round(frame.seconds, 4), "root": root, "rotations": rotations})
+        self._line(describe_frame(frame))
 
     def answer(self, answer: dict[str, Any]) -> None:
         """Write an answer."""
@@ -95,11 +89,11 @@ class Osc:
         """Send a frame."""
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 
-        root, rotations = _pose(frame)
+        pose = describe_frame(frame)
         bundle = OscBundleBuilder(IMMEDIATELY)
         bundle.add_content(_message("/stmc/frame", [frame.number, frame.seconds]))
-        bundle.add_content(_message("/stmc/root", root))
-        for joint, rotation in zip(JOINTS, rotations, strict=False):
+        bundle.add_content(_message("/stmc/root", pose["root"]))
+        for joint, rotation in zip(JOINTS, pose["rotations"], strict=False):
             bundle.add_content(_message(f"/stmc/rotation/{joint}", rotation))
         self._client.send(bundle.build())
 
@@ -116,14 +110,6 @@ def _message(address: str, values: list[Any]) -> Any:
     for value in values:
         builder.add_arg(value)
     return builder.build()
-
-
-def _pose(frame: Frame) -> tuple[list[float], list[list[float]]]:
-    """Return the position of the pelvis and the quaternions of the joints, rounded."""
-    rotations = matrix_to_quaternion(frame.rotations).tolist()
-    return [round(value, _DIGITS) for value in frame.translation.tolist()], [
-        [round(value, _DIGITS) for value in row] for row in rotations
-    ]
 
 
 def _address(to: str, allow_remote: bool) -> tuple[str, int]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from stmc.editing.streaming import MotionStream
 from stmc.settings.records import SettingError, check_name, check_value
-from stmc.timeline import Prompt
+from stmc.timeline import Prompt, TimelineError
 
 _PROMPT = ("text", "start", "end", "seconds", "body_parts")
 
@@ -33,6 +33,19 @@ def apply_edit(stream: MotionStream, edit: Mapping[str, Any]) -> dict[str, Any]:
     if kind is None:
         raise SettingError(f"edit: must be an object with one of the keys {', '.join(_EDITS)}")
     return _EDITS[kind](stream, edit)
+
+
+def answer_edit(stream: MotionStream, edit: Mapping[str, Any]) -> dict[str, Any]:
+    """Apply an edit, and return the answer with the number of the next frame; a refused one gets an `error`.
+
+    Examples:
+        >>> stmc.editing.stream_edits.answer_edit(stmc.load().stream(), {"remove": 0})
+        {'error': 'there is no prompt 0: there are none', 'frame': 0}
+    """
+    try:
+        return {**apply_edit(stream, edit), "frame": stream.cursor}
+    except (SettingError, TimelineError) as error:
+        return {"error": str(error), "frame": stream.cursor}
 
 
 def _add(stream: MotionStream, edit: Mapping[str, Any]) -> dict[str, Any]:

@@ -118,7 +118,3 @@ def truncate(text: str, most: int = MAX_QUOTED) -> str:
     """Truncate a text to `most` printable characters, with … for the rest; other characters are escaped."""
     escaped = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text[: most + 1])
     return escaped if len(escaped) <= most else escaped[: most - 1] + "…"
-
-
-shown, cut = quote, truncate
-"""The former names, for callers that are not renamed yet."""

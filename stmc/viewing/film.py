@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from stmc.composing import Progress
 from stmc.io.extras import named_extra
 from stmc.io.files import write_whole
 from stmc.motion.body_model import Body
@@ -36,6 +37,7 @@ def render_film(
     fps: float | int | None = None,
     overlap: int | float | None = None,
     body: Body | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write a motion as a film of 480 by 560 pixels.
 
@@ -50,6 +52,8 @@ def render_film(
         fps: Frame rate of the film; None: that of the motion.
         overlap: Length of transitions in seconds; None: as sampled.
         body: Body to draw; None: a mannequin.
+        progress: Called with the pictures and `total`, their number, returns them, such as `tqdm`; an error that it
+            raises leaves no file.
 
     Examples:
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
@@ -62,7 +66,9 @@ def render_film(
     overlap = transition_seconds(motion, overlap)
     colours = part_colours(timeline, motion.fps, motion.frames, overlap)
     shown = np.unique(np.linspace(0, motion.frames - 1, _BOUNDS).round().astype(int))
-    pictures = _pictures(Stage.of(motion, body, colours, shown), timeline)
+    pictures: Iterable[np.ndarray] = _pictures(Stage.of(motion, body, colours, shown), timeline)
+    if progress is not None:
+        pictures = progress(pictures, total=motion.frames)
     write_whole(path, _video(motion, pictures) if path.suffix.lower() == ".mp4" else _animation(motion, pictures, path))
 
 
@@ -101,7 +107,7 @@ def _texts(figure: Figure, timeline: Timeline | None, time: float) -> None:
         figure.text(0.5, (line + 0.6) * _LINE, label, ha="center", va="center", **style)
 
 
-def _animation(motion: Motion, pictures: Iterator[np.ndarray], path: Path) -> Callable[[Path], None]:
+def _animation(motion: Motion, pictures: Iterable[np.ndarray], path: Path) -> Callable[[Path], None]:
     """Return a writer of animations; durations, in whole ms (`.gif`: 10 ms), add up to that of the motion."""
     unit = 10 if path.suffix.lower() == ".gif" else 1
     ends = np.round(np.arange(motion.frames + 1) * 1000 / motion.fps / unit).astype(int) * unit
@@ -114,7 +120,7 @@ def _animation(motion: Motion, pictures: Iterator[np.ndarray], path: Path) -> Ca
     return fill
 
 
-def _video(motion: Motion, pictures: Iterator[np.ndarray]) -> Callable[[Path], None]:
+def _video(motion: Motion, pictures: Iterable[np.ndarray]) -> Callable[[Path], None]:
     with named_extra():
         import imageio_ffmpeg  # not at the top: only videos need it
     size = tuple(round(side * _DPI) for side in _SIZE)

@@ -24,6 +24,10 @@
     set: () => ({ name: one(["clean_feet", "guidance"]), value: one([false, true, 1, null]) }),
     constrain: () => ({ constraint: { kind: "hold", joint: "left_hand", start: time(), end: null } }),
     wear: () => ({ change: one([{ character: null }, { character: { id: "a1", name: "hero" } }, { materials: one(state.MATERIALS) }]) }),
+    follow: (id, { prompts }) => ({
+      prompts: prompts.filter(() => random() < 0.3).map((prompt) => ({ ...prompt, end: state.rounded(prompt.end + 5 * random()) })),
+      without: prompts.filter(() => random() < 0.1).map((prompt) => prompt.id),
+    }),
     name: () => ({ name: text() }),
     seeds: () => ({ seeds: Array.from({ length: 1 + below(6) }, () => below(1000) - 5) }),
     open: () => ({ timeline: { name: "another", prompts: Array.from({ length: below(8) }, () => ({ ...of.add(), text: "sit" })) } }),

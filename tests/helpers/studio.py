@@ -13,6 +13,7 @@ from helpers.tiny_model import Hashes, tiny
 from starlette.testclient import TestClient
 
 import stmc
+from stmc.io.files import write_whole
 from stmc.run import VOCABULARY, bundled
 from stmc.text.vocabulary import read_vocabulary
 from stmc.viewing.studio import Sessions, application, connections, program_token
@@ -25,6 +26,12 @@ WALK = {"name": "A walk", "prompts": [{"text": "walk", "start": 0, "end": 2, "pa
 def knowing() -> stmc.Model:
     """The tiny model with the bundled model's vocabulary."""
     return dataclasses.replace(tiny(), vocabulary=read_vocabulary(bundled() / VOCABULARY), text_encoder=Hashes())
+
+
+def draw_nothing(motion: stmc.Motion, path: Path, timeline: stmc.Timeline | None, progress) -> None:
+    """In place of `stmc.render_film`: counts the pictures, and writes a file without any."""
+    pictures = progress(range(motion.frames), total=motion.frames)
+    write_whole(path, lambda temporary: temporary.write_bytes(b"film" if list(pictures) else b""))
 
 
 def entered(client: TestClient, token: str):

@@ -87,6 +87,7 @@ export function createActions(studio, tab, say) {
   // ---- jobs ---------------------------------------------------------------------------------------------------------------
   async function generate(scope = everything) {
     clearTimeout(timers.generate);
+    if (store.get().live) return;
     const answer = await checked();
     if (!answer) return unanswered(scope);
     const { base, change, fresh } = scope(answer);
@@ -162,7 +163,7 @@ export function createActions(studio, tab, say) {
   let seen = null;
   let scope = afterEdit;
   let open = null;
-  store.subscribe(({ id, history, quality }) => {
+  store.subscribe(({ id, history, quality, live }) => {
     const document = history.present;
     if (open !== id) cancel(); // its motions are of another document
     open = id;
@@ -175,6 +176,7 @@ export function createActions(studio, tab, say) {
     later("check", CHECK_AFTER, check);
     if (same) return; // what waits still holds
     clearTimeout(timers.generate);
+    if (live) return; // a stream plays it
     if (studio.knows(document, quality)) return cancel();
     if (!store.get().auto || !document.prompts.length) return;
     later("generate", GENERATE_AFTER, function wait() {

@@ -14,7 +14,8 @@ export function createCharacterMenu(studio) {
     store.set({ characters: await server.listCharacters() });
   }
 
-  const isOne = (file) => (store.get().model?.characters.receives ?? []).some((suffix) => file.name.toLowerCase().endsWith(suffix));
+  // Also a robot: what is said of it, the server knows.
+  const isOne = (file) => [...(store.get().model?.characters.receives ?? []), ".urdf", ".xml"].some((suffix) => file.name.toLowerCase().endsWith(suffix));
 
   // Of a file that was dropped or chosen; it moves from now on.
   async function add(file) {

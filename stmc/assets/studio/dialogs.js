@@ -5,6 +5,7 @@ import { button, fill, find, make, say } from "./dom.js";
 import { HELP } from "./shortcuts.js";
 import { timelineOf } from "./state.js";
 import { argued } from "./actions.js";
+import { drawFilm, drawsFilm } from "./film.js";
 
 const FRAME_RATES = [20, 24, 25, 30, 50, 60, 120];
 
@@ -85,8 +86,8 @@ export function openExport(studio) {
   const worn = studio.worn();
   const formats = (worn && !worn.missing ? worn.formats : model?.formats) ?? [];
   show("export-dialog");
-  find("export-told").textContent = "";
-  find("export-motion").disabled = !sample;
+  if (!drawsFilm()) find("export-told").textContent = "";
+  find("export-motion").disabled = !sample || drawsFilm();
   find("export-none").hidden = Boolean(sample);
   fill(find("export-formats"), ...formats.map((format, index) => make("label", { class: "choice" },
     make("input", { type: "radio", name: "format", value: format.name, checked: index === 0 }),
@@ -99,16 +100,25 @@ export function openExport(studio) {
     make("option", { value: String(fps), selected: fps === own }, `${fps} frames a second${fps === own ? " (as made)" : ""}`)));
 
   find("export-motion").onclick = async () => {
-    const extension = document.querySelector("input[name=format]:checked").value;
-    const settings = { fps: find("export-fps").value, timeline: JSON.stringify(timelineOf(studio.present())) };
-    const loop = find("export-loop").checked;
-    if (loop) settings.loop = "1";
-    if (worn && !worn.missing) settings.character = JSON.stringify(worn.id);
-    if (extension === "html") settings.constraints = JSON.stringify({ constraints: studio.present().constraints.map(argued) });
+    const format = formats.find(({ name }) => name === document.querySelector("input[name=format]:checked").value);
+    const fps = Number(find("export-fps").value), loop = find("export-loop").checked;
+    const file = () => (format.drawn ? drawFilm({ motion: sample.motion.id, format: format.name, fps, loop, timeline: timelineOrNull() })
+      : server.motionFile(sample.motion.id, format.name, settingsOf(format, fps, loop)));
     await working(find("export-motion"), async () =>
-      download(await server.motionFile(sample.motion.id, extension, settings), `${fileName(name)}${loop ? "_loop" : ""}.${extension}`),
-    formats.find((format) => format.name === extension).drawn ? "Drawing the film, some four pictures a second…" : "Writing the file…");
+      download(await file(), `${fileName(name)}${loop ? "_loop" : ""}.${format.name}`),
+    format.drawn ? "Drawing the film, some four pictures a second…" : "Writing the file…");
   };
+  // A recorded motion may have no prompts, and there are no timelines without any.
+  const timelineOrNull = () => (studio.present().prompts.length ? timelineOf(studio.present()) : null);
+  function settingsOf(format, fps, loop) {
+    const { constraints } = studio.present();
+    return {
+      fps: String(fps), timeline: JSON.stringify(timelineOrNull()),
+      ...(loop ? { loop: "1" } : {}),
+      ...(worn && !worn.missing ? { character: JSON.stringify(worn.id) } : {}),
+      ...(format.name === "html" ? { constraints: JSON.stringify({ constraints: constraints.map(argued) }) } : {}),
+    };
+  }
   for (const format of ["json", "txt"])
     find(`export-${format}`).onclick = () => working(find(`export-${format}`), async () =>
       download(new Blob([await server.writeTimeline(timelineOf(studio.present()), format)]), `${fileName(name)}.${format}`));

@@ -97,7 +97,7 @@ function wayOf({ values }) {
   return points;
 }
 
-function nearest({ times, values }, time) {
+export function nearest({ times, values }, time) {
   const step = times.length > 1 ? times[1] - times[0] : 1;
   const frame = Math.min(Math.max(Math.round(time / step), 0), times.length - 1);
   return new Vector3(values[3 * frame], 0, values[3 * frame + 2]);
@@ -133,7 +133,7 @@ function ballOf(figure, middle) {
   return { middle, height, radius: Math.max(...points.map(([place, flesh]) => away(place) + flesh)) };
 }
 
-function smoothed({ times, values }, time) {
+export function smoothed({ times, values }, time) {
   const sum = new Vector3();
   let total = 0;
   const step = times.length > 1 ? times[1] - times[0] : 1;

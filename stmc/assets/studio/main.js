@@ -7,6 +7,7 @@ import { askConflict, openExport, openHelp, openOpen } from "./dialogs.js";
 import { createCharacterMenu, listenToDrops } from "./character_menu.js";
 import { createConstraintPanel } from "./constraint_panel.js";
 import { fieldOf, learn } from "./constraints.js";
+import { createLive } from "./live.js";
 import { createPlayer } from "./player.js";
 import { createPromptPanel, createSamplesPanel, createWordsPanel } from "./panels.js";
 import { createSaving } from "./saving.js";
@@ -22,7 +23,7 @@ import { clock } from "./times.js";
 
 const studio = createStudio();
 const { store } = studio;
-const player = createPlayer(studio.duration);
+const player = createPlayer(studio.playable);
 const work = createActions(studio, crypto.randomUUID?.() ?? String(Math.random()), say);
 const saving = createSaving(studio, askConflict);
 const stage = createStage(find("stage"), {
@@ -33,10 +34,11 @@ const stage = createStage(find("stage"), {
 });
 const tracks = createTracks(studio, player, work);
 const constraints = createConstraintPanel(studio, player, stage);
+const live = createLive(studio, player, stage, work); // before the preview, which has the stage after a stream
 const shown = createPreview(studio, stage);
 createPromptPanel(studio, player, work, tracks);
 createSamplesPanel(studio, work, shown);
-createWordsPanel(studio, player);
+createWordsPanel(studio, player, live.next);
 const characters = createCharacterMenu(studio);
 
 let dragged = null; // the gesture of a target's drag
@@ -51,7 +53,7 @@ function moved(id, point, finished) {
 
 // ---- time ---------------------------------------------------------------------------------------------------------------
 player.listen(stage.at);
-const transport = createTransport(player, studio.duration);
+const transport = createTransport(player, studio.playable);
 // The first motion that is made plays once by itself; never into an edit, and not for those who want no motion.
 let played = matchMedia("(prefers-reduced-motion: reduce)").matches;
 watch(store, ({ samples }) => [samples], ({ samples, job, quality, draft, editing, history }) => {
@@ -76,7 +78,7 @@ function togglePull() {
 find("pull").onclick = togglePull;
 let grips = "";
 function showGrips() {
-  const joints = player.playing() ? [] : constraints.gripsOf(store.get());
+  const joints = player.playing() || store.get().live ? [] : constraints.gripsOf(store.get());
   find("pull").setAttribute("aria-pressed", String(store.get().pulling));
   if (grips === joints.join()) return;
   grips = joints.join();
@@ -89,8 +91,8 @@ watch(store, ({ drawing, span }) => [drawing, span], ({ drawing, span }) => {
   stage.draw(drawing ? span?.start ?? 0 : null);
   find("drawing").hidden = !drawing;
 });
-watch(store, ({ history, samples }) => [history.present.prompts.length, samples.length], ({ history, samples }) => {
-  find("empty").hidden = samples.length > 0;
+watch(store, ({ history, samples, live }) => [history.present.prompts.length, samples.length, live !== null], ({ history, samples, live }) => {
+  find("empty").hidden = samples.length > 0 || live !== null;
   find("empty").textContent = history.present.prompts.length ? "No motion yet." : "Write a prompt on a track below, or open an example.";
 });
 watch(store, ({ history, constraint }) => [history.present.constraints, constraint],
@@ -104,12 +106,12 @@ watch(store, ({ history, check }) => [history.present.prompts, check], ({ histor
 const STAGES = { waiting: "Waiting", preview: "Preview", full: "Full quality" };
 const samplesOf = ({ samples }) => `${samples.length} ${samples.length === 1 ? "sample" : "samples"} of ${clock(samples[0].motion.duration)} s`;
 find("generate").onclick = () => (store.get().job ? work.cancel() : work.generate());
-watch(store, ({ job, history }) => [job, history.present.prompts.length], ({ job, history }) => {
+watch(store, ({ job, history, live }) => [job, history.present.prompts.length, live !== null], ({ job, history, live }) => {
   const share = job?.steps ? job.step / job.steps : 0;
   find("generate").querySelector("span").textContent = job ? "Cancel" : "Generate";
   find("generate").title = job ? "Cancel (Escape)" : "Generate (Ctrl Enter)";
   find("generate").classList.toggle("primary", !job);
-  find("generate").disabled = !job && !history.present.prompts.length;
+  find("generate").disabled = live !== null || (!job && !history.present.prompts.length);
   find("progress").hidden = !job;
   const text = job ? `${STAGES[job.stage] ?? job.stage}${job.steps ? ` ${job.step}/${job.steps}` : ""}` : "";
   find("progress-bar").firstChild.style.width = `${100 * share}%`;
@@ -156,7 +158,10 @@ find("export").onclick = () => openExport(studio);
 find("help").onclick = openHelp;
 find("undo").onclick = studio.undo;
 find("redo").onclick = studio.redo;
-find("add").onclick = () => tracks.draft(rounded(Math.round(player.time() * 10) / 10), trackCount(studio.present()));
+// A prompt at the cursor; while a stream plays, the next one.
+const writePrompt = () =>
+  store.get().live ? live.focus() : tracks.draft(rounded(Math.round(player.time() * 10) / 10), trackCount(studio.present()));
+find("add").onclick = writePrompt;
 find("zoom-in").onclick = () => tracks.zoomBy(1.3);
 find("zoom-out").onclick = () => tracks.zoomBy(1 / 1.3);
 find("name").onchange = ({ target }) => {
@@ -233,10 +238,13 @@ listenToShortcuts(studio, player, work, tracks, {
   fps: () => store.get().model?.fps ?? 20,
   toggleFollow,
   togglePull,
+  toggleLive: live.toggle,
+  write: writePrompt,
   help: openHelp,
   save: () => openExport(studio),
   escape() {
     if (store.get().drawing) store.set({ drawing: false });
+    else if (store.get().live) live.stop();
     else if (store.get().job) work.cancel();
     else store.set({ selected: null, span: null, pulling: false });
   },

@@ -3,6 +3,7 @@
 
 import { button, fill, find, make, watch } from "./dom.js";
 import { colourOf } from "./colours.js";
+import { lostParts, missingParts, named, reason } from "./claims.js";
 import { MOST_SAMPLES, PARTS, duration, promptOf, rounded } from "./state.js";
 import { written } from "./times.js";
 
@@ -23,10 +24,10 @@ export function createPromptPanel(studio, player, work, tracks) {
 
   function paint({ selected, history, check }) {
     const prompt = promptOf(history.present, selected);
-    fill(panel, ...(prompt ? ofPrompt(prompt, check) : ofTimeline(history.present, check)));
+    fill(panel, ...(prompt ? ofPrompt(prompt, check, history) : ofTimeline(history.present, check)));
   }
 
-  function ofPrompt(prompt, check) {
+  function ofPrompt(prompt, check, history) {
     const { id, text, start, end, locked } = prompt;
     const told = check?.prompts[id];
     return [
@@ -39,6 +40,7 @@ export function createPromptPanel(studio, player, work, tracks) {
         number(`start-${id}`, "Start (s)", start, (value) => edit({ kind: "place", id, start: value, end: Math.max(end, value + 0.1) })),
         number(`end-${id}`, "End (s)", end, (value) => edit({ kind: "place", id, start: Math.min(start, Math.max(0, value - 0.1)), end: value }))),
       chips(prompt, told),
+      ...(told ? lacking(prompt, told, check, history.present) : []),
       make("div", { class: "actions" },
         button("Regenerate", () => work.regeneratePrompt(id), { "data-key": "regenerate", title: "Sample what this prompt decides again and keep the rest (M)" }, "dice"),
         button(locked ? "Unlock" : "Lock", () => edit({ kind: "lockPrompt", id }), { "aria-pressed": String(Boolean(locked)), "data-key": "lock", title: "Keep what this prompt decides as it is (L)" }, "lock"),
@@ -77,6 +79,21 @@ export function createPromptPanel(studio, player, work, tracks) {
     })));
   }
 
+  // Body parts that the action needs: those that it should claim, and those that another prompt has.
+  function lacking({ id, ...prompt }, told, check, document) {
+    const claim = (label, parts) => button(label, () => edit({ kind: "claim", id, parts }), { class: "chip", "data-key": label });
+    const missing = missingParts(told);
+    const offer = missing.length ? [make("div", { class: "advice" },
+      make("p", {}, `This usually moves ${named(missing)}, which the prompt does not claim.`),
+      make("div", { class: "chips" }, claim(`Claim ${named(missing)}, too`, PARTS.filter((part) => [...told.parts, ...missing].includes(part)))))] : [];
+    return [...offer, ...lostParts({ id, ...prompt }, told, check.owners).map((lost) => {
+      const needed = told.needs.filter((part) => lost.parts.includes(part));
+      return make("div", { class: "advice" },
+        make("p", {}, `“${promptOf(document, lost.id)?.text}” has ${named(lost.parts)} from ${written(lost.start)} to ${written(lost.end)}${reason(told.parts.length, check.prompts[lost.id]?.parts.length)}.`),
+        needed.length && needed.length < told.parts.length ? make("div", { class: "chips" }, claim(`Claim only ${named(needed)}`, needed)) : null);
+    })];
+  }
+
   function ofTimeline(document, check) {
     const start = document.prompts.length ? [] : [
       make("p", {}, "Double-click a track, or press N, and write what the person does. Several prompts may hold at once, each for its own body parts."),
@@ -87,7 +104,7 @@ export function createPromptPanel(studio, player, work, tracks) {
       heading("Timeline"),
       ...start,
       ...(check?.error && !check.prompt ? [make("p", { class: "advice" }, check.error)] : []),
-      ...(check?.warnings ?? []).map((sentence) => make("p", { class: "advice" }, sentence)),
+      ...(check?.warnings ?? []).flatMap((warning) => warning.split("\n")).map((sentence) => make("p", { class: "advice" }, sentence)),
       make("ol", { class: "list" }, document.prompts.map((prompt) => entry(prompt, check))),
     ];
   }
@@ -174,7 +191,8 @@ export function createSamplesPanel(studio, work, page) {
 }
 
 // ---- what the model knows ---------------------------------------------------------------------------------------------------
-export function createWordsPanel(studio, player) {
+// `next(text, parts)`: what a stream plays next.
+export function createWordsPanel(studio, player, next) {
   const { store } = studio;
   const panel = find("panel-words");
   const list = make("div", {});
@@ -199,6 +217,7 @@ export function createWordsPanel(studio, player) {
 
   // Into the chosen prompt, or else as a new one at the cursor.
   function write(text, parts) {
+    if (store.get().live) return next(text, parts);
     const prompt = promptOf(studio.present(), store.get().selected);
     if (prompt) return studio.edit({ kind: "write", id: prompt.id, text });
     const start = Math.min(rounded(player.time()), duration(studio.present()));

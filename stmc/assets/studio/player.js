@@ -16,7 +16,8 @@ export function createPlayer(durationOf) {
     if (time >= durationOf()) {
       time = durationOf();
       rested += passed;
-      if (!player.loops) playing = false;
+      if (player.waits) rested = 0;
+      else if (!player.loops) playing = false;
       else if (rested >= player.rest) time = 0;
     } else rested = 0;
     tell();
@@ -27,6 +28,7 @@ export function createPlayer(durationOf) {
     speed: 1,
     loops: true,
     rest: 0, // seconds for which the last frame stands before it begins again
+    waits: false, // whether more is to come after the last frame
     time: () => time,
     playing: () => playing,
     listen: (listener) => listeners.push(listener),
@@ -35,9 +37,9 @@ export function createPlayer(durationOf) {
       tell();
     },
     play(on = !playing) {
-      if (on === playing || (on && !durationOf())) return;
+      if (on === playing || (on && !durationOf() && !player.waits)) return;
       playing = on;
-      if (on && time >= durationOf() - 0.01) time = 0;
+      if (on && !player.waits && time >= durationOf() - 0.01) time = 0;
       if (on) requestAnimationFrame(tick);
       tell();
     },

@@ -95,9 +95,9 @@ export function createPreview(studio, stage) {
   }
 
   function label() {
-    const { samples, chosen, favourites } = store.get();
+    const { samples, chosen, favourites, live } = store.get();
     const cells = stage.cells();
-    keyed(find("views"), samples.length > 1 ? samples : [], ({ key }) => key, () => make("div", { class: "view" }), (view, sample) => {
+    keyed(find("views"), samples.length > 1 && !live ? samples : [], ({ key }) => key, () => make("div", { class: "view" }), (view, sample) => {
       const { x, y, width, height } = cells[samples.indexOf(sample)] ?? cells[0];
       view.style.cssText = `left:${x}px;top:${y}px;width:${width}px;height:${height}px`;
       view.classList.toggle("on", sample.key === chosen);
@@ -127,10 +127,13 @@ export function createPreview(studio, stage) {
     studio.remember(studio.present(), [sample], sample.key);
   }
 
-  watch(store, ({ samples, chosen, characters, history }) => [samples, chosen, characters, history.present.figure.character], (state) => {
+  watch(store, ({ samples, chosen, characters, history, live }) => [samples, chosen, characters, history.present.figure.character, live !== null], (state) => {
     for (const { id } of state.characters) if (!known.has(id)) broken.delete(id); // its file was added again
     known = new Set(state.characters.map(({ id }) => id));
-    show(state);
+    if (!state.live) return show(state);
+    asked++; // what is on its way does not come: a stream has the stage
+    find("stage").setAttribute("aria-busy", "false");
+    label();
   });
   watch(store, ({ history }) => [history.present.figure.materials], ({ history }) => wear(history.present.figure));
   watch(store, ({ favourites, samples, chosen }) => [favourites, samples, chosen], label);

@@ -81,6 +81,9 @@ export const motionFile = async (id, extension, settings = {}) => {
   return (await answered(`/api/motions/${encodeURIComponent(id)}.${extension}${query && "?" + query}`)).blob();
 };
 
+export const startFilm = (request) => json("/api/films", unsafe("POST", request));
+export const filmFile = async (job) => (await answered(`/api/films/${encodeURIComponent(job)}`)).blob();
+
 export const listDocuments = async () => (await json("/api/documents")).documents;
 export const openDocument = (id) => json(`/api/documents/${encodeURIComponent(id)}`);
 export const saveDocument = (id, base, content) => json(`/api/documents/${encodeURIComponent(id)}`, unsafe("PUT", { base, content }));
@@ -88,6 +91,11 @@ export const deleteDocument = (id) => answered(`/api/documents/${encodeURICompon
 
 export const startJob = (request) => json("/api/jobs", unsafe("POST", request));
 export const cancelJob = (id) => answered(`/api/jobs/${encodeURIComponent(id)}`, unsafe("DELETE"));
+
+export const openStream = (request) => json("/api/streams", unsafe("POST", request));
+export const readStream = (id, edits, frames) => json(`/api/streams/${encodeURIComponent(id)}`, unsafe("POST", { edits, frames }));
+export const closeStream = (id) => answered(`/api/streams/${encodeURIComponent(id)}`, { ...unsafe("DELETE"), keepalive: true });
+export const mannequinFile = () => bytes("/api/mannequin.glb");
 
 // Tells what happens in a job: `hear(kind, data)`. Returns what stops listening. A connection that breaks is taken up
 // again; where the server knows the job no more, it is "lost".

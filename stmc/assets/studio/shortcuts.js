@@ -1,7 +1,7 @@
 // What keys do: everywhere, and to the prompt that has the focus. The help dialog lists them from here.
 
 import { find } from "./dom.js";
-import { GRID, PARTS, promptOf, rounded, trackCount } from "./state.js";
+import { GRID, PARTS, promptOf, rounded } from "./state.js";
 
 export const HELP = [
   ["The timeline", [
@@ -21,6 +21,7 @@ export const HELP = [
   ]],
   ["Time", [
     ["Space", "play, pause"],
+    ["V", "Live: start, stop"],
     [", .", "a frame back, forward"],
     ["Home / End", "to the beginning, to the end"],
     ["I / O", "the interval begins, ends at the cursor"],
@@ -115,7 +116,8 @@ export function listenToShortcuts(studio, player, work, tracks, page) {
 
   const PLAIN = {
     " ": () => player.play(),
-    n: () => tracks.draft(rounded(Math.round(player.time() / GRID) * GRID), trackCount(studio.present())),
+    n: page.write,
+    v: page.toggleLive,
     j: () => step(1),
     k: () => step(-1),
     s: () => make("split", { at: player.time() }),

@@ -162,6 +162,17 @@ const EDITS = {
     const figure = { ...document.figure, ...change };
     return JSON.stringify(figure) === JSON.stringify(document.figure) ? document : { ...document, figure };
   },
+  // Prompts as a stream has them, in place of those of the same ids, and `without` some.
+  follow(document, { prompts, without }) {
+    const ids = [...without, ...prompts.map(({ id }) => id)];
+    let result = document.prompts.filter(({ id }) => !ids.includes(id));
+    for (const prompt of prompts) {
+      const used = result.some(({ colour }) => colour === prompt.colour);
+      result = [...result, { ...prompt, track: freeTrack(result, prompt, prompt.track), colour: used ? freeColour(result) : prompt.colour }];
+    }
+    const next = Math.max(document.next, ...prompts.map(({ id }) => Number(id.slice(1)) + 1));
+    return { ...document, next, prompts: arranged(result) };
+  },
   // Another timeline in place of this one.
   open(document, { timeline }) {
     return documentOfTimeline(timeline);

@@ -38,6 +38,7 @@ export const INITIAL = {
   chosen: null, // the key of the sample that is kept and exported
   favourites: [], // [{motion, seed, picture, asked}]
   job: null, // {stage, seed, step, steps}
+  live: null, // {seconds}: how much of a stream has come
   auto: true,
   quality: "full",
   saved: "saved", // or "saving", "away", "stranger" (to a restarted server), "conflict"
@@ -72,7 +73,12 @@ export function createStudio() {
       const { character } = present().figure;
       return character && (store.get().characters.find(({ id }) => id === character.id) ?? { ...character, missing: true });
     },
-    duration: () => Math.max(duration(present()), studio.chosen()?.motion.duration ?? 0),
+    duration() {
+      const { live } = store.get();
+      return Math.max(duration(present()), live ? live.seconds : studio.chosen()?.motion.duration ?? 0);
+    },
+    // Seconds that can be played.
+    playable: () => store.get().live?.seconds ?? studio.duration(),
     gesture: () => `g${++gestures}`,
     edit: (edit, gesture = null) => turn(done(store.get().history, edit, gesture)),
     // Adds, splits and duplicates choose what they made.
@@ -84,6 +90,11 @@ export function createStudio() {
     settle: () => turn(settled(store.get().history)),
     undo: () => turn(undone(store.get().history)),
     redo: () => turn(redone(store.get().history)),
+    // All steps since a history become one.
+    collapse({ past, present: before }) {
+      const { history } = store.get();
+      if (history.present !== before) store.set({ history: { past: [...past, before], present: history.present, future: [], gesture: null } });
+    },
     remember(document, samples, chosen) {
       results.set(document, { samples, chosen });
     },

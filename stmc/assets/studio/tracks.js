@@ -9,6 +9,7 @@ import { rulerStep, snapped, snappedShift, written } from "./times.js";
 
 const NEAR = 9; // pixels within which things snap
 const SHORTEST_VIEW = 6; // seconds
+const LIVE_VIEW = 12; // seconds that are to be seen while a stream plays
 const MARGIN = 34; // pixels behind the last second: room for its number
 const BORDER = 24; // pixels at the window's edges where a drag goes on by itself
 const PACE = 10; // pixels of each picture by which it does
@@ -25,15 +26,19 @@ export function createTracks(studio, player, work) {
 
   // ---- scale ------------------------------------------------------------------------------------------------------------
   const labelWidth = () => ruler.offsetLeft;
-  const scale = () => (zoom * (scroller.clientWidth - labelWidth() - MARGIN)) / extent;
+  const views = () => (store.get().live ? (zoom * extent) / LIVE_VIEW : zoom); // how many times as wide as the window the tracks are
+  const scale = () => (views() * (scroller.clientWidth - labelWidth() - MARGIN)) / extent;
   const timeAt = (event) => (event.clientX - ruler.getBoundingClientRect().left) / scale();
   const x = (seconds) => `${seconds * scale()}px`;
 
   function measure() {
     height = parseFloat(getComputedStyle(document.documentElement).getPropertyValue("--row"));
     if (held) return; // or the tracks would run away beneath the hand
-    extent = Math.max(SHORTEST_VIEW, studio.duration() * 1.06 + 0.4);
+    extent = store.get().live ? liveExtent() : Math.max(SHORTEST_VIEW, studio.duration() * 1.06 + 0.4);
   }
+
+  // Room to write ahead, in steps, so that the tracks grow seldom.
+  const liveExtent = () => LIVE_VIEW * Math.ceil(studio.duration() / LIVE_VIEW + 1);
 
   // What edges snap to: other prompts' edges, the cursor, the beginning, the span's ends.
   function marks(id) {
@@ -48,7 +53,7 @@ export function createTracks(studio, player, work) {
     const state = store.get();
     const { present } = state.history;
     const count = Math.max(trackCount(present), (state.draft?.track ?? -1) + 1) + 1;
-    lanes.style.width = `${labelWidth() + zoom * (scroller.clientWidth - labelWidth() - 2) + beyond}px`;
+    lanes.style.width = `${labelWidth() + views() * (scroller.clientWidth - labelWidth() - 2) + beyond}px`;
     keyed(rows, Array.from({ length: count }, (_, track) => track), (track) => track, createRow, () => {});
     bars.style.height = `${count * height}px`;
     bars.style.left = `${labelWidth()}px`;
@@ -211,11 +216,20 @@ export function createTracks(studio, player, work) {
     playhead.style.left = `calc(${labelWidth()}px + ${x(player.time())})`;
     ruler.setAttribute("aria-valuenow", player.time().toFixed(2));
     ruler.setAttribute("aria-valuetext", written(player.time()));
+    paintLive(store.get().live);
     if (player.playing()) reveal(player.time());
+  }
+
+  // What has come of a stream does not change any more.
+  function paintLive(live) {
+    const fixed = find("fixed");
+    fixed.hidden = !live;
+    if (live) fixed.style.cssText = `left:${labelWidth()}px;width:${x(live.seconds)}`;
   }
 
   function reveal(time) {
     const at = time * scale() + labelWidth();
+    if (store.get().live && player.playing() && !held) return (scroller.scrollLeft = at - labelWidth() - scroller.clientWidth / 3);
     if (at > scroller.scrollLeft + scroller.clientWidth - 20 || at < scroller.scrollLeft + labelWidth())
       scroller.scrollLeft = Math.max(0, at - labelWidth() - 40);
   }
@@ -342,7 +356,7 @@ export function createTracks(studio, player, work) {
 
   new ResizeObserver(paint).observe(scroller);
   player.listen(paintCursor);
-  watch(store, ({ history, check, selected, editing, draft: fresh, span, samples, chosen, constraint }) =>
-    [history.present, check, selected, editing, fresh, span, samples, chosen, constraint], paint);
+  watch(store, ({ history, check, selected, editing, draft: fresh, span, samples, chosen, constraint, live }) =>
+    [history.present, check, selected, editing, fresh, span, samples, chosen, constraint, live && liveExtent()], paint);
   return { draft, zoomBy, focus: (id) => document.getElementById(`bar-${id}`)?.focus() };
 }

@@ -26,7 +26,7 @@ from stmc.formats.characters.robot_rig import RobotRig, rig_robot
 from stmc.formats.characters.upright import Standing, stand
 from stmc.formats.characters.urdf import read_urdf
 from stmc.io.files import write_whole
-from stmc.io.untrusted import cut, read_text, shown
+from stmc.io.untrusted import quote, read_text, truncate
 from stmc.motion.motion import Motion
 from stmc.motion.retargeting import Rig, RigMotion, transfer
 from stmc.motion.retargeting.rig import NEEDED, OPTIONAL
@@ -273,14 +273,14 @@ def _corrected(joints: Mapping[str, int], names: tuple[str, ...], corrections: _
     corrected = dict(joints)
     for joint, name in corrections.items():
         if joint not in _JOINTS:
-            raise CharacterError(f"joint map: {shown(joint)} is no joint of ours; choose from {', '.join(_JOINTS)}")
+            raise CharacterError(f"joint map: {quote(joint)} is no joint of ours; choose from {', '.join(_JOINTS)}")
         if name is None:
             corrected.pop(joint, None)
         elif name in names:
             corrected[joint] = names.index(name)
         else:
-            has = cut(", ".join(names), 200)
-            raise CharacterError(f"joint map: {joint} is {shown(name)}, but the file's joints are {has}")
+            has = truncate(", ".join(names), 200)
+            raise CharacterError(f"joint map: {joint} is {quote(name)}, but the file's joints are {has}")
     return corrected
 
 
@@ -288,7 +288,7 @@ def _read_map(path: Path) -> dict[str, str | None]:
     try:
         content = yaml.safe_load(read_text(path, _MOST_MAP))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise CharacterError(f"{path}: {cut(str(error), 200)}") from None
+        raise CharacterError(f"{path}: {truncate(str(error), 200)}") from None
     strings = (str, type(None))
     if not isinstance(content, dict) or not all(isinstance(each, strings) for row in content.items() for each in row):
         raise CharacterError(f"{path}: a joint map has lines such as 'left_knee: Shin.L'")

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from stmc.formats.glb_container import BIN, JSON, pack_glb
-from stmc.io.untrusted import UnreadableError, load_json, read_bytes, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, read_bytes
 
 MOST_BYTES = 2**28
 """Maximum size of a file: 256 MiB."""
@@ -120,17 +120,17 @@ def objects(document: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 def index(value: Any, count: int, name: str) -> int:
     """Return `value` if it is an index below `count`. Raises `CharacterError` with `name` otherwise."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
-        raise CharacterError(f"{name} is {shown(value)}, which is not one of {count}")
+        raise CharacterError(f"{name} is {quote(value)}, which is not one of {count}")
     return value
 
 
 def numbers(value: Any, count: int, name: str) -> list[float]:
     """Return `count` numbers up to `MOST_METRES`. Raises `CharacterError` with `name` for other values."""
     if not isinstance(value, list) or len(value) != count:
-        raise CharacterError(f"{name} is {shown(value)}, not {count} numbers")
+        raise CharacterError(f"{name} is {quote(value)}, not {count} numbers")
     for each in value:
         if isinstance(each, bool) or not isinstance(each, (int, float)) or not abs(each) <= MOST_METRES:
-            raise CharacterError(f"{name} has {shown(each)}, which is not a number up to {MOST_METRES:g}")
+            raise CharacterError(f"{name} has {quote(each)}, which is not a number up to {MOST_METRES:g}")
     return [float(each) for each in value]
 
 
@@ -161,12 +161,12 @@ def _check_buffers(gltf: Gltf) -> None:
         for number, each in enumerate(objects(gltf.document, name)):
             uri = each.get("uri")
             if uri is not None and not (isinstance(uri, str) and uri.startswith("data:")):
-                where = f"{name}[{number}] is in another file, {shown(uri)}"
+                where = f"{name}[{number}] is in another file, {quote(uri)}"
                 raise CharacterError(f"{where}: export the character as one file, glTF Binary (.glb)")
     for number, each in enumerate(objects(gltf.document, "buffers")):
         size = each.get("byteLength")
         if isinstance(size, bool) or not isinstance(size, int) or not 0 < size <= MOST_BYTES:
-            raise CharacterError(f"buffers[{number}] has a byteLength of {shown(size)}")
+            raise CharacterError(f"buffers[{number}] has a byteLength of {quote(size)}")
         if "uri" not in each:
             held = None if gltf.binary is None or number else len(gltf.binary)
             if held is None or not size <= held <= size + 3:
@@ -184,10 +184,10 @@ def _check_vertices(document: Mapping[str, Any]) -> None:
     for accessor in seen:
         count = accessors[accessor].get("count")
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-            raise CharacterError(f"accessors[{accessor}] counts {shown(count)} vertices")
+            raise CharacterError(f"accessors[{accessor}] counts {quote(count)} vertices")
         total += count
     if total > MOST_VERTICES:
-        raise CharacterError(f"it has {shown(total)} vertices, more than {MOST_VERTICES:,}, the limit")
+        raise CharacterError(f"it has {quote(total)} vertices, more than {MOST_VERTICES:,}, the limit")
 
 
 def parents_of(nodes: Sequence[Mapping[str, Any]]) -> list[int]:

@@ -30,7 +30,7 @@ from stmc.formats.characters.gltf_file import (
 from stmc.formats.characters.joint_names import VRM_BONES
 from stmc.formats.characters.upright import Standing
 from stmc.formats.characters.vrm_animation import vrma_bytes
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.geometry import matrix_to_quaternion
 from stmc.motion.retargeting import RigMotion
 
@@ -198,7 +198,7 @@ def _check_one_skeleton(gltf: Gltf, above: Sequence[int], skins: Sequence[Sequen
         rest = [number for number in rest if number not in joined]
     if rest:
         names = [objects(gltf.document, "skins")[number].get("name", f"skin {number}") for number in (0, rest[0])]
-        raise CharacterError(f"it has two skeletons, {shown(names[0])} and {shown(names[1])}: keep one character")
+        raise CharacterError(f"it has two skeletons, {quote(names[0])} and {quote(names[1])}: keep one character")
 
 
 def _rest(gltf: Gltf, nodes: Sequence[int], parents: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -208,7 +208,7 @@ def _rest(gltf: Gltf, nodes: Sequence[int], parents: Sequence[int]) -> tuple[np.
         name = f"nodes[{node}]"
         translation, turn, scale = transform(gltf.nodes[node], name)
         if place in carriers and not max(scale) <= (1 + _EVEN) * min(scale):
-            raise CharacterError(f"{name} is scaled unevenly, by {shown(scale.tolist())}: apply its scale first")
+            raise CharacterError(f"{name} is scaled unevenly, by {quote(scale.tolist())}: apply its scale first")
         if parent >= 0:
             translation = places[parent] + turns[parent] @ translation * scales[parent]
             turn, scale = turns[parent] @ turn, scale * scales[parent]
@@ -234,9 +234,9 @@ def transform(node: Mapping[str, Any], name: str) -> tuple[np.ndarray, np.ndarra
     scale = np.array(numbers(node.get("scale", [1, 1, 1]), 3, f"the scale of {name}"))
     length = np.linalg.norm(rotation)
     if not length > 1e-6:
-        raise CharacterError(f"the rotation of {name} is {shown(rotation.tolist())}, which is no rotation")
+        raise CharacterError(f"the rotation of {name} is {quote(rotation.tolist())}, which is no rotation")
     if not scale.min() > 1e-9:
-        raise CharacterError(f"the scale of {name} is {shown(scale.tolist())}: it must be positive")
+        raise CharacterError(f"the scale of {name} is {quote(scale.tolist())}: it must be positive")
     return translation, _matrix(rotation / length), scale
 
 

@@ -22,7 +22,7 @@ from stmc.formats.characters.robot import (
     speed_limit,
 )
 from stmc.formats.characters.robot_xml import number, numbers, unit
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 
 _GENERATORS = ("attach", "composite", "flexcomp", "replicate")
 """Elements of which MuJoCo makes bodies."""
@@ -80,12 +80,12 @@ class _Reader:
         name = body.get("name") or f"body {len(self.links)}"
         if len(self.links) >= MOST_LINKS:
             raise CharacterError(f"it has more than {MOST_LINKS:,} bodies")
-        pose, parts = above.child(self.model, body, f"body {shown(name)}"), _Parts()
+        pose, parts = above.child(self.model, body, f"body {quote(name)}"), _Parts()
         own = len(self.links)
         self._own(body, pose, parts, name, around)
         if own in self.bases:
             if parent >= 0:
-                raise CharacterError(f"body {shown(name)} moves freely, but hangs from another")
+                raise CharacterError(f"body {quote(name)} moves freely, but hangs from another")
             self.resting[self.bases[own] : self.bases[own] + 3] = pose.place.tolist()
         shape = enclose(parts.shapes)
         self.links.append(Link(name, parent, pose.turn, pose.place, tuple(parts.hinges), shape, parts.mass_shape))
@@ -95,7 +95,7 @@ class _Reader:
         """Add what belongs to a body itself, also what is in frames."""
         for child in element:
             if child.tag == "frame":
-                frame = pose.child(self.model, child, f"a frame of body {shown(body)}")
+                frame = pose.child(self.model, child, f"a frame of body {quote(body)}")
                 self._own(child, frame, parts, body, child.get("childclass", around))
             elif child.tag == "freejoint":
                 self._free(child.get("name") or body)
@@ -108,7 +108,7 @@ class _Reader:
 
     def _free(self, name: str) -> None:
         if len(self.links) in self.bases:
-            raise CharacterError(f"{shown(name)} is a second free joint of its body")
+            raise CharacterError(f"{quote(name)} is a second free joint of its body")
         self.bases[len(self.links)] = len(self.columns)
         self.columns += [f"{name}_{axis}" for axis in _FREE]
         self.resting += [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
@@ -117,11 +117,11 @@ class _Reader:
         kind = joint.get("type", "hinge")
         first = f"{body} joint {len(parts.hinges) + 1}" if parts.hinges else body
         name = joint.get("name") or first
-        said = f"joint {shown(name)}"
+        said = f"joint {quote(name)}"
         if kind == "free":
             return self._free(name)
         if kind not in ("hinge", "ball", "slide"):
-            raise CharacterError(f"{said} is {shown(kind)}; joints are free, ball, slide or hinge")
+            raise CharacterError(f"{said} is {quote(kind)}; joints are free, ball, slide or hinge")
         place = numbers(joint, "pos", (3,), said)
         anchor, column = pose.at(np.zeros(3) if place is None else place), len(self.columns)
         if kind == "ball":
@@ -151,12 +151,12 @@ class _Reader:
         if limited == "false" or limits is None or (limited == "auto" and not self.model.autolimits):
             return None
         if limits[0] > limits[1]:
-            raise CharacterError(f"range of {said} is {shown(limits.tolist())}: the lower limit comes first")
+            raise CharacterError(f"range of {said} is {quote(limits.tolist())}: the lower limit comes first")
         return np.array([self.model.angle(limit) for limit in limits])
 
     def _shape(self, geom: Element, pose: _Pose, body: str) -> list[Float[np.ndarray, "2 3"]]:
         """Return the bounds of a geom, none for meshes and planes."""
-        said, kind = f"a geom of body {shown(body)}", geom.get("type", "sphere")
+        said, kind = f"a geom of body {quote(body)}", geom.get("type", "sphere")
         size = numbers(geom, "size", (1, 2, 3), said)
         ends = numbers(geom, "fromto", (6,), said)
         if kind not in ("sphere", "capsule", "cylinder", "box", "ellipsoid") or size is None:
@@ -179,7 +179,7 @@ class _Reader:
         return [box_bounds(own.place, own.turn, half)]
 
     def _mass_shape(self, inertial: Element, pose: _Pose, body: str) -> Float[np.ndarray, "2 3"] | None:
-        said = f"the inertial of body {shown(body)}"
+        said = f"the inertial of body {quote(body)}"
         own, inertia = pose.child(self.model, inertial, said), np.zeros((3, 3))
         diagonal, full = numbers(inertial, "diaginertia", (3,), said), numbers(inertial, "fullinertia", (6,), said)
         moments = full if diagonal is None else diagonal

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from stmc.formats.characters.gltf_file import CharacterError
 from stmc.formats.characters.robot_xml import MOST_ELEMENTS, numbers, read_xml, unit
-from stmc.io.untrusted import cut, shown
+from stmc.io.untrusted import quote, truncate
 
 _MOST_INCLUDES = 50
 _MAIN = "main"
@@ -42,7 +42,7 @@ class Mjcf:
         """Read a model. Raise `CharacterError` for a file that is none, and for includes from elsewhere."""
         root = read_xml(path)
         if root.tag != "mujoco":
-            raise CharacterError(f"its outermost element is <{cut(root.tag)}>; that of an MJCF model is <mujoco>")
+            raise CharacterError(f"its outermost element is <{truncate(root.tag)}>; that of an MJCF model is <mujoco>")
         _include(root, path.parent, set())
         if sum(1 for _ in root.iter()) > MOST_ELEMENTS:
             raise CharacterError(f"more than {MOST_ELEMENTS:,} elements")
@@ -51,7 +51,7 @@ class Mjcf:
             raise CharacterError("its coordinates are global, which MuJoCo no longer reads either")
         euler = settings.get("eulerseq", "xyz")
         if len(euler) != 3 or not set(euler) <= set("xyzXYZ") or euler not in (euler.lower(), euler.upper()):
-            raise CharacterError(f"eulerseq of its compiler is {shown(euler)}, which is no order of axes")
+            raise CharacterError(f"eulerseq of its compiler is {quote(euler)}, which is no order of axes")
         degrees = settings.get("angle", "degree") != "radian"
         classes: dict[str, dict[str, dict[str, str]]] = {_MAIN: {name: {} for name in _WITH_DEFAULTS}}
         for element in root.findall("default"):
@@ -63,7 +63,7 @@ class Mjcf:
         """Return a joint or geom with its defaults filled in, in the class that is `around` it if it names none."""
         name = element.get("class", around or _MAIN)
         if name not in self.classes:
-            raise CharacterError(f"the class {shown(name)} of a {element.tag} has no defaults")
+            raise CharacterError(f"the class {quote(name)} of a {element.tag} has no defaults")
         return Element(element.tag, {**self.classes[name].get(element.tag, {}), **element.attrib})
 
     def angle(self, value: float) -> float:
@@ -76,7 +76,7 @@ class Mjcf:
 
         if (quat := numbers(element, "quat", (4,), place)) is not None:
             if not np.linalg.norm(quat) > 1e-9:
-                raise CharacterError(f"quat of {place} is {shown(quat.tolist())}, which is no rotation")
+                raise CharacterError(f"quat of {place} is {quote(quat.tolist())}, which is no rotation")
             return Rotation.from_quat(quat[[1, 2, 3, 0]]).as_matrix()
         if (turn := numbers(element, "axisangle", (4,), place)) is not None:
             return Rotation.from_rotvec(unit(turn[:3], "axisangle", place) * self.angle(turn[3])).as_matrix()
@@ -114,14 +114,14 @@ def _include(element: Element, folder: Path, known: set[Path]) -> None:
         name = child.get("file", "")
         path = _inside(folder, name)
         if path in known or len(known) >= _MOST_INCLUDES:
-            raise CharacterError(f"it includes {shown(name)} more than once, or more than {_MOST_INCLUDES} files")
+            raise CharacterError(f"it includes {quote(name)} more than once, or more than {_MOST_INCLUDES} files")
         known.add(path)
         try:
             included = read_xml(path)
         except OSError:
-            raise CharacterError(f"it includes {shown(name)}, which is not there") from None
+            raise CharacterError(f"it includes {quote(name)}, which is not there") from None
         except CharacterError as error:
-            raise CharacterError(f"{shown(name)}, which it includes: {error}") from None
+            raise CharacterError(f"{quote(name)}, which it includes: {error}") from None
         _include(included, folder, known)
         element[number : number + 1] = list(included)
 
@@ -131,9 +131,9 @@ def _inside(folder: Path, name: str) -> Path:
     try:
         path, home = (folder / name).resolve(), folder.resolve()
     except (OSError, ValueError, RuntimeError):
-        raise CharacterError(f"it includes {shown(name)}, which is no path") from None
+        raise CharacterError(f"it includes {quote(name)}, which is no path") from None
     if not name or not path.is_relative_to(home):
-        raise CharacterError(f"it includes {shown(name)}, which is not in the model's folder: put it there")
+        raise CharacterError(f"it includes {quote(name)}, which is not in the model's folder: put it there")
     return path
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from stmc.formats.axes import Z_UP_TO_Y_UP, continued
 from stmc.formats.characters.characters import Character, CharacterMotion, character_of_joints
 from stmc.formats.characters.gltf_file import MOST_JOINTS, MOST_METRES, CharacterError
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.geometry import matrix_to_quaternion
 
 Up = Literal["y", "z"]
@@ -51,16 +51,16 @@ class RestSkeleton:
         names = set()
         for joint in self.joints:
             if joint.name in names:
-                raise CharacterError(f"two joints are called {shown(joint.name)}")
+                raise CharacterError(f"two joints are called {quote(joint.name)}")
             names.add(joint.name)
             if len(joint.place) != 3 or not all(abs(value) <= MOST_METRES for value in joint.place):
                 raise CharacterError(
-                    f"the place of {shown(joint.name)} is {shown(list(joint.place))}: three numbers up to "
+                    f"the place of {quote(joint.name)} is {quote(list(joint.place))}: three numbers up to "
                     f"{MOST_METRES:g} needed"
                 )
         for joint in self.joints:
             if joint.parent is not None and joint.parent not in names:
-                raise CharacterError(f"the parent of {shown(joint.name)} is {shown(joint.parent)}, which is no joint")
+                raise CharacterError(f"the parent of {quote(joint.name)} is {quote(joint.parent)}, which is no joint")
 
     def character(self, joint_map: Mapping[str, str | None] | None = None) -> Character:
         """Return the skeleton as a character. Raises `CharacterError` if it is not a person's.

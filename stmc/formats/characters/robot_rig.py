@@ -17,7 +17,7 @@ from stmc.formats.characters.robot_pieces import Pieces
 from stmc.formats.characters.robot_soles import Soles, soles_of
 from stmc.formats.characters.robot_tree import RobotTree
 from stmc.formats.characters.upright import Standing, upright_turn
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.retargeting import Rig, RigError, RigMotion
 from stmc.motion.retargeting.linkage import Linkage
 from stmc.motion.retargeting.rig import SIDES, ancestors
@@ -154,7 +154,7 @@ def _driving(tree: RobotTree, rig: Rig) -> list[int]:
     for node in found:
         hinge = pieces.hinges[node]
         if hinge is not None and hinge.mimics:
-            raise CharacterError(f"joint {shown(hinge.name)} mimics another, which is not read within limbs and trunk")
+            raise CharacterError(f"joint {quote(hinge.name)} mimics another, which is not read within limbs and trunk")
     if not found:
         raise CharacterError("no hinge moves its limbs")
     return sorted(found)

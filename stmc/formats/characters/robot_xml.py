@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from stmc.formats.characters.gltf_file import CharacterError
-from stmc.io.untrusted import UnreadableError, cut, read_bytes, shown
+from stmc.io.untrusted import UnreadableError, quote, read_bytes, truncate
 
 MOST_BYTES = 2**24
 """A file's limit: 16 MiB; a robot of 200 links has 200 kB."""
@@ -58,7 +58,7 @@ def _parse(content: bytes, start: Callable[..., Any], end: Callable[..., Any]) -
         message = expat.ErrorString(error.code)
         raise CharacterError(f"line {error.lineno}, column {error.offset + 1}: not XML ({message})") from None
     except (ValueError, LookupError) as error:  # an encoding that expat does not know
-        raise CharacterError(f"not XML ({cut(str(error), 100)})") from None
+        raise CharacterError(f"not XML ({truncate(str(error), 100)})") from None
 
 
 def _refuse_doctype(*_: Any) -> None:
@@ -84,12 +84,12 @@ def numbers(element: Element, name: str, counts: tuple[int, ...], place: str) ->
     try:
         values = np.array([float(word) for word in words])
     except ValueError:
-        raise CharacterError(f"{name} of {place} is {shown(text)}, which is not a list of numbers") from None
+        raise CharacterError(f"{name} of {place} is {quote(text)}, which is not a list of numbers") from None
     if len(values) not in counts:
         wanted = " or ".join(map(str, counts)) if len(counts) < 4 else f"up to {counts[-1]}"
-        raise CharacterError(f"{name} of {place} is {shown(text)}: it must have {wanted} numbers")
+        raise CharacterError(f"{name} of {place} is {quote(text)}: it must have {wanted} numbers")
     if not (np.abs(values) <= _MOST_NUMBER).all():
-        raise CharacterError(f"{name} of {place} is {shown(text)}, which is not finite and up to {_MOST_NUMBER:g}")
+        raise CharacterError(f"{name} of {place} is {quote(text)}, which is not finite and up to {_MOST_NUMBER:g}")
     return values
 
 
@@ -103,5 +103,5 @@ def unit(vector: Float[np.ndarray, " 3"], name: str, place: str) -> Float[np.nda
     """Return a vector of length 1. Raise `CharacterError` for one without a direction."""
     length = np.linalg.norm(vector)
     if not length > 1e-9:
-        raise CharacterError(f"{name} of {place} is {shown(vector.tolist())}, which has no direction")
+        raise CharacterError(f"{name} of {place} is {quote(vector.tolist())}, which has no direction")
     return vector / length

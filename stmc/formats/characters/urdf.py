@@ -24,7 +24,7 @@ from stmc.formats.characters.robot import (
     speed_limit,
 )
 from stmc.formats.characters.robot_xml import number, numbers, read_xml, unit
-from stmc.io.untrusted import cut, shown
+from stmc.io.untrusted import quote, truncate
 
 _HINGES = ("revolute", "continuous")
 _KINDS = (*_HINGES, "prismatic", "fixed")
@@ -34,7 +34,7 @@ def read_urdf(path: Path) -> Robot:
     """Read a robot. Raise `CharacterError`, which says what is missing, for a file that is none."""
     root = read_xml(path)
     if root.tag != "robot":
-        raise CharacterError(f"its outermost element is <{cut(root.tag)}>; that of a URDF is <robot>")
+        raise CharacterError(f"its outermost element is <{truncate(root.tag)}>; that of a URDF is <robot>")
     if any("xacro" in element.tag for element in root):
         raise CharacterError("it is a template of xacro: write it out first, with `xacro robot.urdf.xacro`")
     links = _named(root, "link")
@@ -60,7 +60,7 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
     for element in root.findall(tag):
         name = element.get("name")
         if not name or name in named:
-            raise CharacterError(f"a <{tag}> has {'no name' if not name else f'the name of another, {shown(name)}'}")
+            raise CharacterError(f"a <{tag}> has {'no name' if not name else f'the name of another, {quote(name)}'}")
         named[name] = element
     return named
 
@@ -75,15 +75,15 @@ def _tree(links: dict[str, Element], joints: dict[str, Element]) -> dict[str, tu
             end = joint.find(tag)
             ends.append("" if end is None else end.get("link", ""))
             if ends[-1] not in links:
-                raise CharacterError(f"the {tag} of joint {shown(name)} is {shown(ends[-1])}, which is no link")
+                raise CharacterError(f"the {tag} of joint {quote(name)} is {quote(ends[-1])}, which is no link")
         parent, child = ends
         if child in children:
-            raise CharacterError(f"link {shown(child)} has two parents: links must be a tree")
+            raise CharacterError(f"link {quote(child)} has two parents: links must be a tree")
         children.add(child)
         below.setdefault(parent, []).append((child, name))
     roots = [name for name in links if name not in children]
     if len(roots) > 1:
-        raise CharacterError(f"it has {len(roots)} links without a parent, such as {shown(roots[1])}: keep one robot")
+        raise CharacterError(f"it has {len(roots)} links without a parent, such as {quote(roots[1])}: keep one robot")
     tree: dict[str, tuple[str | None, str]] = {root: (None, "") for root in roots}
     left = list(roots)
     while left:
@@ -99,7 +99,7 @@ def _tree(links: dict[str, Element], joints: dict[str, Element]) -> dict[str, tu
 def _kind(joint: Element, name: str) -> str:
     kind = joint.get("type", "")
     if kind not in _KINDS:
-        raise CharacterError(f"joint {shown(name)} is {shown(kind)}; joints that are read are {', '.join(_KINDS)}")
+        raise CharacterError(f"joint {quote(name)} is {quote(kind)}; joints that are read are {', '.join(_KINDS)}")
     return kind
 
 
@@ -108,11 +108,11 @@ def _link(element: Element, name: str, parent: Link | None, above: int, joint: E
     hinges: tuple[Hinge, ...] = ()
     if joint is not None:
         joint_name = joint.get("name", "")
-        place, turn = _posed(place, turn, joint.find("origin"), f"joint {shown(joint_name)}")
+        place, turn = _posed(place, turn, joint.find("origin"), f"joint {quote(joint_name)}")
         if joint.get("type") in _HINGES:
             hinges = (_hinge(joint, joint_name, place, turn, column),)
-    shape = _shape(element, place, turn, f"link {shown(name)}")
-    return Link(name, above, turn, place, hinges, shape, _mass_shape(element, place, turn, f"link {shown(name)}"))
+    shape = _shape(element, place, turn, f"link {quote(name)}")
+    return Link(name, above, turn, place, hinges, shape, _mass_shape(element, place, turn, f"link {quote(name)}"))
 
 
 def _posed(
@@ -132,7 +132,7 @@ def _posed(
 
 
 def _hinge(joint: Element, name: str, place: np.ndarray, turn: np.ndarray, column: int) -> Hinge:
-    said = f"joint {shown(name)}"
+    said = f"joint {quote(name)}"
     axis_element, limit = joint.find("axis"), joint.find("limit")
     axis = None if axis_element is None else numbers(axis_element, "xyz", (3,), f"the axis of {said}")
     axis = np.array([1.0, 0.0, 0.0]) if axis is None else unit(axis, "the axis", said)
@@ -157,7 +157,7 @@ def _resting(joint: Element, kind: str, name: str) -> float:
     limit = joint.find("limit")
     if limit is None or kind == "continuous":
         return 0.0
-    lower, upper = _range(limit, f"joint {shown(name)}")
+    lower, upper = _range(limit, f"joint {quote(name)}")
     return float(np.clip(0.0, lower, upper))
 
 
@@ -167,10 +167,10 @@ def _mimics(joints: dict[str, Element], moving: list[str]) -> tuple[Mimic, ...]:
         mimic, limit = joints[name].find("mimic"), joints[name].find("limit")
         if mimic is None:
             continue
-        said, leader = f"the mimic of joint {shown(name)}", mimic.get("joint", "")
+        said, leader = f"the mimic of joint {quote(name)}", mimic.get("joint", "")
         if leader not in moving or joints[leader].find("mimic") is not None:
-            raise CharacterError(f"{said} is {shown(leader)}, which is no joint that moves by itself")
-        lower, upper = (-np.inf, np.inf) if limit is None else _range(limit, f"joint {shown(name)}")
+            raise CharacterError(f"{said} is {quote(leader)}, which is no joint that moves by itself")
+        lower, upper = (-np.inf, np.inf) if limit is None else _range(limit, f"joint {quote(name)}")
         ratio, offset = number(mimic, "multiplier", 1.0, said), number(mimic, "offset", 0.0, said)
         found.append(Mimic(column, moving.index(leader), ratio, offset, lower, upper))
     return tuple(found)

@@ -24,6 +24,9 @@ MAJORITY, NAMED, UNNAMED = 0.5, 0.8, 0.5
 """Fraction of the votes that claims a part; least fraction of a part that a word names; and factor of the fractions of
 other parts then."""
 
+SURE = 0.5
+"""Confidence from which the whole body is suggested because of what is near, and not for want of it."""
+
 UNLIKE = 0.3
 """Cosine below which even the nearest sentence is ignored."""
 
@@ -49,6 +52,16 @@ class Suggestion:
 
     parts: frozenset[BodyPart]
     confidence: float
+
+    @property
+    def needs(self) -> frozenset[BodyPart]:
+        """The body parts of which the action needs at least one: the legs if it moves them, or else all its parts.
+
+        Empty for a whole body that is suggested with less than `SURE` confidence.
+        """
+        if self.parts == EVERYTHING and self.confidence < SURE:
+            return frozenset()
+        return self.parts & {BodyPart.LEGS} or self.parts
 
     def __str__(self) -> str:
         return f"{list_parts(self.parts)} ({self.confidence:.0%} sure)"

@@ -14,6 +14,7 @@ from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import GenerateRequest
 from stmc.settings.records import check_name, check_value, field_infos, setting
 from stmc.timeline import Timeline
+from stmc.viewing.exports import FILMS
 from stmc.viewing.studio.documents_json import MOST_FILE, TIMELINE_FILES, timeline_of
 from stmc.viewing.studio.request_errors import RequestError, read_value
 from stmc.viewing.studio.skeletons_json import JointMap, RestSkeleton, joint_map_of, skeleton_of
@@ -24,6 +25,12 @@ MOST_SEEDS = 8
 MOST_CONDITIONS = 100
 """Maximum number of changes, and of constraints, of a job."""
 
+MOST_EDITS = 20
+"""Maximum number of edits of a stream in a request."""
+
+MOST_FRAMES = 200
+"""Maximum number of frames of a stream in a response."""
+
 FARTHEST = 10_000
 """The largest number in a job's settings: metres, radians or seconds."""
 
@@ -32,6 +39,9 @@ STAGES = ("preview", "full")
 
 RECEIVED = (".glb", ".gltf", ".vrm")
 """Files of characters that the studio takes: those with a mesh to show."""
+
+FILM_NAMES = tuple(suffix[1:] for suffix in FILMS)
+"""Names of the formats of films."""
 
 LEAST_FPS, MOST_FPS = 1, 240
 """Frame rates of exported motions."""
@@ -101,6 +111,33 @@ class JobBody(TimelineBody):
 
 
 @dataclass(frozen=True, kw_only=True)
+class StreamBody:
+    """A request to open a stream: with the fields of `GenerateRequest` and `Sampling` that a stream has."""
+
+    timeline: Timeline | None = setting(None, "timeline to begin with; null: none")
+    seed: int = setting(0, "seed of the motion", at_least=0)
+    settings: Mapping[str, Any] = rest(
+        GenerateRequest,
+        Sampling,
+        without=("timelines", "seeds", "sampling", "joints_from", "keep", "change", "constraints"),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadStreamBody:
+    """Edits of a stream, and how many frames are wanted after them."""
+
+    edits: tuple[dict, ...] = of_length(
+        (),
+        'edits from the next frame on: {"add": {"text", "start", "end" or "seconds", "body_parts"}}, '
+        '{"move": 0, "start", "end"} or {"remove": 0}',
+        0,
+        MOST_EDITS,
+    )
+    frames: int = setting(MISSING, "number of frames", at_least=0, at_most=MOST_FRAMES)
+
+
+@dataclass(frozen=True, kw_only=True)
 class DocumentBody:
     """A change of a document."""
 
@@ -137,6 +174,19 @@ class ExportQuery:
     timeline: Timeline | None = setting(None, "timeline of the motion, for formats that hold it")
     character: str | None = setting(None, "id of a character, for formats that show it")
     constraints: dict | None = setting(None, 'constraints to draw on a page: {"constraints": [...]}')
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmBody:
+    """A film of a stored motion."""
+
+    motion: str = setting(MISSING, "id of a stored motion")
+    format: str = setting(FILM_NAMES[0], "format of the film", choices=FILM_NAMES)
+    fps: float | int | None = setting(
+        None, "frames per second; null: those of the motion", at_least=LEAST_FPS, at_most=MOST_FPS
+    )
+    loop: bool = setting(False, "a loop, without the timeline")
+    timeline: Timeline | None = setting(None, "timeline whose prompts give colours and texts")
 
 
 _READERS: Mapping[Any, Callable[[Any], Any]] = {

@@ -19,7 +19,7 @@ import torch
 
 from stmc.formats.characters import Character, CharacterError, read_character, retarget, stage_poses
 from stmc.io.files import write_text, write_whole
-from stmc.io.untrusted import UnreadableError, cut, load_json, read_text
+from stmc.io.untrusted import UnreadableError, load_json, read_text, truncate
 from stmc.motion.body import NUM_ROTATIONS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
@@ -34,6 +34,8 @@ MOST_CHARACTERS, MOST_CHARACTER_BYTES = 40, 2**30
 
 MOST_NAME = 60
 """Maximum number of letters of a character's name."""
+
+MOVED_ELSEWHERE = "skeletons and robots move with `stmc sample … character=robot.urdf formats=csv`, or `formats=bvh`"
 
 _FASTEST = 60
 """Frames per second that a stage shows."""
@@ -105,7 +107,9 @@ class Characters:
         """
         suffix = Path(filename).suffix.lower()
         if suffix not in RECEIVED:
-            raise RequestError(422, f"a character must be a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file")
+            message = f"a character must be a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file"
+            other = f"; {MOVED_ELSEWHERE}" if suffix in (".bvh", ".urdf", ".xml") else ""
+            raise RequestError(422, message + other)
         name = hashlib.sha256(content + suffix.encode()).hexdigest()[:32]
         with self._heavy:
             character = _read_content(content, suffix)
@@ -233,7 +237,7 @@ def _try_out(character: Character) -> None:
         _posed(still, character)
         retarget(still, character).content(character.formats[0])
     except ValueError as error:
-        raise RequestError(422, f"the file: {cut(str(error), 200)}") from None
+        raise RequestError(422, f"the file: {truncate(str(error), 200)}") from None
 
 
 def _posed(motion: Motion, character: Character) -> bytes:

@@ -171,14 +171,16 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> CheckedTimeli
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", TimelineWarning)
         own = [prompt.parts for prompt in timeline.prompts]
-        timeline, suggested = with_suggestions(timeline, suggest)
+        texts = list(dict.fromkeys(prompt.text for prompt in timeline.prompts))
+        suggestions = dict(zip(texts, suggest(texts), strict=True))
+        timeline, _ = with_suggestions(timeline, lambda some: [suggestions[text] for text in some])
         try:
             model.plans([timeline])
         except TimelineError as error:
             raise RequestError(422, str(error), prompt=None) from None
     doubtful = {each.text: each for each in model.doubtful([timeline])}
     prompts = [
-        _described(prompt, row, None if listed else suggested[prompt.text], doubtful.get(prompt.text))
+        _described(prompt, row, suggestions[prompt.text], not listed, doubtful.get(prompt.text))
         for prompt, row, listed in zip(timeline.prompts, timeline.rows, own, strict=True)
     ]
     owned = owned_seconds(timeline, model.fps, timeline.frames(model.fps), model.own_sampling.overlap or 0.0)
@@ -192,11 +194,14 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> CheckedTimeli
     }
 
 
-def _described(prompt: Prompt, row: int, suggestion: Suggestion | None, doubt: Recognition | None) -> CheckedPrompt:
+def _described(
+    prompt: Prompt, row: int, suggestion: Suggestion, suggested: bool, doubt: Recognition | None
+) -> CheckedPrompt:
     return {
         "parts": in_order(prompt.claims),
-        "suggested": suggestion is not None,
-        "confidence": None if suggestion is None else suggestion.confidence,
+        "suggested": suggested,
+        "confidence": suggestion.confidence if suggested else None,
+        "needs": [] if doubt is not None and not doubt.known else in_order(suggestion.needs),
         "advice": _advice(doubt),
         "row": row,
     }

@@ -8,176 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
-from urllib.parse import unquote
-
-from starlette.requests import Request
+from typing import Literal
 
 from stmc.formats import READABLE
 from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS
 from stmc.viewing.studio import bodies, responses
-from stmc.viewing.studio.bodies import RECEIVED, read_body, read_query, rest_names, rest_of
-from stmc.viewing.studio.json_schemas import Schema, Schemas
-from stmc.viewing.studio.request_errors import read_object
-
-MOST_UPLOAD = 32 * 2**20
-"""Maximum size of an uploaded motion or character in bytes."""
+from stmc.viewing.studio.bodies import RECEIVED
+from stmc.viewing.studio.documents_json import MOST_SECONDS
+from stmc.viewing.studio.inputs_outputs import (
+    MOST_UPLOAD,
+    EventOutput,
+    FileBody,
+    FileOutput,
+    Input,
+    JsonBody,
+    JsonOutput,
+    JsonQuery,
+    NoInput,
+    Output,
+)
 
 Method = Literal["GET", "POST", "PUT", "DELETE"]
-
-
-@runtime_checkable
-class Input(Protocol):
-    """What an operation reads of a request beside the parts of its path."""
-
-    @property
-    def most(self) -> int | None:
-        """Maximum size of the request in bytes; None: that of every request."""
-
-    async def read(self, request: Request) -> tuple[Any, ...]:
-        """Return the handler's first arguments. Raises `RequestError` or `SettingError`."""
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return the fields of an OpenAPI operation that describe this input."""
-
-
-@runtime_checkable
-class Output(Protocol):
-    """A response to a fulfilled request."""
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return the content of an OpenAPI response."""
-
-
-@dataclass(frozen=True)
-class NoInput:
-    """Nothing but the address."""
-
-    most: int | None = None
-
-    async def read(self, request: Request) -> tuple[Any, ...]:
-        """Return no arguments."""
-        return ()
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return no fields."""
-        return {}
-
-
-@dataclass(frozen=True)
-class JsonBody:
-    """A JSON object with the fields of a record."""
-
-    record: type
-    example: Mapping[str, Any]
-    most: int | None = None
-
-    async def read(self, request: Request) -> tuple[Any, ...]:
-        """Return the record."""
-        return (read_body(self.record, read_object(await request.body())),)
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return the request body."""
-        schema = schemas.named(self.record.__name__, lambda: self._schema(schemas))
-        return {
-            "requestBody": {
-                "required": True,
-                "content": {"application/json": {"schema": schema, "example": dict(self.example)}},
-            }
-        }
-
-    def _schema(self, schemas: Schemas) -> Schema:
-        schema = schemas.of_record(self.record)
-        names = rest_names(self.record)
-        for record in rest_of(self.record):
-            for name, each in schemas.of_record(record)["properties"].items():
-                bound = {"maxItems": bodies.MOST_CONDITIONS} if each.get("type") == "array" else {}
-                schema["properties"] |= (
-                    {name: each | bound} if name in names and name not in schema["properties"] else {}
-                )
-        return schema
-
-
-@dataclass(frozen=True)
-class JsonQuery:
-    """Parameters of the address, each a JSON value, with the fields of a record."""
-
-    record: type
-    most: int | None = None
-
-    async def read(self, request: Request) -> tuple[Any, ...]:
-        """Return the record."""
-        return (read_query(self.record, dict(request.query_params)),)
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return the parameters."""
-        properties = schemas.of_record(self.record)["properties"]
-        return {"parameters": [_parameter(name, schema) for name, schema in properties.items()]}
-
-
-def _parameter(name: str, schema: Schema) -> Schema:
-    """Describe a parameter of an address: objects and lists are JSON texts there."""
-    told = {"name": name, "in": "query", "required": False, "description": schema["description"]}
-    schema = {key: value for key, value in schema.items() if key != "description"}
-    plain = "anyOf" not in schema and "$ref" not in schema and "object" not in schema.get("type", ())
-    return told | ({"schema": schema} if plain else {"content": {"application/json": {"schema": schema}}})
-
-
-@dataclass(frozen=True)
-class FileBody:
-    """The bytes of a file, whose name is in the header `X-Filename`."""
-
-    about: str
-    default: str
-    """Name of a file that is sent without one."""
-    most: int | None = MOST_UPLOAD
-
-    async def read(self, request: Request) -> tuple[Any, ...]:
-        """Return the file's name and its bytes."""
-        return Path(unquote(request.headers.get("x-filename", self.default))).name, await request.body()
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return the header and the body."""
-        name = {"name": "X-Filename", "in": "header", "required": False, "schema": {"type": "string"}}
-        suffix = Path(self.default).suffix
-        name |= {"description": f"name of the file, percent-encoded; its suffix is the format, by default {suffix}"}
-        content: Schema = {"application/octet-stream": {}}
-        return {"parameters": [name], "requestBody": {"required": True, "description": self.about, "content": content}}
-
-
-@dataclass(frozen=True)
-class JsonOutput:
-    """A JSON object."""
-
-    hint: Any
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return its schema."""
-        return {"application/json": {"schema": schemas.of(self.hint)}}
-
-
-@dataclass(frozen=True)
-class FileOutput:
-    """A file of one of these media types."""
-
-    media_types: tuple[str, ...]
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return the media types."""
-        return {media_type: {} for media_type in self.media_types}
-
-
-@dataclass(frozen=True)
-class EventOutput:
-    """A stream of server-sent events, each with a JSON object."""
-
-    hints: Mapping[str, Any]
-
-    def describe(self, schemas: Schemas) -> Schema:
-        """Return the schemas of the events by their names."""
-        events = {name: schemas.of(hint) for name, hint in self.hints.items()}
-        return {"text/event-stream": {"schema": {"type": "string"}, "x-events": events}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,6 +73,7 @@ _PERSON = {
 _NO_MOTION = {404: "there is no such motion"}
 _NO_CHARACTER = {404: "there is no such character or motion"}
 _NO_JOB = {404: "there is no such job"}
+_NO_STREAM = {404: "there is no such stream, or it has ended"}
 _NO_DOCUMENT = {404: "there is no such document"}
 GLTF = "model/gltf-binary"
 _PYTHON = ("text/x-python",)
@@ -286,6 +138,33 @@ OPERATIONS: tuple[Operation, ...] = (
         gives=JsonOutput(responses.Nothing), refusals=_NO_JOB,
     ),
     Operation(
+        method="POST", path="/api/streams", handler="open_stream", topic="Streams", status=201,
+        summary="Open a stream: a timeline that is edited while it plays",
+        about="Two at most: a third ends the one that was read longest ago. A stream also ends after ten minutes "
+        f"without a request, and after {MOST_SECONDS} s of motion. See also the page on streaming.",
+        takes=JsonBody(bodies.StreamBody, {"timeline": _WAVE, "seed": 0}),
+        gives=JsonOutput(responses.OpenedStream), refusals={429: "all streams are being read"},
+    ),
+    Operation(
+        method="POST", path="/api/streams/{name}", handler="read_stream", topic="Streams",
+        summary="Edit a stream and read its next frames",
+        about="Edits come first, as those of `stmc stream`; each is answered, also one that is refused. `body_parts` "
+        "that are left out are suggested.",
+        takes=JsonBody(bodies.ReadStreamBody, {"edits": [{"add": {"text": "wave", "seconds": 2}}], "frames": 10}),
+        gives=JsonOutput(responses.StreamFrames), refusals=_NO_STREAM | {429: "another request reads it"},
+    ),
+    Operation(
+        method="DELETE", path="/api/streams/{name}", handler="close_stream", topic="Streams",
+        summary="End a stream",
+        gives=JsonOutput(responses.Nothing), refusals=_NO_STREAM,
+    ),
+    Operation(
+        method="GET", path="/api/mannequin.glb", handler="send_mannequin", topic="Streams",
+        summary="Read the figure that the frames of streams move",
+        about="At rest; its nodes are called as the joints.",
+        gives=FileOutput((GLTF,)),
+    ),
+    Operation(
         method="POST", path="/api/motions", handler="receive", topic="Motions", status=201,
         summary="Upload a motion",
         takes=FileBody(_upload([each.suffix for each in READABLE]), "motion.npz"),
@@ -298,6 +177,21 @@ OPERATIONS: tuple[Operation, ...] = (
         takes=JsonQuery(bodies.ExportQuery),
         gives=FileOutput(tuple(dict.fromkeys(each.media_type for each in (*EXPORTS, *CHARACTER_EXPORTS)))),
         refusals=_NO_MOTION | {429: "another film is being rendered", 501: "a package is missing"},
+    ),
+    Operation(
+        method="POST", path="/api/films", handler="add_film", topic="Motions", status=201,
+        summary="Draw a film of a motion",
+        about="Queues a job, for which the addresses of jobs hold: its events count the pictures. Films are drawn one "
+        "after the other, some four pictures a second.",
+        takes=JsonBody(bodies.FilmBody, {"motion": "ID", "format": "webp"}), gives=JsonOutput(responses.QueuedJob),
+        refusals=_NO_MOTION | {429: "too many films are waiting", 501: "a package is missing"},
+    ),
+    Operation(
+        method="GET", path="/api/films/{name}", handler="send_film", topic="Motions",
+        summary="Read the film of a job that is done",
+        about="The newest films are stored until the studio starts again.",
+        gives=FileOutput(tuple(each.media_type for each in EXPORTS if each.drawn)),
+        refusals={404: "there is no such film, or not yet"},
     ),
     Operation(
         method="GET", path="/api/characters", handler="list_characters", topic="Characters",

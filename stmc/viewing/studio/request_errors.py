@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from stmc.io.files import FolderInUse
-from stmc.io.untrusted import UnreadableError, cut, load_json, shown
+from stmc.io.untrusted import UnreadableError, load_json, quote, truncate
 from stmc.settings.records import SettingError
 from stmc.timeline import TimelineError
 
@@ -38,7 +38,7 @@ def request_error(error: Exception) -> RequestError | None:
     if isinstance(error, OSError):
         if error.errno in _FULL:
             return RequestError(507, "the disk is full, so this was not saved; free some space and try again")
-        return RequestError(503, f"the studio's folder cannot be used: {cut(error.strerror or str(error), 100)}")
+        return RequestError(503, f"the studio's folder cannot be used: {truncate(error.strerror or str(error), 100)}")
     if isinstance(error, MemoryError) or "can't allocate memory" in str(error):  # torch has no class for it
         return RequestError(503, "there is not enough memory for this; make it shorter")
     return None
@@ -79,13 +79,13 @@ def _check_portable(data: Any) -> None:
             left += value
         elif isinstance(value, str):
             if not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
-                raise RequestError(422, f"{shown(value)} has half of a surrogate pair, which is no text")
+                raise RequestError(422, f"{quote(value)} has half of a surrogate pair, which is no text")
         elif isinstance(value, (int, float)) and not abs(value) <= MOST_NUMBER:
             raise RequestError(422, f"{_number(value)}: must be a finite number up to 2**53")
 
 
 def _number(value: float | int) -> str:
-    return shown(value) if isinstance(value, int) or math.isfinite(value) else f"{value}"
+    return quote(value) if isinstance(value, int) or math.isfinite(value) else f"{value}"
 
 
 def take(data: Mapping[str, Any], name: str, kind: type | tuple[type, ...], default: Any = ...) -> Any:
@@ -105,7 +105,7 @@ def take(data: Mapping[str, Any], name: str, kind: type | tuple[type, ...], defa
     if value is not default and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
         kinds = kind if isinstance(kind, tuple) else (kind,)
         raise RequestError(
-            422, f"{name}={cut(json.dumps(value))}: {' or '.join(each.__name__ for each in kinds)} expected"
+            422, f"{name}={truncate(json.dumps(value))}: {' or '.join(each.__name__ for each in kinds)} expected"
         )
     return value
 
@@ -115,5 +115,5 @@ def take_texts(data: Mapping[str, Any], name: str) -> list[str]:
     values = take(data, name, list, [])
     for value in values:
         if not isinstance(value, str):
-            raise RequestError(422, f"{name}: {shown(value)} is no text")
+            raise RequestError(422, f"{name}: {quote(value)} is no text")
     return values

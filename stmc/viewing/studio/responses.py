@@ -57,6 +57,7 @@ class CheckedPrompt(TypedDict):
     parts: list[BodyPart]
     suggested: Annotated[bool, "whether the body parts were suggested"]
     confidence: Annotated[float | None, "of the suggestion, from 0 to 1"]
+    needs: Annotated[list[BodyPart], "the action needs at least one of these body parts; none: not known"]
     advice: Advice | None
     row: Annotated[int, "its track, from 0"]
 
@@ -96,8 +97,8 @@ class QueuedJob(TypedDict):
 class ProgressEvent(TypedDict):
     """The job has come to a step."""
 
-    stage: Literal["waiting", "preview", "full"]
-    step: int
+    stage: Literal["waiting", "preview", "full", "film"]
+    step: Annotated[int, "denoising step, or picture of a film"]
     steps: int
 
 
@@ -122,6 +123,53 @@ class FailedEvent(TypedDict):
     """The job has failed, and ended."""
 
     error: str
+
+
+class StreamPrompt(PromptData):
+    """A prompt of a stream."""
+
+    number: Annotated[int, "by which edits name it"]
+
+
+class OpenedStream(TypedDict):
+    """A stream that was opened, with the skeleton of its frames."""
+
+    stream: Annotated[str, "its name for other requests"]
+    fps: Annotated[float, "frames per second"]
+    joints: list[str]
+    parents: Annotated[list[int], "index of the joint above; -1: the pelvis"]
+    offsets: Annotated[list[list[float]], "position [x, y, z] beside the joint above at rest, m, y up"]
+    prompts: list[StreamPrompt]
+
+
+class StreamAnswer(TypedDict):
+    """The answer to an edit: the number of the prompt and its times, or the sentence that refuses the edit."""
+
+    added: NotRequired[int]
+    moved: NotRequired[int]
+    removed: NotRequired[int]
+    error: NotRequired[str]
+    start: NotRequired[Annotated[float, "s"]]
+    end: NotRequired[Annotated[float, "s"]]
+    frame: Annotated[int, "from which the edit holds"]
+
+
+class FrameData(TypedDict):
+    """A frame of a stream."""
+
+    frame: Annotated[int, "its number, from 0"]
+    seconds: Annotated[float, "s"]
+    root: Annotated[list[float], "position [x, y, z] of the pelvis, m, z up"]
+    rotations: Annotated[list[list[float]], "of each joint: a quaternion [w, x, y, z] from the joint above"]
+
+
+class StreamFrames(TypedDict):
+    """The next frames of a stream."""
+
+    answers: Annotated[list[StreamAnswer], "one for each edit"]
+    frames: list[FrameData]
+    prompts: Annotated[list[StreamPrompt], "without those that ended long ago"]
+    ended: Annotated[bool, "whether these were the last frames"]
 
 
 class DocumentEntry(TypedDict):

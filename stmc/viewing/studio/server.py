@@ -8,8 +8,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
 from threading import Lock
@@ -25,52 +26,46 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 import stmc
-from stmc.data.sources.contents import CONTENTS
-from stmc.editing.constraints import KINDS, Constraint, constraint_of
+from stmc.editing.constraints import Constraint, constraint_of
 from stmc.editing.generate_request import GenerateRequest
-from stmc.formats import READABLE
 from stmc.formats.characters import retarget
 from stmc.model import Model
-from stmc.motion.body import JOINTS, BodyPart
 from stmc.run.suggestions import suggester, with_suggestions
 from stmc.text import Cached, TextEncoder
-from stmc.text.vocabulary import Content, Sentence, sentence_encoder
-from stmc.timeline import Timeline
+from stmc.text.vocabulary import sentence_encoder
 from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS
 from stmc.viewing.studio.api_page import render_api
 from stmc.viewing.studio.auth import AccessControl, error_response
 from stmc.viewing.studio.bodies import (
-    MOST_SEEDS,
-    RECEIVED,
     DocumentBody,
     ExportQuery,
+    FilmBody,
     JobBody,
     ReadBody,
+    ReadStreamBody,
     RetargetBody,
     SkeletonBody,
+    StreamBody,
     TimelineBody,
     TokenBody,
     WriteBody,
     check_bounds,
 )
 from stmc.viewing.studio.character_storage import Characters
-from stmc.viewing.studio.documents_json import (
-    MOST_PROMPTS,
-    MOST_SECONDS,
-    as_data,
-    checked,
-    in_order,
-    read_timelines,
-    write_timeline,
-)
+from stmc.viewing.studio.documents_json import as_data, checked, read_timelines, write_timeline
+from stmc.viewing.studio.films import Films
+from stmc.viewing.studio.job_queue import Job, JobQueue
 from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
+from stmc.viewing.studio.model_json import describe_model
 from stmc.viewing.studio.openapi import openapi_document
-from stmc.viewing.studio.operations import GLTF, MOST_UPLOAD, OPERATIONS, PUBLIC, UPLOADS, Operation
+from stmc.viewing.studio.operations import GLTF, OPERATIONS, PUBLIC, UPLOADS, Operation
 from stmc.viewing.studio.request_errors import RequestError, request_error, take
-from stmc.viewing.studio.responses import ContentEntry, ModelData, SkeletonMotion
+from stmc.viewing.studio.responses import SkeletonMotion
+from stmc.viewing.studio.sampling_turns import Turns
 from stmc.viewing.studio.sessions import Sessions
 from stmc.viewing.studio.skeletons_json import MOST_KEY_FRAMES, describe_keys, describe_map, mapped
 from stmc.viewing.studio.storage import Documents, Motions, private_folder
+from stmc.viewing.studio.streams import Streams, mannequin_file
 
 logger = logging.getLogger(__name__)
 
@@ -103,13 +98,14 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
         model = dataclasses.replace(model, text_encoder=Cached(encoder, private_folder(folder / "texts")))
     documents = Documents(folder / "documents")
     motions, characters = Motions(folder / "motions", documents.texts), Characters(folder / "characters")
-    answers = Answers(model, motions, documents, characters, sessions, steps)
+    answers = Answers(model, motions, documents, characters, Films(folder / "films"), sessions, steps)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         await run_in_threadpool(answers.motions.prune)
         await run_in_threadpool(answers.suggest, ["walk"])  # loads the encoder's weights before the first request
         yield
+        await run_in_threadpool(answers.films.close)
         await run_in_threadpool(answers.jobs.close)
 
     routes = [
@@ -124,7 +120,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
     guard = Middleware(AccessControl, sessions=sessions, port=port, public=PUBLIC, uploads=UPLOADS)
     app = Starlette(routes=routes, lifespan=lifespan, middleware=[guard], exception_handlers={HTTPException: unrouted})
     app.router.redirect_slashes = False
-    app.state.folder, app.state.jobs = folder, answers.jobs
+    app.state.folder, app.state.jobs, app.state.films = folder, answers.jobs, answers.films
     return app
 
 
@@ -162,15 +158,19 @@ class Answers:
         motions: Motions,
         documents: Documents,
         characters: Characters,
+        films: Films,
         sessions: Sessions,
         steps: int | None,
     ) -> None:
         self.model, self.motions, self.documents, self.characters = model, motions, documents, characters
+        self.films = films
         self.stages = stages_by_quality(model.sampling.steps, steps or model.sampling.steps or FULL_STEPS)
         self.sessions, self.api = sessions, openapi_document(OPERATIONS, stmc.__version__)
         self._retargeting = Lock()
-        self.jobs = Jobs(model.sample, motions)
-        self.suggest = suggester(sentence_encoder(model.text_encoder))
+        self.suggest, turns = suggester(sentence_encoder(model.text_encoder)), Turns()
+        self.jobs = Jobs(model.sample, motions, turns)
+        self.mannequin = cache(partial(mannequin_file, model.skeleton, model.fps))
+        self.streams = Streams(model.stream, self.stages["preview"][-1].steps, self.suggest, turns)
 
     async def page(self, request: Request) -> Response:
         """Send the page."""
@@ -202,7 +202,7 @@ class Answers:
 
     async def describe(self) -> Response:
         """Describe the model and the options of the page."""
-        return JSONResponse(await run_in_threadpool(self._described))
+        return JSONResponse(await run_in_threadpool(describe_model, self.model, self.stages))
 
     async def check(self, body: TimelineBody) -> Response:
         """Check a timeline."""
@@ -232,6 +232,20 @@ class Answers:
         demands = [] if query.constraints is None else self._constraints(query.constraints)
         character = None if query.character is None else self.characters.get(query.character)
         return self.motions.exported(name, kind, query.timeline, query.fps, query.loop == 1, demands, character)
+
+    async def add_film(self, body: FilmBody) -> Response:
+        """Queue a film."""
+        job = await run_in_threadpool(self._film, body)
+        return JSONResponse({"job": job.name}, 201)
+
+    def _film(self, body: FilmBody) -> Job:
+        motion = self.motions.variant(body.motion, body.fps, body.loop)
+        return self.films.add(motion, body.format, None if body.loop else body.timeline)
+
+    async def send_film(self, name: str) -> Response:
+        """Send the file of a film."""
+        path = self.films.path(name)
+        return FileResponse(path, media_type=TYPES[path.suffix[1:]], filename=f"motion{path.suffix}")
 
     async def list_characters(self) -> Response:
         """List all characters."""
@@ -281,7 +295,7 @@ class Answers:
 
     async def hear_job(self, name: str) -> Response:
         """Stream the events of a job (server-sent events)."""
-        job = self.jobs.get(name)
+        job = self._queue(name).get(name)
 
         async def told() -> AsyncIterator[str]:
             async for kind, details in job.heard():
@@ -291,8 +305,25 @@ class Answers:
 
     async def cancel_job(self, name: str) -> Response:
         """Cancel a job."""
-        self.jobs.cancel(name)
+        self._queue(name).cancel(name)
         return JSONResponse({})
+
+    async def open_stream(self, body: StreamBody) -> Response:
+        """Open a stream."""
+        return JSONResponse(await run_in_threadpool(self.streams.open, body.timeline, body.seed, body.settings), 201)
+
+    async def read_stream(self, body: ReadStreamBody, name: str) -> Response:
+        """Edit a stream and send its next frames."""
+        return JSONResponse(await run_in_threadpool(self.streams.read, name, body.edits, body.frames))
+
+    async def close_stream(self, name: str) -> Response:
+        """End a stream."""
+        self.streams.close(name)
+        return JSONResponse({})
+
+    async def send_mannequin(self) -> Response:
+        """Send the figure that the frames of streams move."""
+        return Response(await run_in_threadpool(self.mannequin), media_type=GLTF)
 
     async def list_documents(self) -> Response:
         """List all readable documents."""
@@ -312,26 +343,6 @@ class Answers:
         await run_in_threadpool(self.documents.delete, name)
         return JSONResponse({})
 
-    def _described(self) -> ModelData:
-        known = self.model.vocabulary
-        return {
-            "name": type(self.model.denoiser).__name__,
-            "version": stmc.__version__,
-            "fps": self.model.fps,
-            "longest": self.model.longest / self.model.fps,
-            "overlap": self.model.own_sampling.overlap,
-            "parts": list(BodyPart),
-            "joints": [{"name": joint, "part": part} for joint in JOINTS for part in BodyPart if joint in part.joints],
-            "contents": _actions({} if known is None else known.examples),
-            "formats": [each.describe() for each in EXPORTS],
-            "receives": [each.suffix for each in READABLE],
-            "characters": {"receives": list(RECEIVED), "most": MOST_UPLOAD},
-            "examples": [{"name": each.name, "timeline": as_data(each)} for each in bundled_timelines()],
-            "limits": {"duration": MOST_SECONDS, "prompts": MOST_PROMPTS, "samples": MOST_SEEDS},
-            "steps": {"preview": self.stages["preview"][-1].steps, "full": self.stages["full"][-1].steps},
-            "constraints": [kind.describe() for kind in KINDS],
-        }
-
     def _request(self, body: JobBody) -> GenerateRequest:
         """Read the generation request of a job."""
         timeline, _ = with_suggestions(body.timeline, self.suggest)
@@ -340,6 +351,10 @@ class Answers:
         self.model.check(dataclasses.replace(request, sampling=request.sampling.over(OWN)))
         return request
 
+    def _queue(self, name: str) -> JobQueue:
+        """Return the queue of the job with this name, if there is one."""
+        return self.films if name in self.films else self.jobs
+
     def _stages(self, body: JobBody) -> tuple[Stage, ...]:
         return self.stages[body.steps]
 
@@ -347,26 +362,6 @@ class Answers:
         entries = take(data, "constraints", list, [])
         check_bounds("constraints", entries)
         return tuple(constraint_of(each, self.motions.get) for each in entries)
-
-
-def _actions(vocabulary: Mapping[Content, Sequence[Sentence]]) -> list[ContentEntry]:
-    """Describe the known actions for the page, one for each title; actions of strangers are titled by a sentence."""
-    actions: dict[str, ContentEntry] = {}
-    for content, sentences in vocabulary.items():
-        examples, own = [sentence.text for sentence in sentences], CONTENTS.get(content.name)
-        title, topic = (own.title, own.topic) if own else (examples[0], "other actions")
-        parts = in_order(content.parts)
-        actions.setdefault(title, {"title": title, "topic": topic, "parts": parts, "examples": examples})
-    return list(actions.values())
-
-
-def bundled_timelines() -> list[Timeline]:
-    """Read the bundled examples; unnamed ones get the name of their file."""
-    timelines = []
-    for path in sorted((ASSETS / "timelines").glob("*.json")):
-        for each in Timeline.read_all(path):
-            timelines.append(each if each.name else dataclasses.replace(each, name=path.stem.replace("_", " ")))
-    return timelines
 
 
 def _attached(content: bytes, name: str, kind: str) -> Response:

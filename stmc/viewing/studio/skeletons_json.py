@@ -11,7 +11,7 @@ from typing import Any, get_args
 from stmc.formats.characters import Character, CharacterError, CharacterMotion, RestSkeleton, skeleton_keys
 from stmc.formats.characters.gltf_file import MOST_JOINTS, MOST_METRES
 from stmc.formats.characters.rest_skeletons import RestJoint, Up
-from stmc.io.untrusted import shown
+from stmc.io.untrusted import quote
 from stmc.motion.retargeting.rig import NEEDED, OPTIONAL
 from stmc.viewing.studio.json_schemas import Schema
 from stmc.viewing.studio.request_errors import RequestError, take
@@ -75,7 +75,7 @@ def skeleton_of(data: Mapping[str, Any]) -> RestSkeleton:
     if len(listed) > MOST_JOINTS:
         raise RequestError(422, f"{len(listed):,} joints: {MOST_JOINTS:,} at most")
     if up not in get_args(Up):
-        raise RequestError(422, f"skeleton: up={shown(up)}: choose from {', '.join(get_args(Up))}")
+        raise RequestError(422, f"skeleton: up={quote(up)}: choose from {', '.join(get_args(Up))}")
     try:
         return RestSkeleton(tuple(_joint(number, each) for number, each in enumerate(listed)), up)
     except CharacterError as error:
@@ -88,7 +88,7 @@ def _joint(number: int, data: Any) -> RestJoint:
             raise RequestError(422, "a joint should be an object")
         place = take(data, "place", list)
         if any(isinstance(value, bool) or not isinstance(value, (int, float)) for value in place):
-            raise RequestError(422, f"place={shown(place)}: three numbers needed")
+            raise RequestError(422, f"place={quote(place)}: three numbers needed")
         return RestJoint(take(data, "name", str), take(data, "parent", (str, type(None))), place)
     except RequestError as error:
         raise RequestError(422, f"skeleton: joint {number + 1}: {error}") from None
@@ -98,7 +98,7 @@ def joint_map_of(data: Mapping[str, Any]) -> JointMap:
     """Read a joint map from JSON. Raises `RequestError`."""
     for joint, name in data.items():
         if name is not None and not isinstance(name, str):
-            raise RequestError(422, f"joint_map: {joint}={shown(name)}: the name of a joint, or null, needed")
+            raise RequestError(422, f"joint_map: {joint}={quote(name)}: the name of a joint, or null, needed")
     return dict(data)
 
 

@@ -177,25 +177,38 @@ class Motions:
         names = [each.name for each in exports_of(() if character is None else character.formats)]
         if kind not in names:
             raise RequestError(404, f"no .{kind}: choose from {', '.join(names)}")
-        motion = self.get(name)
+        motion = self.variant(name, fps, loop)
+        timeline, constraints = (None, ()) if loop else (timeline, constraints)
         try:
-            if loop:
-                motion, timeline, constraints = looped(motion), None, ()
             if f".{kind}" in FILMS:
-                return self._film_of(_at_rate(motion, fps), kind, timeline)
+                return self._film_of(motion, kind, timeline)
             with self._heavy:
-                return _file_of(_at_rate(motion, fps), kind, timeline, constraints, character)
+                return _file_of(motion, kind, timeline, constraints, character)
         except RequestError:
             raise
         except (ValueError, OverflowError) as error:
             raise RequestError(422, str(error)) from None
 
+    def variant(self, name: str, fps: float | int | None, loop: bool) -> Motion:
+        """Return a motion at another frame rate, or as a loop.
+
+        Raises `RequestError` for a motion that is missing, or that cannot be looped or resampled.
+
+        Args:
+            name: Name of the motion.
+            fps: Frame rate; None: that of the motion.
+            loop: Whether to make the motion a loop.
+        """
+        motion = self.get(name)
+        try:
+            motion = looped(motion) if loop else motion
+            return motion if fps is None else motion.resampled(fps)
+        except (ValueError, OverflowError) as error:
+            raise RequestError(422, str(error)) from None
+
     def _film_of(self, motion: Motion, kind: str, timeline: Timeline | None) -> bytes:
         """Render one film at a time, since each takes a processor for minutes."""
-        if motion.frames > MOST_FILM_FRAMES:
-            raise RequestError(
-                422, f"{motion.frames} frames: a film has {MOST_FILM_FRAMES} at most; lower the frame rate"
-            )
+        check_film(motion)
         if not self._film.acquire(blocking=False):
             raise RequestError(429, "another film is being rendered; wait until it is done")
         try:
@@ -226,10 +239,6 @@ class Motions:
                 self._held.popitem(last=False)
 
 
-def _at_rate(motion: Motion, fps: float | int | None) -> Motion:
-    return motion if fps is None else motion.resampled(fps)
-
-
 def _check_bounds(motion: Motion) -> None:
     """Raise `RequestError` for a motion that is too long or too far away for the studio."""
     if motion.duration > MOST_SECONDS:
@@ -238,6 +247,12 @@ def _check_bounds(motion: Motion) -> None:
         check_metres("the motion", float(motion.translation.abs().max()))
     except BoundsError as error:
         raise RequestError(422, str(error)) from None
+
+
+def check_film(motion: Motion) -> None:
+    """Raise `RequestError` for a motion that is too long for a film."""
+    if motion.frames > MOST_FILM_FRAMES:
+        raise RequestError(422, f"{motion.frames} frames: a film has {MOST_FILM_FRAMES} at most; lower the frame rate")
 
 
 def check_poses(motion: Motion, character: Character) -> None:
