@@ -19,6 +19,7 @@ from stmc.editing.generate_request import names
 from stmc.settings.records import SettingError, defaults, field_infos
 from stmc.viewing.studio import Characters, Documents, Motions, Sessions
 from stmc.viewing.studio.bodies import JobBody, read_body
+from stmc.viewing.studio.films import Films
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.server import Answers
 
@@ -31,7 +32,8 @@ def answers(tmp_path_factory) -> Answers:
     folder = tmp_path_factory.mktemp("studio")
     motions = Motions(folder / "motions")
     documents, characters = Documents(folder / "documents"), Characters(folder / "characters")
-    return Answers(knowing(), motions, documents, characters, Sessions(), steps=4)
+    films = Films(folder / "films")
+    return Answers(knowing(), motions, documents, characters, films, Sessions(), steps=4)
 
 
 @pytest.fixture(scope="module")

@@ -56,13 +56,15 @@ def main(config: DictConfig) -> None:
     require("matplotlib")
     model, folder = stmc.load(config.model, device=config.device, precision=config.precision), Path(config.output)
     folder.mkdir(parents=True, exist_ok=True)
-    settings = {name: config[name] for name in ("seed", "guidance", "overlap", "steps")} | {"clean_feet": False}
+    settings = {name: config[name] for name in ("seed", "guidance", "overlap", "steps")}
     results: dict[str, dict[str, Any]] = {}
     with Progress() as progress:
         task = progress.add_task("Sampling", total=len(config.noise_scales) * len(abilities()))
         for scale in config.noise_scales:
             for ability in abilities():
-                motions = model.generate([ability.timeline] * config.samples, noise_scale=scale, **settings)
+                motions = model.generate(
+                    [ability.timeline] * config.samples, noise_scale=scale, clean_feet=False, **settings
+                )
                 results.setdefault(ability.name, {})[scale] = measure_motions(ability, motions)
                 figure = partial(stmc.film_strip(motions[0], ability.timeline).savefig, format="png", dpi=80)
                 write_whole(folder / f"{ability.name.replace(' ', '_')}_{scale}.png", figure)

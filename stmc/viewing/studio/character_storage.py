@@ -107,9 +107,8 @@ class Characters:
         """
         suffix = Path(filename).suffix.lower()
         if suffix not in RECEIVED:
-            message = f"a character must be a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file"
-            other = f"; {MOVED_ELSEWHERE}" if suffix in (".bvh", ".urdf", ".xml") else ""
-            raise RequestError(422, message + other)
+            kinds = f"a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file"
+            raise RequestError(422, f"a character must be {kinds}; {MOVED_ELSEWHERE}")
         name = hashlib.sha256(content + suffix.encode()).hexdigest()[:32]
         with self._heavy:
             character = _read_content(content, suffix)
