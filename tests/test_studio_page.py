@@ -401,7 +401,7 @@ def test_a_kind_of_constraint_that_the_page_does_not_know_is_added_edited_and_me
     source = (ROOT / "docs/extending/constraint.md").read_text("utf-8").split("```python\n")[1].split("model = ")[0]
     space: dict = {"__name__": "somebodys_module"}
     exec(source, space)
-    for module in ("stmc.editing.constraints.reading", "stmc.viewing.studio.server"):
+    for module in ("stmc.editing.constraints.reading", "stmc.viewing.studio.model_json"):
         monkeypatch.setattr(f"{module}.KINDS", (*KINDS, space["Below"]))
     with opened(server, tmp_path) as tab:
         write(tab, "walk")
