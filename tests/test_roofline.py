@@ -7,7 +7,9 @@ import stmc
 from stmc.evaluation.roofline import Roofline, _Traffic, measure_roofline
 
 
-def test_the_operations_of_a_step_are_those_of_its_matrix_products():
+def test_the_operations_of_a_step_are_those_of_its_matrix_products(monkeypatch):
+    monkeypatch.setattr("stmc.evaluation.roofline._MATRIX", 32)
+    monkeypatch.setattr("stmc.evaluation.roofline._COPIED", 32)
     model, frames = tiny(), 40
     roofline = measure_roofline(model, model.plans([stmc.Timeline.parse("walk # 0 # 2")]))
     tokens, width, features = frames + 4, 16, 205  # the step, a word and two registers come before the frames
