@@ -50,12 +50,12 @@ class Roofline:
 
     @property
     def floor(self) -> float | int:
-        """The time in seconds that no implementation with these operations can beat: the higher of both ceilings."""
+        """Time in seconds of the matrix products at their peak or of the bytes at the bandwidth, whichever is longer."""
         return max(self.flops / self.peak_flops, self.moved / self.bandwidth)
 
     @property
     def efficiency(self) -> float | int:
-        """The fraction of the measured time that the higher ceiling accounts for."""
+        """The fraction of the measured time that `floor` is."""
         return self.floor / self.seconds
 
 
