@@ -50,7 +50,7 @@ class Roofline:
 
     @property
     def floor(self) -> float | int:
-        """Time in seconds of the matrix products at their peak or of the bytes at the bandwidth, whichever is longer."""
+        """The time in seconds of the matrix products, or of the bytes if that is longer, at the ceilings."""
         return max(self.flops / self.peak_flops, self.moved / self.bandwidth)
 
     @property
