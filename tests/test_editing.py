@@ -133,9 +133,11 @@ def test_what_a_prompt_decides_and_where_timelines_differ():
     assert changed_prompt(TIMELINE, TIMELINE.prompts[1]) == (Change(1, 3, ["right arm"]),)
     later = Timeline.parse("walk # 0 # 4 # legs\nwave # 2 # 3 # right arm")
     [first, second] = changed_prompts(TIMELINE, later)
-    assert (first.start, first.end, second.start, second.end) == (0.0, 2.0, 2.0, 3.0)
+    assert (first.start, first.end, second.start, second.end) == (1.0, 2.0, 2.0, 3.0)
     assert first.parts == second.parts == {BodyPart.RIGHT_ARM}
     assert changed_prompts(TIMELINE, TIMELINE) == ()
+    [without] = changed_prompts(TIMELINE, Timeline(TIMELINE.prompts[:1]))  # the arm walked before and after it
+    assert (without.start, without.end, without.parts) == (1.0, 3.0, {BodyPart.RIGHT_ARM})
     with pytest.raises(SettingError, match="not a prompt"):
         changed_prompt(TIMELINE, Prompt("nod", 0, 1))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -104,11 +104,22 @@ def changed_prompts(before: Timeline, after: Timeline) -> tuple[Change, ...]:
     """
     old, new = ({part: list(_prompt_runs(timeline, part)) for part in BodyPart} for timeline in (before, after))
     return _changes(
-        (start, end, part)
+        (first, last, part)
         for part in BodyPart
-        for (prompt, start, end) in new[part]
-        if not any(prompt == was and begin <= start and end <= last for was, begin, last in old[part])
+        for prompt, start, end in new[part]
+        for first, last in _without((start, end), [(begin, stop) for was, begin, stop in old[part] if was == prompt])
     )
+
+
+def _without(span: tuple[int, int], others: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """Yield the parts of a span outside of others, which are in order and do not overlap."""
+    start, end = span
+    for first, last in others:
+        if start < min(first, end):
+            yield start, min(first, end)
+        start = max(start, last)
+    if start < end:
+        yield start, end
 
 
 def _prompt_runs(timeline: Timeline, part: BodyPart) -> list[tuple[Prompt | None, int, int]]:
