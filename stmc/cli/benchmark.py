@@ -1,17 +1,22 @@
 """Measure the speed of sampling: batching, padding, methods against each other, and ours against the published loop.
 
 Methods are compared in time and in the number of denoised frames.
+
+    stmc benchmark MTT.txt          batches of a file's timelines
+    stmc benchmark edit=true        an edit in the studio, stage by stage
 """
 
 from __future__ import annotations
 
+import json
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import torch
 from omegaconf import DictConfig
@@ -26,8 +31,10 @@ from stmc.composing import Method, Run, find_method
 from stmc.evaluation.published_sampling import published_loop
 from stmc.evaluation.results.naming import method_row
 from stmc.evaluation.roofline import Roofline, measure_roofline
+from stmc.io.extras import require
+from stmc.io.files import write_text
 from stmc.model import Precision
-from stmc.settings.records import setting
+from stmc.settings.records import SettingError, setting
 
 Sampling = Callable[[], list[stmc.Motion]]
 """A call that samples motions."""
@@ -40,7 +47,7 @@ Row = tuple[str, str]
 class Settings(OnModel):
     """Settings of `stmc benchmark`."""
 
-    timelines: str = setting(MISSING, "file of timelines, such as MTT.txt")
+    timelines: str | None = setting(None, "file of timelines, such as MTT.txt; null: measure the `edit` alone")
     method: str = setting("stmc", "method to measure; stmc_paper: STMC as published")
     baselines: tuple[Mapping, ...] = setting(
         ({"method": "sinc", "model": "${model}"},), "methods to compare with, each with its model"
@@ -51,16 +58,44 @@ class Settings(OnModel):
         False, "also measure the published loop (fp32, two calls a step over all crops, padded to the longest)"
     )
     roofline: bool = setting(False, "also measure a step beside this processor's peak of matrix products and bandwidth")
+    edit: bool = setting(
+        False, "also measure edits in the studio, `repeats` of each kind: the time of each stage, and denoised crops"
+    )
     precision: str = setting(
         "fp32", "precision of the denoiser; bf16 is fast on some processors", choices=get_args(Precision)
     )
     repeats: int = setting(3, "repetitions of every measurement; the median is reported", at_least=1)
+    output: str | None = setting(None, ".json file of the printed numbers; null: none")
+
+    def __post_init__(self) -> None:
+        if self.timelines is None and not self.edit:
+            raise SettingError("missing: timelines= (file of timelines), or edit=true to measure edits alone")
 
 
 @command("benchmark", Settings, ("timelines",))
 def main(config: DictConfig) -> None:
     precision = cast(Precision, config.precision)  # one of its choices
-    model = stmc.load(config.model, device=config.device, precision=precision)
+    model, console, results = stmc.load(config.model, device=config.device, precision=precision), Console(), {}
+    if config.timelines is not None:
+        title, rows = measure_batches(config, model)
+        console.print(print_table(("measured", "value"), rows, title))
+        results["batches"] = {"title": title} | dict(rows)
+    if config.edit:
+        results["edits"] = measure_edits(config, model, console)
+    if config.output is not None:
+        write_text(Path(config.output).expanduser(), json.dumps(results, indent=1, ensure_ascii=False) + "\n")
+
+
+def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> Table:
+    """Return rows as a printable table."""
+    table = Table(*columns, title=title)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def measure_batches(config: DictConfig, model: stmc.Model) -> tuple[str, list[Row]]:
+    """Measure batches of the file's timelines; return the title and the rows of the table."""
     timelines = stmc.Timeline.read_all(Path(config.timelines).expanduser())
     chosen = timelines[: config.batch]
     rows = measure_methods(config, model, chosen)
@@ -75,10 +110,21 @@ def main(config: DictConfig) -> None:
         (f"padding, all {len(timelines)} timelines at once", f"{model.guided(plans).padding:.1%}"),
         (f"padding, batches of {config.batch}", f"{batched_padding(model, plans, config.batch):.1%}"),
     ]
-    table = Table("measured", "value", title=f"{len(chosen)} timelines, {config.steps} steps, {model.device}")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+    return f"{len(chosen)} timelines, {config.steps} steps, {model.device}", rows
+
+
+def measure_edits(config: DictConfig, model: stmc.Model, console: Console) -> dict[str, Any]:
+    """Measure edits in the studio, print their tables, and return their numbers."""
+    require("starlette", "uvicorn")
+    from stmc.cli.edit_tables import describe_edits  # not above: the studio comes with an extra
+    from stmc.evaluation.edit_profile import list_edits, profile_edits
+
+    show_progress = partial(track, description="Edits", console=console)
+    with tempfile.TemporaryDirectory() as folder:
+        profile = profile_edits(model, Path(folder), config.steps, list_edits(config.repeats), show_progress)
+    for title, columns, rows in describe_edits(profile):
+        console.print(print_table(columns, rows, title))
+    return asdict(profile)
 
 
 def sample_batch(
