@@ -21,6 +21,7 @@ COMMANDS = (
     "baselines",
     "benchmark",
     "benchmark_length",
+    "benchmark_scale",
     "embed",
     "evaluate",
     "import_checkpoint",
