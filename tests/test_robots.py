@@ -17,6 +17,7 @@ from stmc.formats.characters.joint_names import robot_words
 from stmc.motion.body import JOINTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix
+from stmc.motion.retargeting import hinges
 
 UP = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float64)
 FILES = {"robot.xml": made.mjcf, "robot.urdf": made.urdf}
@@ -151,6 +152,18 @@ def test_an_arm_that_would_end_at_its_limits_is_turned_the_other_way(tmp_path):
         values = rows[:, names.index(part.name)]
         assert part.lower <= values.min() and values.max() <= part.upper, part.name
         assert np.abs(np.diff(values)).max() <= 9.0 / 25, part.name
+
+
+@pytest.mark.slow
+def test_a_first_frame_that_is_folded_wrongly_is_solved_again_from_the_frames_after_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(hinges._Problem, "solved", lambda self, frame, angles, base: (self.linkage.upper - 0.01, base))
+    path = tmp_path / "robot.urdf"
+    path.write_text(made.urdf())
+    source = posed(left_shoulder=[0.0, 0.0, -0.6]).resampled(25)
+    moved = stmc.retarget(source, path, fps=25)
+    for joint in ("shoulder", "elbow"):
+        below = {"shoulder": "elbow", "elbow": "wrist"}[joint]
+        assert angle(moved, source, f"left_{joint}", f"left_{below}")[0] < 5, joint
 
 
 def test_feet_keep_their_contacts_and_no_corner_of_a_sole_is_below_the_floor(robot, motion):

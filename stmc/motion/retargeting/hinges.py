@@ -36,6 +36,8 @@ _NEAR, _FAR = 0.45, 0.8
 """Distances of a wrist from the head, in lengths of the arm, at which it is wholly led by it, and not at all."""
 _FIRST, _STEPS = 60, 4
 """Most steps of a frame that begins anywhere, and of one that begins at the frame beside it."""
+_FOLDED = 4.0
+"""How many times a later frame's sum of squares the first frame's is if it is taken to be folded the wrong way."""
 _MISSED = 0.05
 """The distance of a hand from where it should be, in lengths of the leg, above which other arms are tried."""
 _SETTLED = 1e-4
@@ -97,7 +99,8 @@ def follow(
     linkage, leg = _linkage(rig), rig.length(LIMBS[0])
     problem = _Problem(linkage, _goals(rig, linkage, turns, places, leg), fps, leg)
     first = problem.solved(0, linkage.resting, _start(rig, turns[0], places[0]))
-    found = _reach(rig, problem, [first, *problem.track(range(1, len(turns)), first)])
+    found = _begin_again(problem, [first, *problem.track(range(1, len(turns)), first)])
+    found = _reach(rig, problem, found)
     return HingeCurves(
         np.stack([angles for angles, _ in found]),
         np.stack([base.turn for _, base in found]),
@@ -294,6 +297,22 @@ class _Problem:
         corners = pose.points(goals.rest, goals.movers)[len(goals.rest) - goals.corners :]
         sunk = max(0.0, -float(corners[:, 2].min(initial=0.0)))
         return angles, Base(base.turn, base.place + np.array([0.0, 0.0, sunk]))
+
+
+def _begin_again(problem: _Problem, found: list[_Posture]) -> list[_Posture]:
+    """Return postures whose first second is solved backwards from its end, if it is then nearer.
+
+    The first frame begins at rest, so that it can end with a limb folded the wrong way, which later frames unfold.
+    """
+    end = min(round(problem.fps), len(found) - 1)
+    if _square(problem.misses(0, found[0])) < _FOLDED * _square(problem.misses(end, found[end])):
+        return found
+    again = problem.track(reversed(range(end)), found[end])[::-1]
+    before, after = (
+        sum(_square(problem.misses(frame, posture)) for frame, posture in enumerate(postures))
+        for postures in (found[:end], again)
+    )
+    return again + found[end:] if after < before else found
 
 
 def _reach(rig: Rig, problem: _Problem, found: list[_Posture]) -> list[_Posture]:
