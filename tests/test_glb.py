@@ -1,10 +1,8 @@
-"""A .glb is read by an oracle written from glTF's specification, by the validator of its authors, and by trimesh."""
+"""A .glb is read by an oracle written from glTF's specification, and by trimesh."""
 
 import json
 import math
-import shutil
 import struct
-import subprocess
 
 import numpy as np
 import pytest
@@ -169,22 +167,6 @@ def test_pygltflib_opens_a_glb(path):
     document = pygltflib.GLTF2().load(str(path))
     assert len(document.skins[0].joints) == len(JOINTS)
     assert len(document.binary_blob()) == document.buffers[0].byteLength
-
-
-@pytest.mark.slow
-def test_the_validator_of_gltf_s_authors_has_nothing_to_say(path):
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed")
-    code = (
-        "const fs = require('fs'), validator = require('gltf-validator');"
-        "validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])))"
-        ".then(report => console.log(JSON.stringify(report.issues)))"
-    )
-    done = subprocess.run(["node", "-e", code, str(path)], capture_output=True, text=True)
-    if "Cannot find module" in done.stderr:
-        pytest.skip("gltf-validator is not where node looks: npm install gltf-validator, and NODE_PATH")
-    issues = json.loads(done.stdout)
-    assert (issues["numErrors"], issues["numWarnings"], issues["messages"]) == (0, 0, [])
 
 
 def test_a_body_of_other_proportions_is_written_with_its_own_bones(motion, tmp_path):

@@ -56,6 +56,14 @@ def _external(document: dict) -> None:
     document["buffers"][0]["uri"] = "hero.bin"
 
 
+def _cut_base64(document: dict) -> None:
+    document["buffers"][0]["uri"] = "data:application/octet-stream;base64,AAAA"
+
+
+def _no_base64(document: dict) -> None:
+    document["buffers"][0]["uri"] = "data:application/octet-stream;base64,\u00e4"
+
+
 def _external_image(document: dict) -> None:
     document["images"] = [{"uri": "skin.png"}]
 
@@ -119,6 +127,8 @@ BAD: dict[Callable[[dict], None], str] = {
     _cycle: "its nodes hang from one another in a cycle",
     _many_vertices: "it has 10000000 vertices, more than 2,000,000, the limit",
     _external: "buffers[0] is in another file, 'hero.bin': export the character as one file, glTF Binary (.glb)",
+    _cut_base64: "buffers[0] should be ",
+    _no_base64: "buffers[0] should be ",
     _external_image: "images[0] is in another file, 'skin.png': export the character as one file, glTF Binary (.glb)",
     _draco: "its meshes are compressed (KHR_draco_mesh_compression): export it without compression",
     _meshopt: "its meshes are compressed (EXT_meshopt_compression): export it without compression",

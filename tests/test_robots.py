@@ -1,5 +1,6 @@
 """Robots as characters: which joint is which, angles within limits, feet on the floor, tables that MuJoCo replays."""
 
+import dataclasses
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +17,7 @@ from stmc.formats.characters.joint_names import robot_words
 from stmc.motion.body import JOINTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix
+from stmc.motion.retargeting import hinges
 
 UP = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float64)
 FILES = {"robot.xml": made.mjcf, "robot.urdf": made.urdf}
@@ -128,6 +130,40 @@ def test_the_head_is_touched_where_ours_is_in_lengths_of_the_arm(robot):
     rig = moved.motion.rig
     away = moved.motion.places[-1, rig.place("left_wrist")] - moved.motion.places[-1, rig.place("head")]
     assert float(away.norm()) / rig.length(("shoulder", "elbow", "wrist")) == pytest.approx(0.377, abs=0.05)
+
+
+@pytest.mark.slow
+def test_an_arm_that_would_end_at_its_limits_is_turned_the_other_way(tmp_path):
+    """The shoulders of JVRC-1: a straight arm can begin in two ways, of which one does not reach the head."""
+    limits = {"shoulder_pitch": (-3.14, 1.05), "shoulder_yaw": (-1.57, 1.57), "elbow": (-2.53, 0.0)}
+    limits |= {"left_shoulder_roll": (-0.17, 1.75), "right_shoulder_roll": (-1.75, 0.17)}
+    own = []
+    for part in made.parts():
+        found = [pair for name, pair in limits.items() if part.name.endswith(name)]
+        own.append(dataclasses.replace(part, lower=found[0][0], upper=found[0][1]) if found else part)
+    path = tmp_path / "robot.urdf"
+    path.write_text(made.urdf(own, speed=9.0))
+    moved = stmc.retarget(posed(left_shoulder=[0.0, -0.4, 0.7], left_elbow=[0.0, -2.2, 0.6]), path, fps=25)
+    rig = moved.motion.rig
+    away = moved.motion.places[-1, rig.place("left_wrist")] - moved.motion.places[-1, rig.place("head")]
+    assert float(away.norm()) / rig.length(("shoulder", "elbow", "wrist")) == pytest.approx(0.377, abs=0.05)
+    names, rows = table(moved)
+    for part in own:
+        values = rows[:, names.index(part.name)]
+        assert part.lower <= values.min() and values.max() <= part.upper, part.name
+        assert np.abs(np.diff(values)).max() <= 9.0 / 25, part.name
+
+
+@pytest.mark.slow
+def test_a_first_frame_that_is_folded_wrongly_is_solved_again_from_the_frames_after_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(hinges._Problem, "solved", lambda self, frame, angles, base: (self.linkage.upper - 0.01, base))
+    path = tmp_path / "robot.urdf"
+    path.write_text(made.urdf())
+    source = posed(left_shoulder=[0.0, 0.0, -0.6]).resampled(25)
+    moved = stmc.retarget(source, path, fps=25)
+    for joint in ("shoulder", "elbow"):
+        below = {"shoulder": "elbow", "elbow": "wrist"}[joint]
+        assert angle(moved, source, f"left_{joint}", f"left_{below}")[0] < 5, joint
 
 
 def test_feet_keep_their_contacts_and_no_corner_of_a_sole_is_below_the_floor(robot, motion):

@@ -127,9 +127,10 @@ def _changed(change) -> bytes:
         (_changed(lambda document: document["nodes"].__setitem__(0, {})), "a.glb", "does not stand upright"),
         (HERO, "hero.exe", "must be a .glb, a .gltf or a .vrm file"),
         (HERO, "", "must be a .glb"),
-        (HERO, "..%2F..%2Fetc%00.bvh", "must be a .glb"),
-        (b"HIERARCHY", "hero.bvh", "must be a .glb"),
-        (b"<robot/>", "robot.URDF", "robots move with `stmc sample … character=robot.urdf formats=csv`"),
+        (HERO, "..%2F..%2Fetc%00.bvh", "the studio shows no skeletons"),
+        (b"HIERARCHY", "hero.bvh", "`stmc sample timeline.json outputs/ character=hero.bvh formats=bvh`"),
+        (b"<robot/>", "G1%20%60rm%60.URDF", "outputs/ character='G1 `rm`.URDF' formats=csv`"),
+        (b"<mujoco/>", "robot.xml", "`stmc sample timeline.json outputs/ character=robot.xml formats=csv`"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

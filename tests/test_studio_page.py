@@ -1,13 +1,14 @@
 """The studio's page in a real browser, before a server with a tiny model: what hands and keys do, and what is kept."""
 
 import base64
+import itertools
 import json
 import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ import stmc
 from stmc.editing.constraints import KINDS
 from stmc.viewing.studio import Documents, Sessions, application
 from stmc.viewing.studio.connections import server_of
+from stmc.viewing.studio.job_queue import Cancelled
 from stmc.viewing.studio.request_errors import RequestError
 
 pytestmark = [
@@ -469,6 +471,30 @@ def test_every_format_is_taken_away_at_another_frame_rate_and_as_a_loop(tab, tmp
     tab.ask("document.getElementById('export-dialog').close()")
     click(tab, "#export")
     assert tab.ask("document.getElementById('export-told').textContent") == ""
+
+
+def test_a_film_is_cancelled_when_its_page_is_closed(tab, monkeypatch):
+    began, cancelled = Event(), Event()
+
+    def render(motion, path, timeline, progress):
+        try:
+            for _ in progress(itertools.count(), total=motion.frames):
+                began.set()
+                time.sleep(0.02)
+        except Cancelled:
+            cancelled.set()
+            raise
+
+    monkeypatch.setattr("stmc.viewing.film.render_film", render)
+    write(tab, "walk")
+    shown(tab)
+    click(tab, "#export")
+    click(tab, "#export-formats input[value=webp]")
+    click(tab, "#export-motion")
+    tab.wait("!document.getElementById('film').hidden")
+    assert began.wait(browser.PATIENCE) and not cancelled.is_set()
+    tab.call("Page.navigate", url="about:blank")
+    assert cancelled.wait(browser.PATIENCE)
 
 
 def test_samples_stand_side_by_side_and_a_pinned_one_stays_when_others_are_made(tab):

@@ -8,12 +8,15 @@ let busy = false;
 
 export const drawsFilm = () => busy;
 
-// The film of a motion as a blob. It ends with an error if the film fails or is cancelled.
+// The film of a motion as a blob. It ends with an error if the film fails or is cancelled, as it is if the page is closed:
+// nobody would save it.
 export async function drawFilm(request) {
   busy = true;
   paint({ step: 0, steps: 0 });
+  const following = new AbortController();
   try {
     const { job } = await server.startFilm(request);
+    addEventListener("pagehide", () => server.cancelJob(job).catch(() => {}), { signal: following.signal });
     find("film").hidden = false;
     const { kind, data } = await new Promise((end) => {
       const stop = server.followJob(job, (kind, data) => (kind === "progress" ? paint(data) : end({ kind, data })));
@@ -26,6 +29,7 @@ export async function drawFilm(request) {
     if (kind === "done") return await server.filmFile(job);
     throw new Error({ failed: () => server.sentence(data.error), lost: () => "The studio was started again meanwhile. Save the film once more." }[kind]?.() ?? "Cancelled.");
   } finally {
+    following.abort();
     busy = false;
     find("film").hidden = true;
   }

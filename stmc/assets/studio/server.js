@@ -90,7 +90,7 @@ export const saveDocument = (id, base, content) => json(`/api/documents/${encode
 export const deleteDocument = (id) => answered(`/api/documents/${encodeURIComponent(id)}`, unsafe("DELETE"));
 
 export const startJob = (request) => json("/api/jobs", unsafe("POST", request));
-export const cancelJob = (id) => answered(`/api/jobs/${encodeURIComponent(id)}`, unsafe("DELETE"));
+export const cancelJob = (id) => answered(`/api/jobs/${encodeURIComponent(id)}`, { ...unsafe("DELETE"), keepalive: true });
 
 export const openStream = (request) => json("/api/streams", unsafe("POST", request));
 export const readStream = (id, edits, frames) => json(`/api/streams/${encodeURIComponent(id)}`, unsafe("POST", { edits, frames }));

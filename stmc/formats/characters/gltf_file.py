@@ -5,6 +5,7 @@ Knows containers, nodes and skins, but no persons. Meshes, materials and texture
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
 from collections.abc import Iterable, Mapping, Sequence
@@ -55,7 +56,7 @@ class Gltf:
 
 
 def read_gltf(path: Path) -> Gltf:
-    """Read a `.glb`, `.vrm` or `.gltf` file.
+    """Read a `.glb`, `.vrm` or `.gltf` file; a first buffer that is in the JSON becomes the binary chunk.
 
     Raises `CharacterError` unless the file is complete and self-contained glTF 2.0, its meshes are uncompressed and
     within the bounds above, and its nodes form trees.
@@ -65,7 +66,7 @@ def read_gltf(path: Path) -> Gltf:
     except UnreadableError as error:
         raise CharacterError(str(error)) from None
     _check_document(gltf)
-    return gltf
+    return _with_binary(gltf)
 
 
 def _split(content: bytes) -> Gltf:
@@ -173,6 +174,23 @@ def _check_buffers(gltf: Gltf) -> None:
                 raise CharacterError(f"buffers[{number}] should have {size} bytes, but the file holds {held or 0}")
 
 
+def _with_binary(gltf: Gltf) -> Gltf:
+    """Return the file with its first buffer as the binary chunk, because a `.glb` should have no data in its JSON."""
+    buffers = objects(gltf.document, "buffers")
+    if not buffers or "uri" not in buffers[0]:
+        return gltf
+    first, size = buffers[0], buffers[0]["byteLength"]
+    kind, _, text = first["uri"].partition(",")
+    try:
+        content = base64.b64decode(text + "=" * (-len(text) % 4), validate=True)
+    except ValueError:
+        content = b""
+    if not kind.endswith(";base64") or len(content) < size:
+        raise CharacterError(f"buffers[0] should be {size} bytes in base64: the file is cut or damaged")
+    first = {name: value for name, value in first.items() if name != "uri"}
+    return Gltf({**gltf.document, "buffers": [first, *buffers[1:]]}, content[:size])
+
+
 def _check_vertices(document: Mapping[str, Any]) -> None:
     accessors, seen, total = objects(document, "accessors"), set(), 0
     for mesh in objects(document, "meshes"):
@@ -239,7 +257,7 @@ def with_animation(
 ) -> Gltf:
     """Return the file with an additional animation, which comes first, because players show the first.
 
-    The existing content keeps its bytes and its indices.
+    The existing content keeps its bytes and its indices. The data of the animation follow it in the binary chunk.
 
     Args:
         gltf: The file.
@@ -251,23 +269,13 @@ def with_animation(
     views, buffers = list(objects(document, "bufferViews")), [dict(each) for each in objects(document, "buffers")]
     known = list(objects(document, "accessors"))
     first, content = len(known), b"".join(chunks)
-    inside = gltf.binary is not None and bool(buffers) and "uri" not in buffers[0]
-    binary, start = gltf.binary, 0
-    if inside or not buffers:
-        kept = binary[: buffers[0]["byteLength"]] if inside and binary is not None else b""
-        kept += b"\0" * (-len(kept) % 4)
-        start, binary, number = len(kept), kept + content, 0
-        size = {"byteLength": len(binary)}
-        buffers[:1] = [buffers[0] | size] if buffers else [size]
-    else:
-        import base64
-
-        number = len(buffers)
-        uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode()
-        buffers.append({"byteLength": len(content), "uri": uri})
+    kept = (gltf.binary or b"")[: buffers[0]["byteLength"] if buffers else 0]
+    kept += b"\0" * (-len(kept) % 4)
+    start, binary = len(kept), kept + content
+    buffers[:1] = [{**(buffers[0] if buffers else {}), "byteLength": len(binary)}]
     for accessor, length in zip(accessors, map(len, chunks), strict=True):
         known.append({"bufferView": len(views), **accessor})
-        views.append({"buffer": number, "byteOffset": start, "byteLength": length})
+        views.append({"buffer": 0, "byteOffset": start, "byteLength": length})
         start += length
     samplers = [
         {**each, "input": each["input"] + first, "output": each["output"] + first} for each in animation["samplers"]
@@ -291,7 +299,8 @@ def animation_of(
         values: Values of each track.
         fps: Frame rate, which is stored as an extra.
     """
-    chunks = [times.astype("<f4").tobytes()]
+    times = times.astype("<f4")
+    chunks = [times.tobytes()]
     accessors = [{"componentType": 5126, "count": len(times), "type": "SCALAR"}]
     accessors[0] |= {"min": [float(times[0])], "max": [float(times[-1])]}
     for each in values:

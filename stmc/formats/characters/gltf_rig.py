@@ -112,7 +112,7 @@ class GltfRig:
         unchanged, except that the matrix of a driven node is split into translation, rotation and scale.
         """
         rotations, pelvis = self.local_pose(motion, standing)
-        times = (np.arange(len(pelvis)) / motion.fps).astype("<f4")
+        times = np.arange(len(pelvis)) / motion.fps
         pelvis_node = motion.rig.joints["pelvis"]
         tracks = [(pelvis_node, "translation", pelvis), *((n, "rotation", r) for n, r in rotations.items())]
         nodes = [self.nodes[node] for node, *_ in tracks]

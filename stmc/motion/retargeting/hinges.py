@@ -6,6 +6,7 @@ Angles stay within their limits, and so does their change from frame to frame. K
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ _BEND = 0.3
 """The weight of the normal of an arm's plane."""
 _HAND = 1.5
 """The weight of the way from the head, or from the other wrist, to a wrist that is there."""
+_HAND_PAIRS = (("left_wrist", "head"), ("right_wrist", "head"), ("left_wrist", "right_wrist"))
 _TURNS = {"pelvis": 0.2, "chest": 0.2, "head": 0.1, "left_wrist": 0.02, "right_wrist": 0.02}
 """Weights of turns, in radians."""
 _SINKING = 8.0
@@ -33,13 +35,21 @@ _REST, _STILL = 0.005, 0.01
 _NEAR, _FAR = 0.45, 0.8
 """Distances of a wrist from the head, in lengths of the arm, at which it is wholly led by it, and not at all."""
 _FIRST, _STEPS = 60, 4
-"""Most steps of the first frame, and of the others."""
+"""Most steps of a frame that begins anywhere, and of one that begins at the frame beside it."""
+_FOLDED = 4.0
+"""How many times a later frame's sum of squares the first frame's is if it is taken to be folded the wrong way."""
+_MISSED = 0.05
+"""The distance of a hand from where it should be, in lengths of the leg, above which other arms are tried."""
 _SETTLED = 1e-4
 """The greatest step, in radians and lengths of the leg, after which a frame is done."""
 _TRUST = 0.5
 """The greatest turn of a step, in radians."""
 _MARGIN = 2e-6
 """Radians that angles and their changes keep from their limits, so that rounded ones do not exceed them."""
+
+
+_Posture = tuple[np.ndarray, Base]
+"""The hinges' angles and the base of one frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +91,20 @@ def follow(
     Each frame is a least-squares problem with bounds, solved by Gauss-Newton steps from the frame before: soles are
     where the rig's are, arms and legs point as its do, trunk and head turn as its do. No corner of a sole is below the
     floor: where the problem leaves one there, the base is lifted.
+
+    An arm can often be turned in two ways, of which one ends at the limits of its hinges. If a hand thereby misses the
+    head or the other hand, the frame in which it does so most is solved from other angles of its arm, and the frames
+    before and after it are solved from there.
     """
     linkage, leg = _linkage(rig), rig.length(LIMBS[0])
-    goals = _goals(rig, linkage, turns, places, leg)
-    angles, base = linkage.resting, _start(rig, turns[0], places[0])
-    found: list[tuple[np.ndarray, Base]] = []
-    for frame in range(len(turns)):
-        near = np.full(len(angles), np.inf) if frame == 0 else linkage.speeds / fps - _MARGIN
-        lower = np.maximum(linkage.lower + _MARGIN, angles - near)
-        upper = np.minimum(linkage.upper - _MARGIN, angles + near)
-        angles, base = _frame(linkage, goals, frame, angles, base, (lower, np.maximum(lower, upper)), leg)
-        found.append((angles, base))
-    bases = [base for _, base in found]
+    problem = _Problem(linkage, _goals(rig, linkage, turns, places, leg), fps, leg)
+    first = problem.solved(0, linkage.resting, _start(rig, turns[0], places[0]))
+    found = _begin_again(problem, [first, *problem.track(range(1, len(turns)), first)])
+    found = _reach(rig, problem, found)
     return HingeCurves(
-        np.stack([each for each, _ in found]),
-        np.stack([base.turn for base in bases]),
-        np.stack([base.place for base in bases]),
+        np.stack([angles for angles, _ in found]),
+        np.stack([base.turn for _, base in found]),
+        np.stack([base.place for _, base in found]),
     )
 
 
@@ -165,16 +173,19 @@ def _goals(rig: Rig, linkage: Linkage, turns: np.ndarray, places: np.ndarray, le
 def _rows(
     rig: Rig, places: np.ndarray, heights: np.ndarray, bends: list[np.ndarray]
 ) -> list[tuple[dict[int, float], np.ndarray | float]]:
-    """Return the sums of points with their weights; the tips of the arms and the soles' corners follow the nodes."""
+    """Return the sums of points with their weights, those of the hands last.
+
+    The tips of the arms and the soles' corners follow the nodes.
+    """
     count = len(rig.driven)
     rows: list[tuple[dict[int, float], np.ndarray | float]] = []
     for number, height in enumerate(heights.T):
         rows.append(({count + 2 + number: 1.0}, _LIFTED + (_SOLE - _LIFTED) * _share(height, _LOW, _HIGH)))
-    rows += [({rig.place("pelvis"): 1.0}, _PELVIS), *_bones(rig), *_hands(rig, places)]
+    rows += [({rig.place("pelvis"): 1.0}, _PELVIS), *_bones(rig)]
     for number, (side, bend) in enumerate(zip(SIDES, bends, strict=True)):
         tip = {count + number: 1.0, rig.place(f"{side}_elbow"): -1.0}
         rows.append((tip, _BEND * np.linalg.norm(bend, axis=-1)))
-    return rows
+    return rows + _hands(rig, places)
 
 
 def _bones(rig: Rig) -> list[tuple[dict[int, float], float]]:
@@ -222,9 +233,9 @@ def _chest(rig: Rig) -> int:
 
 def _hands(rig: Rig, places: np.ndarray) -> list[tuple[dict[int, float], np.ndarray]]:
     """Return the ways from the head to the wrists and between these, with weights in each frame."""
-    left, right, head = (rig.place(joint) for joint in ("left_wrist", "right_wrist", "head"))
     arm, found = rig.length(LIMBS[1]), []
-    for first, second in ((left, head), (right, head), (left, right)):
+    for pair in _HAND_PAIRS:
+        first, second = (rig.place(joint) for joint in pair)
         away = np.linalg.norm(places[:, first] - places[:, second], axis=-1) / arm
         found.append(({first: 1.0, second: -1.0}, _HAND * _share(away, _NEAR, _FAR)))
     return found
@@ -236,30 +247,110 @@ def _share(values: Float[np.ndarray, " frames"], near: float, far: float) -> Flo
     return share**2 * (3 - 2 * share)
 
 
-def _frame(
-    linkage: Linkage,
-    goals: _Goals,
-    frame: int,
-    angles: np.ndarray,
-    base: Base,
-    bounds: tuple[np.ndarray, np.ndarray],
-    leg: float,
-) -> tuple[np.ndarray, Base]:
-    """Solve one frame, beginning at the angles and the base of the one before."""
-    from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The least-squares problems of all frames."""
 
-    before, angles = angles, np.clip(angles, *bounds)
-    for _ in range(_FIRST if frame == 0 else _STEPS):
-        pose = linkage.pose(angles, base)
-        step = _step(goals, frame, pose, angles, before, bounds, leg)
-        angles = np.clip(angles + step[6:], *bounds)
-        base = Base(Rotation.from_rotvec(step[3:6]).as_matrix() @ base.turn, base.place + step[:3])
-        if max(np.abs(step[3:]).max(), np.abs(step[:3]).max() / leg) < _SETTLED:
-            break
-    pose = linkage.pose(angles, base)
-    corners = pose.points(goals.rest, goals.movers)[len(goals.rest) - goals.corners :]
-    sunk = max(0.0, -float(corners[:, 2].min(initial=0.0)))
-    return angles, Base(base.turn, base.place + np.array([0.0, 0.0, sunk]))
+    linkage: Linkage
+    goals: _Goals
+    fps: float | int
+    leg: float
+
+    def track(self, frames: Iterable[int], start: _Posture) -> list[_Posture]:
+        """Solve frames one after the other, the first beginning at the frame beside it, within limits of speed."""
+        found = []
+        for frame in frames:
+            near = self.linkage.speeds / self.fps - _MARGIN
+            lower, upper = self._limits()
+            lower, upper = np.maximum(lower, start[0] - near), np.minimum(upper, start[0] + near)
+            start = self._frame(frame, start, (lower, np.maximum(lower, upper)), _STEPS)
+            found.append(start)
+        return found
+
+    def solved(self, frame: int, angles: np.ndarray, base: Base) -> _Posture:
+        """Solve a frame that begins anywhere."""
+        return self._frame(frame, (angles, base), self._limits(), _FIRST)
+
+    def misses(self, frame: int, posture: _Posture) -> Float[np.ndarray, " rows"]:
+        """Return the weighted distances of the sums of points from where they should be, in lengths of the leg."""
+        points = self.linkage.pose(*posture).points(self.goals.rest, self.goals.movers)
+        away = self.goals.targets[frame] - self.goals.sums @ points
+        return self.goals.weights[frame] * np.linalg.norm(away, axis=1)
+
+    def _limits(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.linkage.lower + _MARGIN, self.linkage.upper - _MARGIN
+
+    def _frame(self, frame: int, start: _Posture, bounds: tuple[np.ndarray, np.ndarray], most: int) -> _Posture:
+        """Solve one frame in at most so many steps."""
+        from scipy.spatial.transform import Rotation  # imported late: it is slow to import
+
+        (before, base), goals, leg = start, self.goals, self.leg
+        angles = np.clip(before, *bounds)
+        for _ in range(most):
+            pose = self.linkage.pose(angles, base)
+            step = _step(goals, frame, pose, angles, before, bounds, leg)
+            angles = np.clip(angles + step[6:], *bounds)
+            base = Base(Rotation.from_rotvec(step[3:6]).as_matrix() @ base.turn, base.place + step[:3])
+            if max(np.abs(step[3:]).max(), np.abs(step[:3]).max() / leg) < _SETTLED:
+                break
+        pose = self.linkage.pose(angles, base)
+        corners = pose.points(goals.rest, goals.movers)[len(goals.rest) - goals.corners :]
+        sunk = max(0.0, -float(corners[:, 2].min(initial=0.0)))
+        return angles, Base(base.turn, base.place + np.array([0.0, 0.0, sunk]))
+
+
+def _begin_again(problem: _Problem, found: list[_Posture]) -> list[_Posture]:
+    """Return postures whose first second is solved backwards from its end, if it is then nearer.
+
+    The first frame begins at rest, so that it can end with a limb folded the wrong way, which later frames unfold.
+    """
+    end = min(round(problem.fps), len(found) - 1)
+    if _square(problem.misses(0, found[0])) < _FOLDED * _square(problem.misses(end, found[end])):
+        return found
+    again = problem.track(reversed(range(end)), found[end])[::-1]
+    before, after = (
+        sum(_square(problem.misses(frame, posture)) for frame, posture in enumerate(postures))
+        for postures in (found[:end], again)
+    )
+    return again + found[end:] if after < before else found
+
+
+def _reach(rig: Rig, problem: _Problem, found: list[_Posture]) -> list[_Posture]:
+    """Return postures in which the hand that misses most is led by another way to turn its arm, if these are nearer."""
+    misses = np.stack([problem.misses(frame, posture) for frame, posture in enumerate(found)])
+    hands = misses[:, -len(_HAND_PAIRS) :] / _HAND
+    frame, pair = (int(place) for place in np.unravel_index(hands.argmax(), hands.shape))
+    if hands[frame, pair] < _MISSED:
+        return found
+    best = found[frame]
+    for side in [side for side in SIDES if f"{side}_wrist" in _HAND_PAIRS[pair]]:
+        base = best[1]
+        tried = [problem.solved(frame, angles, base) for angles in _other_arms(rig, problem.linkage, side, best[0])]
+        best = min([best, *tried], key=lambda posture: _square(problem.misses(frame, posture)))
+    if best is found[frame]:
+        return found
+    before = problem.track(reversed(range(frame)), best)
+    other = [*reversed(before), best, *problem.track(range(frame + 1, len(found)), best)]
+    others = np.stack([problem.misses(number, posture) for number, posture in enumerate(other)])
+    return other if _square(others) < _square(misses) else found
+
+
+def _square(values: np.ndarray) -> float:
+    return float((values**2).sum())
+
+
+def _other_arms(rig: Rig, linkage: Linkage, side: str, angles: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield angles whose arm is turned otherwise: its first three hinges at a quarter or three quarters of their
+    limits, the others in the middle."""
+    wrist, chest = linkage.movers[rig.joints[f"{side}_wrist"]], linkage.turners[rig.driven[_chest(rig)]]
+    carrying = linkage.chains[chest] if chest >= 0 else np.zeros(len(angles), dtype=bool)
+    arm = np.flatnonzero(linkage.chains[wrist] & ~carrying) if wrist >= 0 else np.zeros(0, dtype=int)
+    lower, upper = np.maximum(linkage.lower[arm], -np.pi), np.minimum(linkage.upper[arm], np.pi)
+    for shares in itertools.product((0.25, 0.75), repeat=min(3, len(arm))):
+        share = np.array([*shares, *[0.5] * (len(arm) - len(shares))])
+        other = angles.copy()
+        other[arm] = lower + share * (upper - lower)
+        yield other
 
 
 def _step(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import tempfile
 from collections import OrderedDict
 from collections.abc import Callable
@@ -35,7 +36,8 @@ MOST_CHARACTERS, MOST_CHARACTER_BYTES = 40, 2**30
 MOST_NAME = 60
 """Maximum number of letters of a character's name."""
 
-MOVED_ELSEWHERE = "skeletons and robots move with `stmc sample … character=robot.urdf formats=csv`, or `formats=bvh`"
+_SHOWN_NOWHERE = {".urdf": ("robots", "csv"), ".xml": ("robots", "csv"), ".bvh": ("skeletons", "bvh")}
+"""Files of characters without a mesh to show, and the format of their motions."""
 
 _FASTEST = 60
 """Frames per second that a stage shows."""
@@ -107,8 +109,7 @@ class Characters:
         """
         suffix = Path(filename).suffix.lower()
         if suffix not in RECEIVED:
-            kinds = f"a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file"
-            raise RequestError(422, f"a character must be {kinds}; {MOVED_ELSEWHERE}")
+            raise RequestError(422, _refusal(filename, suffix))
         name = hashlib.sha256(content + suffix.encode()).hexdigest()[:32]
         with self._heavy:
             character = _read_content(content, suffix)
@@ -211,6 +212,16 @@ class Characters:
         if not ID.fullmatch(name):
             raise _missing()
         return self._folder / f"{name}.json"
+
+
+def _refusal(filename: str, suffix: str) -> str:
+    """Return a sentence about a file that has no mesh to show, with the command that moves it if there is one."""
+    if suffix not in _SHOWN_NOWHERE:
+        return f"a character must be a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file"
+    kinds, format_name = _SHOWN_NOWHERE[suffix]
+    name = shlex.quote(_title(filename) + Path(filename).suffix)
+    command = f"stmc sample timeline.json outputs/ character={name} formats={format_name}"
+    return f"the studio shows no {kinds}; to move this one, export the timeline and run `{command}`"
 
 
 def _missing() -> RequestError:
