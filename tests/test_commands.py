@@ -408,10 +408,18 @@ def test_a_misspelt_command_is_answered_with_the_nearest_as_help_lists_it(typed,
 SLOW_TO_IMPORT = ("matplotlib", "roma", "scipy", "sympy", "torch._dynamo", "transformers", "trimesh")
 
 
-def test_help_of_sampling_imports_nothing_slow_but_torch():
+@pytest.mark.parametrize(
+    ("typed", "forbidden"),
+    [
+        (["--help"], ("torch", "numpy", "rich", "stmc.cli.sample", *SLOW_TO_IMPORT)),
+        (["sample", "--help"], ("stmc.formats.characters", "stmc.motion.retargeting", *SLOW_TO_IMPORT)),
+    ],
+    ids=" ".join,
+)
+def test_help_imports_nothing_slow_but_torch_and_the_list_of_commands_not_even_that(typed, forbidden):
     code = (
-        "import sys; from stmc.cli.dispatch import program; program(['sample', '--help'])\n"
-        f"print({{*sys.modules}} & {{*{SLOW_TO_IMPORT}}})"
+        f"import sys; from stmc.cli.dispatch import program; program({typed})\n"
+        f"print({{*sys.modules}} & {{*{forbidden}}})"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, text=True, capture_output=True)
     assert done.stdout.splitlines()[-1] == "set()"

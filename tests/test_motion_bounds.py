@@ -15,6 +15,7 @@ import stmc
 from stmc.data.sources.amass.amass_recordings import RecordingError, read_recording
 from stmc.io.arrays import ArraysError, npz_headers, read_npy, read_npz
 from stmc.io.bounds import MOST_FRAMES, BoundsError, check_fps, check_frames
+from stmc.motion.geometry import axis_angle_to_matrix
 
 STILL = stmc.Motion.posed(torch.eye(3).repeat(40, 22, 1, 1), torch.zeros(40, 3), 20, stmc.Skeleton.default())
 
@@ -93,6 +94,62 @@ def test_a_small_npz_of_many_frames_takes_no_memory(tmp_path):
         "assert peak() - before < 2**16, peak() - before\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.npz")], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("joints", [True, False])
+def test_an_npz_is_read_in_chunks_of_frames(order, joints, tmp_path, monkeypatch):
+    monkeypatch.setattr("stmc.formats.npz._FRAMES_AT_ONCE", 7)
+    rng = np.random.default_rng(0)
+    arrays = {"poses": rng.normal(size=(40, 156)), "trans": rng.normal(size=(40, 3))}
+    arrays |= {"joints": rng.normal(size=(40, 24, 3))} if joints else {}
+    written(tmp_path / "a.npz", **{name: np.asarray(array, order=order) for name, array in arrays.items()})
+    expected = stmc.read(written(tmp_path / "b.npz", **arrays))
+    motion = stmc.read(tmp_path / "a.npz")
+    rotations = axis_angle_to_matrix(torch.from_numpy(arrays["poses"][:, :66].reshape(40, 22, 3)))
+    torch.testing.assert_close(motion.rotations, rotations.float())
+    assert torch.equal(motion.joints, expected.joints)
+    if joints:
+        assert np.allclose(motion.joints, arrays["joints"], atol=1e-6)
+
+
+def test_of_an_npz_only_a_chunk_is_in_memory_and_what_would_be_whole_is_bounded(tmp_path, monkeypatch):
+    motion = stmc.read(written(tmp_path / "a.npz"))
+    assert motion.frames == 4
+    monkeypatch.setattr("stmc.io.arrays.numpy_files.LARGEST_BY_COLUMNS", 4 * 156 * 8 - 1)
+    written(tmp_path / "b.npz", poses=np.zeros((4, 156), order="F"))
+    with pytest.raises(ArraysError, match=r"b\.npz: poses is too large for Fortran order; save it with order='C'"):
+        stmc.read(tmp_path / "b.npz")
+
+    def whole(self, name):
+        assert name == "mocap_framerate", f"{name} is read whole"
+        return array(self, name)
+
+    array = np.lib.npyio.NpzFile.__getitem__
+    monkeypatch.setattr(np.lib.npyio.NpzFile, "__getitem__", whole)
+    assert stmc.read(tmp_path / "a.npz").frames == 4
+
+
+def test_a_recording_of_more_values_than_any_is_refused_before_an_array_of_them_exists(tmp_path):
+    frames = 130_000  # 18 minutes at 120 fps; float64 rotations of them would have 2 GB
+    path = written(tmp_path / "a.npz", poses=np.zeros((frames, 156), np.int8), trans=np.zeros((frames, 3), np.int8))
+    with pytest.raises(RecordingError, match="130000 frames of 156 columns exceed 20,000,000 values"):
+        read_recording(path, stmc.Skeleton.default())
+
+
+def test_the_arrays_of_a_file_are_bounded_together(tmp_path, monkeypatch):
+    np.savez_compressed(tmp_path / "a.npz", **{name: np.zeros(1000) for name in "abc"})
+    np.save(tmp_path / "a.npy", np.zeros(1000))
+    assert set(read_npz(tmp_path / "a.npz", "abc", most=24_000)) == {*"abc"}
+    with pytest.raises(ArraysError, match=r"a\.npz: a, b, c have 24000 bytes; the limit is 23999"):
+        read_npz(tmp_path / "a.npz", "abc", most=23_999)
+    with pytest.raises(ArraysError, match="8000 bytes; the file has 8128, and 8000 are the limit"):
+        read_npy(tmp_path / "a.npy", most=8000)
+    monkeypatch.setattr("stmc.motion.body_model.MOST_BYTES", 10_000)
+    names = ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f"]
+    np.savez_compressed(tmp_path / "smpl_neutral.npz", **{name: np.zeros(1000) for name in names})
+    with pytest.raises(ValueError, match="have 56000 bytes; the limit is 10000"):
+        stmc.BodyModel.load(tmp_path / "smpl_neutral.npz")
 
 
 def test_a_recording_whose_frame_rate_fills_the_memory_is_refused_unread(tmp_path):

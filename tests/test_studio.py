@@ -397,6 +397,28 @@ def test_a_cancelled_job_ends_before_its_next_step_and_one_that_waits_at_once(he
     assert last.events[-1][0] == "done"
 
 
+def test_a_cancelled_job_ends_within_a_step_before_the_next_operation_on_tensors(tmp_path):
+    """A step of eight minutes of motion takes 16 s; its operations take one at most."""
+    began, may, done = threading.Event(), threading.Event(), []
+
+    def sample(request, progress):
+        for _ in progress([0], total=1):
+            numbers = torch.zeros(2)
+            began.set()
+            assert may.wait(timeout=60)
+            done.append(numbers + 1)
+        pytest.fail("the step was not ended")
+
+    jobs = Jobs(sample, Motions(tmp_path))
+    job = jobs.add(ask())
+    assert began.wait(timeout=60)
+    jobs.cancel(job.name)
+    may.set()
+    jobs.wait()
+    jobs.close()
+    assert job.events[-1] == ("cancelled", {}) and not done
+
+
 def test_of_one_tab_only_the_last_job_waits_and_too_many_are_refused(held):
     slow, jobs = held
     jobs.add(ask())

@@ -2,7 +2,9 @@
 
 import importlib.util
 import os
+import pickle
 import sqlite3
+import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -353,6 +355,21 @@ def test_weights_that_would_run_code_are_refused(tmp_path):
     with pytest.raises(WeightsNotFound, match=r"no weights of a text encoder"):
         Tokens(str(tmp_path), 8).encode(["walk"])
     assert not (tmp_path / "ran").exists()
+
+
+def test_a_checkpoint_whose_key_takes_hours_to_hash_is_refused_unread(tmp_path):
+    """`torch.load` hashes the keys of dicts, weights only or not; this one is a tuple doubled 34 times."""
+    tiny_distilbert(tmp_path)
+    weights = tmp_path / "model.safetensors"
+    key = pickle.PROTO + b"\x02}" + b")" + b"2\x86" * 34 + b"K\x01s."
+    with zipfile.ZipFile(weights.with_name("pytorch_model.bin"), "w") as archive:
+        archive.writestr("archive/data.pkl", key)
+        archive.writestr("archive/version", "3")
+    weights.rename(tmp_path / "other")
+    with pytest.raises(
+        WeightsNotFound, match=r"pytorch_model\.bin is not a checkpoint of tensors, and is not loaded: "
+    ):
+        Tokens(str(tmp_path), 8).encode(["walk"])
 
 
 class RunsCode:

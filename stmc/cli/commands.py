@@ -25,14 +25,13 @@ from omegaconf import OmegaConf, open_dict
 from stmc.cli.arguments import Arguments, parse_arguments
 from stmc.cli.config_folder import find_configs
 from stmc.cli.config_parts import check_plugins, check_trust, describe_part, record_of_part, resolve_config
+from stmc.cli.dispatch import SHORT
 from stmc.cli.exit_codes import run_guarded
 from stmc.cli.help import format_help
 from stmc.settings.records import SettingError, defaults, field_infos, record_of
 
 Config = Any
 """A configuration composed by Hydra: an OmegaConf `DictConfig`."""
-SHORT = {"import": "import_checkpoint"}
-"""Commands whose names differ from their modules'."""
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,14 @@
-"""The program `stmc COMMAND …` and the list of its commands."""
+"""The program `stmc COMMAND …` and the list of its commands, which imports neither torch nor a command."""
 
 from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 
 import stmc
-from stmc.cli.commands import SHORT, Command
 from stmc.cli.exit_codes import run_guarded
 from stmc.settings.records import check_name
 
@@ -35,6 +34,8 @@ COMMANDS = (
     "train_tmr",
 )
 """Modules of this package that define a command."""
+SHORT = {"import": "import_checkpoint"}
+"""Commands whose names differ from their modules'."""
 
 
 def program(arguments: Sequence[str] | None = None) -> int:
@@ -57,12 +58,13 @@ def program(arguments: Sequence[str] | None = None) -> int:
     return run_guarded(run) or code
 
 
-def find_command(name: str) -> Command:
+def find_command(name: str) -> Callable[[Sequence[str]], int]:
     """Import a command by its name. Raises `SettingError` for an unknown one."""
     script = SHORT.get(name, name).replace("-", "_")
     if script not in module_summaries():
         check_name(name, command_summaries(), "command")
-    return import_module(f"stmc.cli.{script}").main
+    main: Callable[[Sequence[str]], int] = import_module(f"stmc.cli.{script}").main
+    return main
 
 
 def module_summaries() -> dict[str, str]:

@@ -11,7 +11,7 @@ import torch
 from einops import rearrange
 from torch import Tensor
 
-from stmc.io.arrays import ArraysError, Header, npz_headers, read_npz
+from stmc.io.arrays import ArraysError, Header, npz_headers, read_npz, read_npz_chunks
 from stmc.io.bounds import MOST_COLUMNS, BoundsError, check_frames, check_metres
 from stmc.io.untrusted import truncate
 from stmc.motion.body import JOINTS, NUM_ROTATIONS
@@ -68,13 +68,13 @@ def load_npz(path: Path, skeleton: Skeleton) -> Motion:
     _check_headers(headers, path, rate)
     fps = float(read_npz(path, (rate,))[rate])
     try:
-        check_frames(headers["poses"].shape[0], fps)
-        arrays = read_npz(path, ("poses", "trans"), ("joints",))
-        frames = len(arrays["poses"])
+        frames = headers["poses"].shape[0]
+        check_frames(frames, fps)
+        names = ("poses", "trans", "joints") if "joints" in headers else ("poses", "trans")
         rotations, joints = torch.empty(frames, NUM_ROTATIONS, 3, 3), torch.empty(frames, len(JOINTS), 3)
-        for start in range(0, frames, _FRAMES_AT_ONCE):
-            span = slice(start, start + _FRAMES_AT_ONCE)
-            rotations[span], joints[span] = _chunk(arrays, span, skeleton)
+        for number, arrays in enumerate(read_npz_chunks(path, names, _FRAMES_AT_ONCE)):
+            span = slice(number * _FRAMES_AT_ONCE, (number + 1) * _FRAMES_AT_ONCE)
+            rotations[span], joints[span] = _pose_chunk(arrays, skeleton)
         check_metres("joints", max(map(abs, map(float, joints.aminmax()))))
         return Motion(rotations, joints[:, 0].clone(), joints, fps)
     except BoundsError as error:
@@ -105,9 +105,9 @@ def _fits(needed: int | None, size: int) -> bool:
     return needed in (None, size)
 
 
-def _chunk(arrays: Mapping[str, np.ndarray], span: slice, skeleton: Skeleton) -> tuple[Tensor, Tensor]:
-    """Return rotations and joints (float64) of the frames in `span`."""
-    part = {name: torch.from_numpy(array[span].astype(np.float64)) for name, array in arrays.items()}
+def _pose_chunk(arrays: Mapping[str, np.ndarray], skeleton: Skeleton) -> tuple[Tensor, Tensor]:
+    """Return rotations and joints (float64) of some frames."""
+    part = {name: torch.from_numpy(array.astype(np.float64)) for name, array in arrays.items()}
     body = rearrange(part["poses"][:, : 3 * NUM_ROTATIONS], "frames (joints angles) -> frames joints angles", angles=3)
     rotations = axis_angle_to_matrix(body)
     joints = part.get("joints")

@@ -29,6 +29,9 @@ from stmc.motion.geometry import axis_angle_to_matrix, forward_kinematics, local
 if TYPE_CHECKING:  # slow to import
     import trimesh
 
+MOST_BYTES = 2**29
+"""Maximum size of a body's arrays; those of SMPL-X have 233 MB."""
+
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
@@ -257,9 +260,11 @@ def _read(path: Path, kind: str) -> dict[str, Tensor]:
     required, hands = ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f"], []
     if kind != "smpl":
         hands = ["hands_meanl", "hands_meanr"]
-    read = read_pickle if path.suffix == ".pkl" else read_npz
     try:
-        arrays = read(path, required, hands)
+        if path.suffix == ".pkl":
+            arrays = read_pickle(path, required, hands)
+        else:
+            arrays = read_npz(path, required, hands, MOST_BYTES)
     except ArraysError as error:
         raise ValueError(f"{path} is not a {kind} body: {error}") from error
     _check(arrays, path, kind)

@@ -17,6 +17,7 @@ from safetensors import SafetensorError
 from torch import Tensor
 
 from stmc.diffusion.tensors import pad
+from stmc.io.arrays import ArraysError, check_checkpoint
 from stmc.io.files import sha256
 from stmc.text.text_encoder import check
 
@@ -85,7 +86,7 @@ def load(
 ) -> tuple[Any, Any]:
     """Load the tokenizer and the float32 model from a folder or from the hub (its local cache first).
 
-    Weights come from safetensors or, if there are none, from a checkpoint that holds nothing but tensors.
+    Weights come from safetensors or, if there are none, from pytorch_model.bin, if it holds nothing but tensors.
 
     Args:
         source: Folder or hub name.
@@ -110,6 +111,7 @@ def load(
                 model, report = build(
                     source,
                     local_files_only=local,
+                    use_safetensors=_has_safetensors(source, revision, local),
                     weights_only=True,
                     output_loading_info=True,
                     trust_remote_code=False,  # otherwise a model of the hub may ask to run its own code
@@ -133,6 +135,34 @@ def load(
         missing = ", ".join(sorted(report["missing_keys"]))
         raise WeightsNotFound(f"the weights at {source!r} belong to another model or are incomplete: no {missing}")
     return tokenizer, model.float().eval().requires_grad_(False).to(device)
+
+
+def _has_safetensors(source: str, revision: str | None, local: bool) -> bool:
+    """Return whether the weights at `source` are safetensors.
+
+    Raises `OSError` if there are none, and `ValueError` for a pytorch_model.bin whose pickle might never end.
+    """
+    cached_file = transformers().utils.cached_file
+    from huggingface_hub.errors import LocalEntryNotFoundError
+
+    missing: OSError | None = None
+    for name in ("model.safetensors", "model.safetensors.index.json", "pytorch_model.bin"):
+        try:
+            path = cached_file(source, name, local_files_only=local, revision=revision)
+        except OSError as error:
+            if not local and isinstance(error.__cause__, LocalEntryNotFoundError):  # there is no connection
+                raise
+            missing = missing or error
+            continue
+        if name != "pytorch_model.bin":
+            return True
+        try:
+            check_checkpoint(Path(path))
+        except Exception as error:  # a damaged pickle can raise any exception
+            raise ArraysError(f"{path} is not a checkpoint of tensors, and is not loaded: {error}") from error
+        return False
+    assert missing is not None
+    raise missing
 
 
 def _check_digest(source: str, expected: str, revision: str | None, local: bool) -> None:

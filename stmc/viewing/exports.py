@@ -9,14 +9,16 @@ import tempfile
 from collections.abc import Collection
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from stmc.formats import FORMATS, Format, format_of, write_as
-from stmc.formats.characters import Character, retarget
 from stmc.io.extras import require
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
+
+if TYPE_CHECKING:  # slow to import
+    from stmc.formats.characters import Character
 
 
 def _save_page(motion: Motion, file: IO[bytes], skeleton: Skeleton, timeline: Timeline | None, **options: Any) -> None:
@@ -43,6 +45,8 @@ def _save_character(
     character: Character,
     fps: float | int | None = None,
 ) -> None:
+    from stmc.formats.characters import retarget
+
     file.write(retarget(motion, character, fps).content(suffix))
 
 

@@ -17,9 +17,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stmc.io.arrays.numpy_files import LARGEST, ArraysError
+from stmc.io.arrays.numpy_files import ArraysError
 from stmc.io.arrays.pickles import Dispatch, SafeUnpickler, StandIn, array_of, as_array, byte_count
 
+LARGEST = 2**29
+"""Maximum size of a compressed file's content in bytes; a plain file is memory-mapped, whatever its size."""
 _UNSUPPORTED_COMPRESSIONS = {
     b"BZ": "bz2",
     b"\xfd7zXZ": "xz",

@@ -31,7 +31,7 @@ Event = tuple[str, dict[str, Any]]
 
 
 class Cancelled(Exception):
-    """Signal to end a job before its next step."""
+    """Signal to end a job at its next `check`."""
 
 
 @dataclass(eq=False)
@@ -126,7 +126,7 @@ class JobQueue:
             return self._known[name]
 
     def cancel(self, name: str) -> None:
-        """Cancel a job, at once if it waits and before its next step if it runs; an ended job is unchanged."""
+        """Cancel a job, at once if it waits and at its next `check` if it runs; an ended job is unchanged."""
         job = self.get(name)
         with self._changed:
             job.cancelled = True

@@ -9,7 +9,9 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from torch.overrides import TorchFunctionMode
 
 from stmc.composing import Progress
 from stmc.composing.sampling import Sampling
@@ -50,6 +52,23 @@ OWN = Sampling(sampler="ddim")
 
 Sample = Callable[[GenerateRequest, Progress], Sequence[Motion]]
 """`Model.sample`, or a function like it."""
+
+
+class CheckedOperations(TorchFunctionMode):
+    """A context that calls `check` before every operation on tensors of this thread; an error of it ends the work.
+
+    One denoising step of several long samples takes many seconds; none of its operations takes more than about one.
+    """
+
+    def __init__(self, check: Callable[[], None]) -> None:
+        super().__init__()
+        self._check = check
+
+    def __torch_function__(
+        self, func: Callable[..., Any], types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        self._check()
+        return func(*args, **(kwargs or {}))
 
 
 class Jobs(JobQueue):
@@ -103,5 +122,5 @@ class Jobs(JobQueue):
             job.tell("progress", stage=stage.name, step=min(next(made), steps), steps=steps)
 
         sampling = Sampling(steps=steps).over(request.sampling).over(OWN)
-        with self._turns.job():
+        with self._turns.job(), CheckedOperations(job.check):
             return self.sample(replace(request, sampling=sampling), watched(told))

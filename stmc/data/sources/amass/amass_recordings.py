@@ -32,6 +32,8 @@ order; SMPL-X continues with jaw, eyes and fingers, SMPL-H with fingers only."""
 
 RATES = ("mocap_framerate", "mocap_frame_rate")
 """Names of the frame rate in SMPL-H files and in SMPL-X files."""
+MOST_VALUES = 20_000_000
+"""Maximum number of values of `poses`: 17 minutes of SMPL-H at 120 frames per second."""
 _LARGEST_VALUE = 1024
 """Maximum size in bytes of a frame rate or of a body's name."""
 
@@ -116,6 +118,8 @@ def _check_shapes(poses: Header, trans: Header) -> None:
         raise RecordingError(f"wrong variant: poses has 72 columns, as SMPL's without hands; AMASS's have {legal}")
     if columns not in COLUMNS.values():
         raise RecordingError(f"wrong variant: poses has {columns} columns; AMASS's have {legal}")
+    if poses.shape[0] * columns > MOST_VALUES:
+        raise RecordingError(f"too large: {poses.shape[0]} frames of {columns} columns exceed {MOST_VALUES:,} values")
 
 
 def _check_small(headers: Mapping[str, Header]) -> None:

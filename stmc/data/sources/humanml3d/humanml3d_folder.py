@@ -40,6 +40,8 @@ KIT_WIDTH = 251
 """Number of features of KIT-ML's clips, which have 21 joints of another skeleton."""
 AT_ONCE = 256
 """Number of clips per piece; each clip is too small for its own."""
+_MOST_BYTES = 2**26
+"""Maximum size of an array; a clip of ten minutes has 25 MB."""
 _FOLDERS, _FILES = ("new_joint_vecs", "texts"), ("Mean.npy", "Std.npy", "train.txt", "val.txt", "test.txt")
 
 
@@ -223,7 +225,7 @@ def read_clip(folder: Path, name: str) -> tuple[Float[Tensor, "frames 263"], lis
 def _numbers(path: Path) -> Tensor:
     """Read an array of finite numbers as float32."""
     try:
-        array = read_npy(path)
+        array = read_npy(path, _MOST_BYTES)
     except ArraysError as error:
         raise ValueError(f"damaged: {error}") from error
     if array.dtype.kind not in "fiu":
