@@ -6,9 +6,8 @@ is a function of this library that can also be used alone.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, Literal, Unpack
 
@@ -101,8 +100,8 @@ class Model:
         """The default of every setting; None if the setting does not apply to the model."""
         steps, absolute_from = self.schedule.steps, self.network.absolute_from
         ape_steps = None if absolute_from is None else round(max(0.0, 1 - absolute_from / steps), 6)
-        defaults = self.sampling.over(DEFAULT).over(Sampling(steps=steps, ape_steps=ape_steps))
-        return defaults if ape_steps is not None else dataclasses.replace(defaults, ape_steps=None)
+        defaults = self.sampling.with_defaults(DEFAULT).with_defaults(Sampling(steps=steps, ape_steps=ape_steps))
+        return defaults if ape_steps is not None else replace(defaults, ape_steps=None)
 
     def to(self, device: torch.device | str) -> Model:
         """Return the model on another device. The denoiser is moved, not copied; a plain function stays as it is.
@@ -111,7 +110,7 @@ class Model:
             >>> stmc.load().to("cpu").device
             device(type='cpu')
         """
-        return dataclasses.replace(self, denoiser=self.denoiser.to(device)) if hasattr(self.denoiser, "to") else self
+        return replace(self, denoiser=self.denoiser.to(device)) if hasattr(self.denoiser, "to") else self
 
     def plans(self, timelines: Sequence[Timeline], overlap: float | int | None = None) -> list[Plan]:
         """Plan timelines in this model's frames. `overlap` is in seconds, 2 l in the paper; None: the model's default.
@@ -195,9 +194,7 @@ class Model:
     def guided_sequences(
         self, plans: Sequence[Plan], guidance: float | int | None = None, ape_steps: float | int | None = None
     ) -> Guided:
-        """Return a predictor of whole sequences with guidance; see `composing.guided_sequences`.
-
-        Raises `SettingError` if the denoiser takes one text for all frames.
+        """Return a predictor of whole sequences with guidance, for a denoiser with a text for every frame.
 
         Args:
             plans: Plans without overlap.
@@ -222,9 +219,11 @@ class Model:
             >>> settings.steps, settings.overlap
             (50, None)
         """
-        requested, method, defaults = record_of(Sampling, settings), find_method(method), self.own_sampling
-        check_settings(requested, method, defaults)
-        resolved = resolve_settings(requested, method, defaults)
+        return self._resolve(record_of(Sampling, settings), find_method(method))
+
+    def _resolve(self, requested: Sampling, method: Method) -> Sampling:
+        resolved = resolve_settings(requested, method, self.own_sampling)
+        check_settings(requested, resolved, method)
         if resolved.steps is not None and resolved.steps > self.schedule.steps:
             raise SettingError(f"steps={resolved.steps}: must be at most {self.schedule.steps}, as many as in training")
         self._frames(resolved.overlap or 0.0)
@@ -286,9 +285,10 @@ class Model:
             >>> stmc.load().check(stmc.GenerateRequest.read({"timelines": "walk # 0 # 1"})).steps
             100
         """
-        if request.resolved_method.per_frame_text:
+        method = request.resolved_method
+        if method.per_frame_text:
             self.network.require_per_frame_text()
-        return self.settings(request.resolved_method, **request.sampling.given)
+        return self._resolve(request.sampling, method)
 
     @torch.inference_mode()
     def sample(self, request: GenerateRequest, progress: Progress | None = None) -> list[Motion]:
@@ -316,7 +316,7 @@ class Model:
         else:
             motions = self.decode(method.sample(run), frames, request.joints_from)
         motions = clean_motions(motions, kept, request.constraints) if request.clean_feet else motions
-        return [dataclasses.replace(motion, overlap=sampling.overlap or 0.0) for motion in motions]
+        return [replace(motion, overlap=sampling.overlap or 0.0) for motion in motions]
 
     @with_signature_of(Sampling)
     def stream(self, timeline: str | Timeline = EMPTY, seed: int = 0, **settings: Any) -> MotionStream:
@@ -332,7 +332,7 @@ class Model:
             Motion(30 frames at 20 fps, 1.50 s)
         """
         request = GenerateRequest.read({**STREAMED, **settings, "timelines": timeline, "seeds": seed})
-        model = dataclasses.replace(self, text_encoder=Remembered(self.text_encoder))
+        model = replace(self, text_encoder=Remembered(self.text_encoder))
         run = model._run((), request.seeds, self.check(request), lambda steps, total: steps)
         return MotionStream(run, request, self.skeleton, self.representation, self._one_shot_texts)
 
@@ -363,8 +363,8 @@ class Model:
         return Run(
             timelines=timelines, seeds=seeds, sampling=sampling, progress=progress, device=self.device, fps=self.fps,
             schedule=self.schedule, layout=self.representation.layout, statistics=self.motion_statistics,
-            longest=self.longest, overlap=self._frames(sampling.overlap or 0.0), once=self._one_shot_texts(timelines),
-            guided=partial(self.guided, ape_steps=sampling.ape_steps), fixed_length=self.network.fixed_length,
+            longest=self.longest, overlap=self._frames(sampling.overlap or 0.0), fixed_length=self.network.fixed_length,
+            one_shot=self._one_shot_texts(timelines), guided=partial(self.guided, ape_steps=sampling.ape_steps),
             guided_sequences=partial(self.guided_sequences, ape_steps=sampling.ape_steps),
         )  # fmt: skip
 

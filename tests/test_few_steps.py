@@ -189,7 +189,7 @@ def test_the_last_of_few_steps_is_of_full_precision(model):
 
 def test_the_experiment_compares_a_teacher_with_students_in_their_own_steps(model):
     experiment = configured("evaluate", "experiment=few_steps").experiment
-    models = {"MDM-SMPL": tiny(), "Student": model, "Two": replace(model, sampling=TWO.over(model.sampling))}
+    models = {"MDM-SMPL": tiny(), "Student": model, "Two": replace(model, sampling=TWO.with_defaults(model.sampling))}
     settings = dict.fromkeys(loaded("evaluate").choose_settings(experiment, models, ()))
     rows = [(each.denoiser, each.sampling.steps, each.sampling.guidance, each.sampling.sampler) for each in settings]
     own = [("MDM-SMPL", steps, 2.5, "ddim") for steps in (50, 4)]

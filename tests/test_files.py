@@ -14,7 +14,7 @@ import torch
 from safetensors.torch import save_file
 
 from stmc.io import files
-from stmc.io.files import LOCK, FolderInUse, locked, remove_leftovers, write_text, write_whole, write_whole_folder
+from stmc.io.files import LOCK, FolderInUse, lock_folder, remove_leftovers, write_text, write_whole, write_whole_folder
 
 if os.name != "nt":
     import fcntl
@@ -22,8 +22,8 @@ if os.name != "nt":
 HOLD = """
 import sys
 from pathlib import Path
-from stmc.io.files import locked
-with locked(Path(sys.argv[1])):
+from stmc.io.files import lock_folder
+with lock_folder(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -146,22 +146,22 @@ def test_a_folder_is_whole_or_absent_and_what_a_killed_process_left_beside_it_go
 
 
 def test_a_folder_that_is_being_written_is_refused_by_its_owner_s_name(tmp_path, holder):
-    with pytest.raises(FolderInUse, match=rf"is in use by process {holder.pid} on host"), locked(tmp_path):
+    with pytest.raises(FolderInUse, match=rf"is in use by process {holder.pid} on host"), lock_folder(tmp_path):
         pass
 
 
 def test_a_crash_gives_a_folder_back(tmp_path, holder):
     holder.send_signal(signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
     holder.wait()
-    with locked(tmp_path):
+    with lock_folder(tmp_path):
         assert (tmp_path / LOCK).exists()
     assert os.listdir(tmp_path) == []
 
 
 def test_the_end_of_a_run_gives_its_folder_back_whatever_ends_it(tmp_path):
-    with pytest.raises(KeyboardInterrupt), locked(tmp_path):
+    with pytest.raises(KeyboardInterrupt), lock_folder(tmp_path):
         raise KeyboardInterrupt
-    with locked(tmp_path):
+    with lock_folder(tmp_path):
         pass
     assert os.listdir(tmp_path) == []
 
@@ -178,9 +178,9 @@ def test_a_lock_that_was_removed_while_another_opened_it_locks_nothing(tmp_path,
         flock(descriptor, operation)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with locked(tmp_path, patience=5):
+    with lock_folder(tmp_path, patience=5):
         assert len(locks) == 2
-        with pytest.raises(FolderInUse), locked(tmp_path):
+        with pytest.raises(FolderInUse), lock_folder(tmp_path):
             pass
 
 
@@ -191,22 +191,22 @@ def test_a_file_system_without_locks_is_a_warning(tmp_path, monkeypatch, caplog,
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    with locked(tmp_path):
+    with lock_folder(tmp_path):
         assert "this file system has no locks" in caplog.text
     assert os.listdir(tmp_path) == []
 
 
 def test_an_owner_with_a_shorter_name_than_the_last_one_is_named_whole(tmp_path):
     (tmp_path / LOCK).write_bytes(b" process 1234567890 on host of-a-machine-with-a-name-without-end.example\n")
-    with locked(tmp_path):
+    with lock_folder(tmp_path):
         message = rf"in use by process {os.getpid()} on host {socket.gethostname()}; wait"
-        with pytest.raises(FolderInUse, match=message), locked(tmp_path):
+        with pytest.raises(FolderInUse, match=message), lock_folder(tmp_path):
             pass
 
 
 def test_a_lock_file_that_cannot_be_opened_is_an_error_and_no_file_system_without_locks(tmp_path):
     (tmp_path / LOCK).mkdir()
-    with pytest.raises(OSError, match="lock"), locked(tmp_path):
+    with pytest.raises(OSError, match="lock"), lock_folder(tmp_path):
         pass
 
 

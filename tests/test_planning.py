@@ -280,7 +280,7 @@ def test_pieces_that_own_nothing_are_not_planned():
 
 def test_what_happens_once_has_its_text_in_its_first_piece_alone():
     timeline = Timeline([Prompt("walk", 0, 15, {"legs"}), Prompt("raise", 2, 15, {"left arm"})])
-    asked, once = plan(timeline, 20, 10, longest=160), plan(timeline, 20, 10, longest=160, once={"raise"})
+    asked, once = plan(timeline, 20, 10, longest=160), plan(timeline, 20, 10, longest=160, one_shot={"raise"})
     assert [crop.text for crop in asked.crops[:4]] == ["walk", "walk", "raise", "raise"]
     assert [crop.text for crop in once.crops[:4]] == ["walk", "walk", "raise", None]
     assert [(crop.start, crop.end) for crop in once.crops] == [(crop.start, crop.end) for crop in asked.crops]

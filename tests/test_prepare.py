@@ -16,7 +16,7 @@ import stmc
 from stmc.data import preparation
 from stmc.data.cache import FEATURES, TABLE, Cache
 from stmc.data.report import NUMBERS, TEXT
-from stmc.io.files import LOCK, FolderInUse, locked
+from stmc.io.files import LOCK, FolderInUse, lock_folder
 from stmc.run import CARD
 
 TIMELINE = "walk # 0 # 2 # legs\nraise the right arm # 0.5 # 1.5 # right arm\n"
@@ -145,7 +145,7 @@ def test_a_worker_that_is_killed_ends_in_a_sentence(tmp_path, monkeypatch, capsy
 
 def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, in_this_process):
     busy, source = tmp_path / "busy", humanml3d(tmp_path / "HumanML3D", clips=2)
-    with locked(busy):
+    with lock_folder(busy):
         for name in ("train", "train_tmr"):
             with pytest.raises(FolderInUse, match=rf"{busy} is in use by process {os.getpid()} on host"):
                 run(name, name, f"run={busy}", "data.folder=nowhere", "device=cpu")

@@ -110,7 +110,7 @@ def test_how_it_is_sampled_comes_with_the_model_and_older_runs_have_the_usual_on
     assert stmc.load(own).sampling == back.sampling, "keys of earlier versions"
     edit(run, guidance=None, noise_scale=None, stitch_from=None)
     usual = stmc.load(run)
-    assert usual.own_sampling == DEFAULT.over(Sampling(steps=100))
+    assert usual.own_sampling == DEFAULT.with_defaults(Sampling(steps=100))
 
 
 def test_half_precision_halves_the_weights_and_hardly_changes_the_motion(model, run, tmp_path):

@@ -53,7 +53,7 @@ def test_a_sampler_is_a_name_or_any_function():
 
 def test_what_is_left_open_is_the_others_and_nothing_else():
     own = Sampling(guidance=1.5, stitch_from=0.2)
-    assert Sampling(stitch_from=0.0).over(own).over(DEFAULT) == dataclasses.replace(
+    assert Sampling(stitch_from=0.0).with_defaults(own).with_defaults(DEFAULT) == dataclasses.replace(
         DEFAULT, guidance=1.5, stitch_from=0.0
     )
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import stmc
 from stmc.evaluation.benchmarks.samples import Samples
-from stmc.io.files import FolderInUse, locked
+from stmc.io.files import FolderInUse, lock_folder
 from stmc.settings.records import SettingError
 from stmc.settings.shards import Shard, describe_shards
 
@@ -66,10 +66,10 @@ def test_shares_are_listed_in_words_and_not_without_end():
 
 def test_a_lock_is_waited_for_as_long_as_there_is_patience(tmp_path):
     with ThreadPoolExecutor() as pool:
-        with locked(tmp_path):
-            with pytest.raises(FolderInUse), locked(tmp_path, patience=0.01):
+        with lock_folder(tmp_path):
+            with pytest.raises(FolderInUse), lock_folder(tmp_path, patience=0.01):
                 pass
-            waiting = pool.submit(lambda: locked(tmp_path, patience=60).__enter__())
+            waiting = pool.submit(lambda: lock_folder(tmp_path, patience=60).__enter__())
             assert not waiting.done()
         waiting.result(timeout=60)
 

@@ -77,7 +77,7 @@ def test_a_character_is_stored_once_listed_sent_as_it_came_and_deleted(client):
 
 
 def test_characters_outlive_the_server_in_files_that_nobody_else_can_read(tmp_path):
-    name = Characters(tmp_path / "characters").received(HERO, "hero.glb")
+    name = Characters(tmp_path / "characters").receive(HERO, "hero.glb")
     (tmp_path / "characters" / f"{'0' * 32}.glb").write_bytes(HERO)  # of a process that was killed
     (tmp_path / "characters" / "damaged.json").write_text("[]")
     again = Characters(tmp_path / "characters")
@@ -91,15 +91,15 @@ def test_characters_outlive_the_server_in_files_that_nobody_else_can_read(tmp_pa
 def test_characters_are_bounded_in_number_and_bytes(tmp_path, monkeypatch):
     characters = Characters(tmp_path)
     monkeypatch.setattr(character_storage, "MOST_CHARACTERS", 2)
-    names = [characters.received(figures.glb(figures.stocky(), seed=seed), "a.glb") for seed in (1, 2)]
+    names = [characters.receive(figures.glb(figures.stocky(), seed=seed), "a.glb") for seed in (1, 2)]
     with pytest.raises(RequestError, match="there are 2 characters; delete some") as caught:
-        characters.received(HERO, "b.glb")
+        characters.receive(HERO, "b.glb")
     assert caught.value.status == 507
-    characters.received(figures.glb(figures.stocky(), seed=1), "again.glb")  # one that is there needs no room
+    characters.receive(figures.glb(figures.stocky(), seed=1), "again.glb")  # one that is there needs no room
     characters.delete(names[0])
     monkeypatch.setattr(character_storage, "MOST_CHARACTER_BYTES", len(HERO))
     with pytest.raises(RequestError, match="larger than"):
-        characters.received(HERO, "b.glb")
+        characters.receive(HERO, "b.glb")
 
 
 # Hostile files
@@ -244,7 +244,7 @@ def test_a_motion_that_is_too_long_for_a_character_is_refused(client, walk, monk
 
 def test_poses_are_computed_once_for_each_motion(tmp_path, monkeypatch):
     characters, motion = Characters(tmp_path), walking(seconds=0.5)
-    name = characters.received(HERO, "hero.glb")
+    name = characters.receive(HERO, "hero.glb")
     first = characters.poses(name, "walk", motion)
     monkeypatch.setattr(character_storage, "retarget", None)
     assert characters.poses(name, "walk", motion) is first
@@ -255,7 +255,7 @@ def test_poses_are_computed_once_for_each_motion(tmp_path, monkeypatch):
 
 def test_a_fast_recording_is_shown_at_the_rate_of_a_screen(tmp_path):
     characters = Characters(tmp_path)
-    name = characters.received(HERO, "hero.glb")
+    name = characters.receive(HERO, "hero.glb")
     fast = walking(seconds=1.0, fps=240)
     document, _ = figures.unpacked(characters.poses(name, "fast", fast))
     assert document["accessors"][0]["count"] == 60

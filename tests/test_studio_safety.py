@@ -86,7 +86,7 @@ def test_of_two_processes_that_save_one_version_only_one_is_told_that_it_is_kept
 
 @pytest.mark.slow
 def test_a_second_studio_on_a_folder_ends_with_a_line_that_says_who_has_it(tmp_path):
-    with stmc.io.files.locked(tmp_path / "studio"):
+    with stmc.io.files.lock_folder(tmp_path / "studio"):
         done = script("studio", f"folder={tmp_path / 'studio'}", "port=0", "open=false", folder=tmp_path, check=False)
     assert done.returncode == 2
     [line] = done.stdout.strip().splitlines()

@@ -35,7 +35,7 @@ from stmc.evaluation.benchmarks.samples import Samples
 from stmc.evaluation.results import Result, read_results, write_results
 from stmc.evaluation.results.naming import REAL
 from stmc.evaluation.results.result_records import SETTINGS, Setting
-from stmc.io.files import locked, write_text, write_whole
+from stmc.io.files import lock_folder, write_text, write_whole
 from stmc.model import Precision
 from stmc.run import BUNDLED_EVALUATOR, bundled, fingerprint
 from stmc.settings.records import record_of, setting
@@ -80,7 +80,7 @@ def main(config: DictConfig) -> None:
     for part in ("table", *(["figure"] if config.experiment.figure else [])):
         build_part(config, f"experiment.{part}")  # fail now rather than after the runs
     benchmark = build_benchmark(config)
-    with locked(folder, PATIENCE):
+    with lock_folder(folder, PATIENCE):
         begin(folder, describe_output(config))
     runs = [Run(benchmark, models.get(each.denoiser), each, seed, folder) for seed in config.seeds for each in settings]
     with Progress(
@@ -240,7 +240,7 @@ def generate(run: Run, numbers: list[int], config: DictConfig) -> tuple[list[stm
 
 def measure(run: Run) -> list[int]:
     """Add the run's record once all its motions exist, unless another process did; return the missing indices."""
-    with locked(run.folder, PATIENCE):
+    with lock_folder(run.folder, PATIENCE):
         results = read_records(run.folder)
         if (run.setting, run.seed) in results:
             return []

@@ -21,7 +21,7 @@ from stmc.cli.config_parts import build_part, signature_of_part
 from stmc.data.cache import is_current
 from stmc.data.preparation import Preparation
 from stmc.data.report import TEXT, lines, write_report
-from stmc.io.files import locked
+from stmc.io.files import lock_folder
 from stmc.settings.records import SettingError, setting
 
 INPUTS = ("source", "annotations", "body")
@@ -46,7 +46,7 @@ class Settings:
 def main(config: DictConfig) -> None:
     folder, preparation = Path(config.folder).expanduser(), build_preparation(config)
     preparation.check()
-    with locked(folder):
+    with lock_folder(folder):
         prepare(preparation, folder, config.workers or os.cpu_count() or 1, Console())
 
 

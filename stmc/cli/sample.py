@@ -39,7 +39,7 @@ from stmc.cli.sample_folder import CHOICES, FORMATS, Job, MotionFolder
 from stmc.cli.shared_settings import OnModel, Sharded
 from stmc.composing import find_method
 from stmc.composing.sampling import Sampling
-from stmc.diffusion.tensors import found_device
+from stmc.diffusion.tensors import resolve_device
 from stmc.editing.generate_request import GenerateRequest, names
 from stmc.io.filenames import distinct_names
 from stmc.io.files import probe, remove_leftovers, sha256
@@ -162,7 +162,7 @@ def check(settings: Settings) -> None:
     """Raise `SettingError` for formats whose packages are missing, and for devices that this machine lacks."""
     if not settings.formats:
         raise SettingError(f"formats=[]: choose from {', '.join(CHOICES)}")
-    found_device(settings.device)
+    resolve_device(settings.device)
     for each in EXPORTS:
         if each.name in settings.formats and each.check is not None:
             try:

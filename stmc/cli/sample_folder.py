@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import stmc
 from stmc.editing.generate_request import GenerateRequest, prompts_of
 from stmc.io.filenames import name_of_texts
-from stmc.io.files import held, scratch, sha256, write_text
+from stmc.io.files import lock_file, scratch, sha256, write_text
 from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
 from stmc.text.vocabulary import Recognition
 from stmc.timeline import Timeline
@@ -81,7 +81,7 @@ class MotionFolder:
             for path in made:
                 self._write(motion, path, job, unknown)
             digests = {path.suffix[1:]: sha256(path) for path in made}
-            with held(self.path / f".{job.name}.lock", math.inf):
+            with lock_file(self.path / f".{job.name}.lock", math.inf):
                 request, former = self._recorded(job.name)
                 kept = self._whole(job.name, former) if request == self.record(job) else set()
                 for kind in former.keys() - kept:
@@ -117,14 +117,14 @@ class MotionFolder:
 
         A damaged or older record yields no request, and every format without a digest.
         """
-        try:
-            request = load_json(read_text(self.path / f"{name}.json", MOST_BYTES))
-            digests = request.pop("files")
-            return request, {kind: digests[kind] for kind in CHOICES if kind in digests}
-        except (FileNotFoundError, NotADirectoryError):
+        path = self.path / f"{name}.json"
+        if not path.exists():
             return None, {}
-        except (UnreadableError, AttributeError, KeyError, TypeError):
+        request = read_record(path)
+        digests = request.pop("files", None)
+        if not isinstance(digests, dict):
             return None, dict.fromkeys(CHOICES)
+        return request, {kind: digests[kind] for kind in CHOICES if kind in digests}
 
     def _whole(self, name: str, digests: Mapping[str, str | None]) -> set[str]:
         """Return the formats whose files match their digests."""

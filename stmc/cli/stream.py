@@ -26,7 +26,7 @@ from stmc.cli.sample import read_timelines
 from stmc.cli.shared_settings import OnDevice, Threaded
 from stmc.cli.stream_outputs import Output, open_output
 from stmc.composing.sampling import Sampling
-from stmc.diffusion.tensors import found_device
+from stmc.diffusion.tensors import resolve_device
 from stmc.editing.generate_request import GenerateRequest
 from stmc.editing.stream_edits import answer_edit
 from stmc.editing.streaming import Frame, MotionStream
@@ -65,7 +65,7 @@ def main(settings: Settings) -> None:
     timelines = [] if settings.timeline is None else read_timelines(settings.timeline)[0]
     if len(timelines) > 1:
         raise SettingError(f"timeline={settings.timeline}: {len(timelines)} timelines; a stream plays one")
-    found_device(settings.device)
+    resolve_device(settings.device)
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     with open_output(settings.to, settings.allow_remote) as output, console.status("loading the model") as status:
         stream = open_stream(settings, timelines)

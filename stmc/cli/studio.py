@@ -25,7 +25,7 @@ import stmc
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel, Threaded
 from stmc.io.extras import require
-from stmc.io.files import locked, probe
+from stmc.io.files import lock_folder, probe
 from stmc.model import Precision
 from stmc.settings.records import SettingError, setting
 
@@ -56,7 +56,7 @@ def main(settings: Settings) -> None:
 
     folder = Path(settings.folder).expanduser()
     probe(private_folder(folder))
-    with locked(folder), listen(settings.port) as listening:
+    with lock_folder(folder), listen(settings.port) as listening:
         serve(settings, folder, listening)
 
 

@@ -86,20 +86,12 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
     )
     held_out = ClipBatches(dataset, "val", recipe, settings.seed)
     torch.manual_seed(settings.seed)
-    with open_dict(config):
-        config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
-    model = build_model(config, dataset, cache, default_sampling(config, distilled), int(recipe.longest * dataset.fps))
-    denoiser = model.network
-    if started:
-        denoiser.load_state_dict(started.network.state_dict())
-        denoiser.restate(started.motion_statistics, dataset.motion.to("cpu"))
-    check_texts(recipe, denoiser)
+    sampling = default_sampling(config, distilled)
+    model = start_model(build_model(config, dataset, cache, sampling, int(recipe.longest * dataset.fps)), started)
+    check_texts(recipe, model.network)
     check(model, config.trusted)  # before the first step: refuse to train a model that could not be loaded
-    described = resolve_config(config) | {"cache": cache.fingerprint}
-    if config.teacher is None:
-        del described["teacher"]  # runs from before this setting existed can be resumed
     trainer: training.Trainer = training.Trainer(
-        denoiser,
+        model.network,
         build_objective(config, dataset, model, distilled),
         ClipBatches(dataset, "train", recipe, settings.seed),
         Path(config.run).expanduser(),
@@ -115,10 +107,26 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
             ),
         ],
         accelerator=accelerator,
-        described=described,
+        described=describe_run(config, cache),
         allow_changed_settings=config.allow_changed_settings,
     )
     trainer.run()
+
+
+def start_model(model: Model, started: Model | None) -> Model:
+    """Load the weights of the model that training starts from, if there is one, and return `model`."""
+    if started:
+        model.network.load_state_dict(started.network.state_dict())
+        model.network.restate(started.motion_statistics, model.motion_statistics)
+    return model
+
+
+def describe_run(config: DictConfig, cache: Cache) -> dict[str, Any]:
+    """Return everything that decides the trained weights; a run resumes only with an equal description."""
+    described = resolve_config(config) | {"cache": cache.fingerprint}
+    if config.teacher is None:
+        del described["teacher"]  # runs from before this setting existed can be resumed
+    return described
 
 
 def check_texts(recipe: Recipe, denoiser: Network) -> None:
@@ -256,7 +264,7 @@ def default_sampling(config: DictConfig, distilled: Model | None = None) -> Samp
             independent = min(math.ceil(distilled.sampling.stitch_from * steps), steps - 1)
             values["stitch_from"] = independent / steps
     own = record_of(Sampling, values)
-    return own.over(distilled.sampling) if distilled else own
+    return own.with_defaults(distilled.sampling) if distilled else own
 
 
 def build_model(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sampling, longest: int) -> Model:
@@ -269,6 +277,8 @@ def build_model(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sa
         sampling: Sampling defaults.
         longest: Maximum number of frames of a motion.
     """
+    with open_dict(config):
+        config.denoiser.update(features=dataset.features_width, text_width=dataset.text_width)
     described = resolve_config(config)
     parts = build(described, trusted=config.trusted)
     representation, encoder = parts["representation"], Cached(parts["text_encoder"], config.text_cache)

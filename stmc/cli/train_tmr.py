@@ -47,6 +47,10 @@ class Settings(Trained):
     init_from: str | None = setting(None, "run directory of the same network to start from; null: fresh weights")
 
 
+RECALL_COLUMNS = tuple(f"{direction}_R{rank}" for direction in ("t2m", "m2t") for rank in (1, 3, 10))
+"""Columns of `retrieval.csv`: text to motion and motion to text."""
+
+
 @command("train_tmr", Settings, ("run",))
 def main(config: DictConfig) -> None:
     with training.begin(config.run, config.device) as accelerator:
@@ -65,8 +69,6 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
         for split in ("train", "val")
     )
     torch.manual_seed(settings.seed)
-    with open_dict(config):
-        config.network.update(features=dataset.features_width, text_width=dataset.text_width)
     folder = Path(config.run).expanduser()
     evaluator = build_evaluator(config, dataset)
     if started:
@@ -82,7 +84,10 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
         validation=[piece for step in range(config.validation) for piece in held_out(step)],
         callbacks=[
             training.Callback(
-                settings.validate_every, lambda step, network: watch(step, replace(evaluator, network=network))
+                settings.validate_every,
+                lambda step, network: table.write(
+                    step, measure_recall(replace(evaluator, network=network), held_out, "val")
+                ),
             ),
             training.Callback(
                 settings.checkpoint_every,
@@ -95,14 +100,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
         described=resolve_config(config) | {"cache": cache.fingerprint},
         allow_changed_settings=config.allow_changed_settings,
     )
-    columns = tuple(f"{way}_R{count}" for way in ("t2m", "m2t") for count in (1, 3, 10))
-    table = Table(folder / "retrieval.csv", columns, trainer.step)
-
-    def watch(step: int, evaluator: Evaluator) -> None:
-        """Log the retrieval of the validation split's clips."""
-        found = measure_retrieval(evaluator, held_out, "val")["true"]
-        table.write(step, {f"{way}_R{count}": found[way]["recall"][count] for way in found for count in (1, 3, 10)})
-
+    table = Table(folder / "retrieval.csv", RECALL_COLUMNS, trainer.step)
     trainer.run()
 
 
@@ -126,6 +124,8 @@ def export(config: DictConfig, evaluator: Evaluator, held_out: PairBatches, step
 
 def build_evaluator(config: DictConfig, dataset: Dataset) -> Evaluator:
     """Build the evaluator as it would be loaded from the run directory, with fresh weights."""
+    with open_dict(config):
+        config.network.update(features=dataset.features_width, text_width=dataset.text_width)
     described = resolve_config(config)
     parts = build(described, EVALUATOR_PARTS, config.trusted)
     return Evaluator(
@@ -137,6 +137,14 @@ def build_evaluator(config: DictConfig, dataset: Dataset) -> Evaluator:
         fps=dataset.fps,
         config={part: described[part] for part in EVALUATOR_PARTS},
     )
+
+
+def measure_recall(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict[str, float]:
+    """Measure the recall of every text that is true of a motion, by column of `RECALL_COLUMNS`."""
+    retrieval = measure_retrieval(evaluator, pairs, split)["true"]
+    return {
+        f"{direction}_R{rank}": retrieval[direction]["recall"][rank] for direction in retrieval for rank in (1, 3, 10)
+    }
 
 
 def measure_retrieval(evaluator: Evaluator, pairs: PairBatches, split: str) -> dict:

@@ -3,7 +3,7 @@
 from stmc.composing.batching import Guided
 from stmc.composing.double_take import first_take_weights
 from stmc.composing.guided import NULL, SequenceDenoiser, distinct_texts, guided_crops, guided_sequences
-from stmc.composing.inpainting import Known, impute, inpaint
+from stmc.composing.inpainting import Observed, impute, inpaint
 from stmc.composing.interpolation import slerp, smooth_seams
 from stmc.composing.methods import METHODS, Method, Rule, find_method, resolve_settings, stitched
 from stmc.composing.retiming import time_warp
@@ -16,8 +16,8 @@ __all__ = [
     "NULL",
     "Columns",
     "Guided",
-    "Known",
     "Method",
+    "Observed",
     "Progress",
     "Rule",
     "Run",

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.composing.inpainting import Known
+from stmc.composing.inpainting import Observed
 from stmc.motion.body import BodyPart
 from stmc.timeline.planning import Crop, Plan, Tile
 
@@ -57,8 +57,11 @@ def _actions_in_order(timeline: int, plan: Plan) -> list[Action]:
 
 
 def observed_features(
-    actions: Sequence[Action], lengths: Sequence[int], made: Float[Tensor, "batch _ features"], known: Known | None
-) -> Known:
+    actions: Sequence[Action],
+    lengths: Sequence[int],
+    finished: Float[Tensor, "batch _ features"],
+    observed: Observed | None,
+) -> Observed:
     """Return the observed features of the actions of one round.
 
     These are the finished frames that each action looks back on; all other frames are observed as in the timelines.
@@ -66,16 +69,16 @@ def observed_features(
     Args:
         actions: Actions of the round.
         lengths: Number of frames that the denoiser sees of each action.
-        made: Finished features of the timelines, [batch, frames, features].
-        known: Observed features of the timelines, or None.
+        finished: Finished features of the timelines, [batch, frames, features].
+        observed: Observed features of the timelines, or None.
     """
-    content = made.new_zeros(len(actions), max(lengths), made.shape[-1])
+    content = finished.new_zeros(len(actions), max(lengths), finished.shape[-1])
     weights = torch.zeros_like(content)
     for row, (action, length) in enumerate(zip(actions, lengths, strict=True)):
         start = action.crop.start
-        for target, source in zip((content, weights), known or (), strict=False):
+        for target, source in zip((content, weights), observed or (), strict=False):
             chunk = source[action.timeline, start : start + length]
             target[row, : len(chunk)] = chunk
-        content[row, : action.start - start] = made[action.timeline, start : action.start]
+        content[row, : action.start - start] = finished[action.timeline, start : action.start]
         weights[row, : action.start - start] = 1
-    return Known(content, weights)
+    return Observed(content, weights)

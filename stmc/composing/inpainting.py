@@ -15,7 +15,7 @@ from torch import Tensor
 from stmc.diffusion import Predict
 
 
-class Known(NamedTuple):
+class Observed(NamedTuple):
     """Observed features of timelines, normalised, and their weights: 1 is kept, 0 is generated, and values in between
     form a border (see `impute`).
     """

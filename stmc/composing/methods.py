@@ -296,7 +296,7 @@ def resolve_settings(requested: Sampling, method: Method, own: Sampling) -> Samp
         method: The method.
         own: Complete defaults of the model.
     """
-    resolved = replace(requested.over(own), **method.fixed)
+    resolved = replace(requested.with_defaults(own), **method.fixed)
     taken = settings_taken(resolved.sampler)
     absent = {name for name in _SAMPLER_SETTINGS if name not in taken} | {
         name for name in requested.given if getattr(own, name) is None and name not in _SAMPLER_SETTINGS
@@ -304,15 +304,14 @@ def resolve_settings(requested: Sampling, method: Method, own: Sampling) -> Samp
     return replace(resolved, **dict.fromkeys(absent))
 
 
-def check_settings(requested: Sampling, method: Method, own: Sampling) -> None:
+def check_settings(requested: Sampling, resolved: Sampling, method: Method) -> None:
     """Raise `SettingError` if a requested setting would be ignored by this method, sampler or model.
 
     Args:
         requested: Requested settings.
+        resolved: The settings of the run; see `resolve_settings`.
         method: The method.
-        own: Complete defaults of the model.
     """
-    resolved = resolve_settings(requested, method, own)
     for name, value in requested.given.items():
         used = getattr(resolved, name)
         if value != used and not (used is None and value == 0):

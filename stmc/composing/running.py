@@ -15,7 +15,7 @@ from torch import Tensor
 
 from stmc.composing.autoregression import Action, action_rounds, observed_features
 from stmc.composing.batching import Guided
-from stmc.composing.inpainting import Known, impute
+from stmc.composing.inpainting import Observed, impute
 from stmc.composing.sampling import Sampling
 from stmc.composing.stitching import (
     Columns,
@@ -57,9 +57,9 @@ class Run:
         fixed_length: The denoiser's `fixed_length`; see `Network`.
         device: Device of the features.
         progress: Displays progress.
-        once: Texts of one-shot actions; see `planning.plan`.
-        known: Observed features, or None.
-        meet: Moves clean timelines [batch, frames, features] towards constraints, or None.
+        one_shot: Texts of one-shot actions; see `planning.plan`.
+        observed: Observed features, or None.
+        constrain: Moves clean timelines [batch, frames, features] towards constraints, or None.
         window: Frames [start, end) of the one timeline to sample, with the noise of those frames; None: all frames.
     """
 
@@ -77,9 +77,9 @@ class Run:
     fixed_length: int | None
     device: torch.device
     progress: Progress
-    once: Collection[str] = ()
-    known: Known | None = None
-    meet: Callable[[Tensor], Tensor] | None = None
+    one_shot: Collection[str] = ()
+    observed: Observed | None = None
+    constrain: Callable[[Tensor], Tensor] | None = None
     window: Span | None = None
 
     @property
@@ -105,7 +105,7 @@ class Run:
     def plans(self, overlap: int | None = None) -> list[Plan]:
         """Lay out each timeline, with transitions of `overlap` frames; None uses the overlap of the run."""
         overlap = self.overlap if overlap is None else overlap
-        arguments = (self.fps, overlap, self.longest, self.once, self.window)
+        arguments = (self.fps, overlap, self.longest, self.one_shot, self.window)
         return [plan(timeline, *arguments) for timeline in self.timelines]
 
     def collage(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
@@ -117,8 +117,8 @@ class Run:
 
         Constraints are applied first.
         """
-        meet, observed = self.meet, self.known
-        constrained = predict if meet is None else lambda x, t: meet(predict(x, t))
+        constrain, observed = self.constrain, self.observed
+        constrained = predict if constrain is None else lambda x, t: constrain(predict(x, t))
         return constrained if observed is None else impute(constrained, *observed)
 
     def crops(self, plans: Sequence[Plan], guidance: float | int | None = None) -> Predict:
@@ -175,16 +175,16 @@ class Run:
                 features[action.timeline, action.start : action.crop.end] = crop[owned]
         return features
 
-    def _sample_with_context(self, made: Tensor, actions: Sequence[Action]) -> Tensor:
-        """Sample the crops of a round of actions, each with its context in `made`."""
+    def _sample_with_context(self, features: Tensor, actions: Sequence[Action]) -> Tensor:
+        """Sample the crops of a round of actions, each with its context in `features`."""
         plans = [action.plan for action in actions]
         lengths = crop_lengths(plans, self.fixed_length)
-        observed = observed_features(actions, lengths, made, self.known)
+        observed = observed_features(actions, lengths, features, self.observed)
         draw = self._noise([(self.seeds[action.timeline], action.number) for action in actions], lengths)
         return self.denoise(impute(self.guided(plans, self.guidance), *observed), draw(), draw)
 
     def _check_no_constraints(self) -> None:
-        if self.meet is not None:
+        if self.constrain is not None:
             raise SettingError(
                 "constraints need a method that composes at every step; this method combines finished crops"
             )
@@ -206,15 +206,15 @@ class Run:
 
     def _guided(self, plans: Sequence[Plan], guidance: float | int) -> Guided:
         """Build a predictor of the crops that contain something to generate; others are predicted as zero."""
-        if self.known is None:
+        if self.observed is None:
             return self.guided(plans, guidance)
-        return self.guided(plans, guidance, needed=crops_needed(plans, self.known.weights == 1, self.columns))
+        return self.guided(plans, guidance, needed=crops_needed(plans, self.observed.weights == 1, self.columns))
 
     def _impute_crops(self, predict: Predict, plans: Sequence[Plan]) -> Predict:
         """Wrap a predictor of independent crops so that it returns the observed features."""
-        if self.known is None:
+        if self.observed is None:
             return predict
-        return impute(predict, *(crops_of(values, plans, self.fixed_length) for values in self.known))
+        return impute(predict, *(crops_of(values, plans, self.fixed_length) for values in self.observed))
 
     def _states(self, predict: Predict, x: Tensor, draw: Draw, times: tuple[int, ...]) -> Iterable[Tensor]:
         schedule = self.schedule.respaced(times)

@@ -56,14 +56,14 @@ class Sampling:
     def __post_init__(self) -> None:
         check(self)
 
-    def over(self, other: Sampling) -> Sampling:
-        """Return these settings, with those of `other` in place of open ones.
+    def with_defaults(self, defaults: Sampling) -> Sampling:
+        """Return these settings, with `defaults` in place of open ones.
 
         Examples:
-            >>> dict(stmc.Sampling(steps=50).over(stmc.Sampling(steps=100, overlap=0.5)).given)
+            >>> dict(stmc.Sampling(steps=50).with_defaults(stmc.Sampling(steps=100, overlap=0.5)).given)
             {'steps': 50, 'overlap': 0.5}
         """
-        return replace(other, **self.given)
+        return replace(defaults, **self.given)
 
     @property
     def given(self) -> Mapping[str, Any]:

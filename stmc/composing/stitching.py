@@ -87,24 +87,26 @@ def collage(predict: Predict, plans: Sequence[Plan], columns: Columns, fixed_len
     return lambda x, t: F.pad(stitch(predict(cut(x), t)[:, :longest]), (0, 0, 0, extra))
 
 
-def crops_needed(plans: Sequence[Plan], known: Bool[Tensor, "batch _ features"], columns: Columns) -> tuple[bool, ...]:
+def crops_needed(
+    plans: Sequence[Plan], observed: Bool[Tensor, "batch _ features"], columns: Columns
+) -> tuple[bool, ...]:
     r"""Return, for every crop of all plans, whether a collage uses any part of it that is not observed.
 
     Args:
         plans: Plan of each timeline.
-        known: True at observed features, [batch, frames, features].
+        observed: True at observed features, [batch, frames, features].
         columns: Columns of each body part.
 
     Examples:
         >>> plan = stmc.plan(stmc.Timeline.parse("walk # 0 # 2\njump # 2 # 4"), fps=20, overlap=10)
-        >>> known = torch.zeros(1, 80, 5, dtype=torch.bool)
-        >>> known[:, :60] = True
+        >>> observed = torch.zeros(1, 80, 5, dtype=torch.bool)
+        >>> observed[:, :60] = True
         >>> columns = {part: [column] for column, part in enumerate(stmc.BodyPart)}
-        >>> [crop.text for crop, needed in zip(plan.crops, crops_needed([plan], known, columns)) if needed]
+        >>> [crop.text for crop, needed in zip(plan.crops, crops_needed([plan], observed, columns)) if needed]
         ['jump']
     """
     needed = []
-    for plan, row in zip(plans, known.cpu(), strict=True):
+    for plan, row in zip(plans, observed.cpu(), strict=True):
         open_frames = {part: ~row[:, list(owned)].all(dim=1) for part, owned in columns.items()}
         tiles = [(tile.crop, bool(open_frames[tile.part][tile.start : tile.end].any())) for tile in plan.tiles]
         used = {crop for crop, is_open in tiles if is_open}

@@ -62,7 +62,7 @@ class PerDevice(Generic[Value]):
         return self._values[key]
 
 
-def found_device(device: torch.device | str) -> torch.device | str:
+def resolve_device(device: torch.device | str) -> torch.device | str:
     """Resolve "auto" to an available device, or check that a named device is available.
 
     "auto" selects an accelerator if one is available. Of several GPUs it selects the one of this process if `accelerate

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.composing import Known, Run
+from stmc.composing import Observed, Run
 from stmc.diffusion.statistics import Statistics
 from stmc.editing import Kept, changed_prompt, move_to_body
 from stmc.editing.constraints import Constraint, Guidance, Order, Pose, project
@@ -58,7 +58,7 @@ class Conditions:
             name = type(self.representation).__name__
             raise SettingError(f"constraints: {name} has no forward kinematics; use a model with SmplRepresentation")
 
-    def observed(self, canvas: int, device: torch.device) -> Known | None:
+    def observed(self, canvas: int, device: torch.device) -> Observed | None:
         """Return the kept motions as normalised features, padded to `canvas` frames; None if nothing is kept."""
         if not self.kept:
             return None
@@ -70,7 +70,7 @@ class Conditions:
             if len(raw) < len(weight):
                 x0[i, len(raw) - 1] = x0[i, len(raw) - 1].where(weight[len(raw) - 1] == 1, torch.nan)
             weights[i, : len(weight)] = weight
-        return Known(x0.to(device), weights.to(device))
+        return Observed(x0.to(device), weights.to(device))
 
     def constraint_guidance(self) -> Callable[[Tensor], Tensor] | None:
         """Return a function that moves clean features [batch, frames, features] towards the constraints, or None."""
@@ -105,7 +105,7 @@ class Conditions:
             raise SettingError(f"constraints pose the joints, so joints_from={joints_from!r} must be 'skeleton'")
         canvas = max(self.frames) + (run.fixed_length or 0)
         guidance = self.constraint_guidance()
-        features = sample(replace(run, known=self.observed(canvas, run.device), meet=guidance))
+        features = sample(replace(run, observed=self.observed(canvas, run.device), constrain=guidance))
         if guidance is not None:
             for _ in range(_REFINEMENT_PASSES):
                 features = guidance(features)

@@ -105,14 +105,14 @@ class GenerateRequest:
             check_name(name, names())
         sampling = {name: value for name, value in values.items() if name in field_infos(Sampling)}
         arguments = {name: value for name, value in values.items() if name not in sampling}
-        arguments["timelines"] = _read_timelines(arguments.get("timelines"))
-        arguments["seeds"] = _read_seeds(arguments.get("seeds", 0), len(arguments["timelines"]))
-        arguments["keep"] = _read_keep(arguments.get("keep"), len(arguments["timelines"]), find)
-        arguments["change"] = tuple(map(_read_change, _as_list(arguments.get("change"))))
-        arguments["constraints"] = tuple(
-            _read_constraint(item, find) for item in _as_list(arguments.get("constraints"))
-        )
-        return record_of(cls, arguments | {"sampling": record_of(Sampling, sampling), "trusted": tuple(trusted)})
+        timelines = _read_timelines(arguments.get("timelines"))
+        keep = _read_keep(arguments.get("keep"), len(timelines), find)
+        change = tuple(map(_read_change, _as_list(arguments.get("change"))))
+        constraints = tuple(_read_constraint(item, find) for item in _as_list(arguments.get("constraints")))
+        seeds = _read_seeds(arguments.get("seeds", 0), len(timelines))
+        arguments |= {"timelines": timelines, "seeds": seeds, "keep": keep, "change": change}
+        arguments |= {"constraints": constraints, "sampling": record_of(Sampling, sampling), "trusted": tuple(trusted)}
+        return record_of(cls, arguments)
 
     @property
     def resolved_method(self) -> Method:

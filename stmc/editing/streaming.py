@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stmc.composing import Known, Run
+from stmc.composing import Observed, Run
 from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.body_model import Skeleton
 from stmc.motion.feet import clean_feet
@@ -108,7 +108,7 @@ class MotionStream(Iterator[Frame]):
         self._run, self._sample, self._clean = run, request.resolved_method.sample, request.clean_feet
         self.skeleton, self._representation = Skeleton(skeleton.offsets.double()), representation
         self._live, self._one_shot = LiveTimeline(run.fps, prompts, memory=2 * run.longest), one_shot
-        self._timeline, self._once = timeline, one_shot([timeline])
+        self._timeline, self._one_shot_texts = timeline, one_shot([timeline])
         self._sheet: _Sheet | None = None
         self._ready = 0
         """The first frame that is not final; the frames of the sheet from here on fade out in the next block."""
@@ -207,7 +207,7 @@ class MotionStream(Iterator[Frame]):
         end = self._ready + self._frames(LOOKAHEAD_SECONDS)
         before = self._needed_tiles(end)
         self._timeline = self._live.timeline or EMPTY
-        self._once = self._one_shot([self._timeline])
+        self._one_shot_texts = self._one_shot([self._timeline])
         if self._needed_tiles(end) != before:
             self._ready = self.cursor
 
@@ -230,7 +230,7 @@ class MotionStream(Iterator[Frame]):
         if last > finish:  # the pieces of the gap without end must not depend on the window
             last = finish + -(-(last - finish) // piece) * piece
         first = max(0, self.cursor - run.longest)
-        return first, plan(self._timeline, self.fps, run.overlap, run.longest, self._once, (first, last))
+        return first, plan(self._timeline, self.fps, run.overlap, run.longest, self._one_shot_texts, (first, last))
 
     def _next_block(self) -> tuple[Span, int]:
         """Return the frames of the next window, and the end of the block: a block does not end within a transition."""
@@ -256,15 +256,15 @@ class MotionStream(Iterator[Frame]):
         run = replace(
             self._run,
             timelines=[self._timeline],
-            once=self._once,
+            one_shot=self._one_shot_texts,
             window=(first, last),
-            known=self._observed(first, last),
+            observed=self._observed(first, last),
         )
         features = run.statistics.restore(self._sample(run)[0, : last - first].double().cpu())
         sheet = self._continue(features[self.cursor - first :])
         return self._clean_feet(sheet) if self._clean else sheet, end
 
-    def _observed(self, first: int, last: int) -> Known | None:
+    def _observed(self, first: int, last: int) -> Observed | None:
         """Return the frames that are out with weight 1, and the next frames of the sheet with fading weights."""
         if not self._sheet or not self.cursor:
             return None
@@ -273,7 +273,7 @@ class MotionStream(Iterator[Frame]):
         content[: len(values)] = run.statistics.normalise(values).float()
         frame = torch.arange(len(content)) - (self.cursor - 1) + first
         weights = (1 - frame / (self._frames(BORDER_SECONDS) + 1)).clamp(0, 1)[:, None].expand_as(content)
-        return Known(content[None].to(run.device), weights[None].to(run.device))
+        return Observed(content[None].to(run.device), weights[None].to(run.device))
 
     def _continue(self, features: Float[Tensor, "frames features"]) -> _Sheet:
         """Append features of the next frames to the frames that are out, at the place where those end."""

@@ -141,20 +141,20 @@ def _temporary(path: Path) -> Path:
 
 
 @contextmanager
-def locked(folder: Path, patience: float | int = 0.0) -> Iterator[None]:
+def lock_folder(folder: Path, patience: float | int = 0.0) -> Iterator[None]:
     """Lock a folder against other processes that use this lock. Creates the folder, and removes leftovers in it.
 
     The operating system releases the lock when the process ends, however it ends. Raises `FolderInUse` if another
     process still holds the lock after `patience` seconds. File systems without locks give a warning and no protection.
     """
-    with held(Path(folder) / LOCK, patience):
+    with lock_file(Path(folder) / LOCK, patience):
         remove_leftovers(folder)
         yield
 
 
 @contextmanager
-def held(path: Path, patience: float | int = 0.0) -> Iterator[None]:
-    """Hold the lock file `path` against other processes; create its folder. Raises as `locked`."""
+def lock_file(path: Path, patience: float | int = 0.0) -> Iterator[None]:
+    """Hold the lock file `path` against other processes; create its folder. Raises as `lock_folder`."""
     from filelock import FileLock, Timeout  # imported late: it is slow to import
 
     path.parent.mkdir(parents=True, exist_ok=True)

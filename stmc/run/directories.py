@@ -20,7 +20,7 @@ from safetensors.torch import load_file, save_file
 
 from stmc.composing.sampling import Sampling
 from stmc.diffusion.statistics import Statistics
-from stmc.diffusion.tensors import found_device
+from stmc.diffusion.tensors import resolve_device
 from stmc.evaluators import Evaluator
 from stmc.io.files import sha256, write_text, write_whole
 from stmc.model import Model, Precision
@@ -110,7 +110,7 @@ def load(
     """
     if precision not in get_args(Precision):
         raise ValueError(f"unknown precision {quote(precision)}; choose from {', '.join(get_args(Precision))}")
-    resolved_device = found_device(device)
+    resolved_device = resolve_device(device)
     folder = _run_directory(folder)
     config = _config(folder, PARTS)
     settings = settings_of(ModelSettings, config, folder / CONFIG)
@@ -143,7 +143,7 @@ def load_evaluator(
         >>> stmc.load_evaluator().texts(["walk", "jump"]).shape
         torch.Size([2, 128])
     """
-    resolved_device = found_device(device)
+    resolved_device = resolve_device(device)
     folder = _run_directory(folder, BUNDLED_EVALUATOR)
     config = _config(folder, EVALUATOR_PARTS)
     settings = settings_of(EvaluatorSettings, config, folder / CONFIG)

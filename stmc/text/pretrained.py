@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -100,27 +100,13 @@ def load(
     Raises:
         WeightsNotFound: If there is no model, if weights are missing, or if model.safetensors has another digest.
     """
-    AutoTokenizer = transformers().AutoTokenizer
-
     attempts = [True] if Path(source).is_dir() else [True, False]
     for local in attempts:
         try:
             with _quiet_transformers():
                 if sha256:
                     _check_digest(source, sha256, revision, local)
-                model, report = build(
-                    source,
-                    local_files_only=local,
-                    use_safetensors=_has_safetensors(source, revision, local),
-                    weights_only=True,
-                    output_loading_info=True,
-                    trust_remote_code=False,  # otherwise a model of the hub may ask to run its own code
-                    revision=revision,
-                    **settings,
-                )
-                tokenizer = AutoTokenizer.from_pretrained(
-                    source, local_files_only=local, trust_remote_code=False, revision=revision
-                )
+                tokenizer, model, report = _load_parts(source, build, revision, local, settings)
             break
         except WeightsNotFound:
             raise
@@ -163,6 +149,17 @@ def _has_safetensors(source: str, revision: str | None, local: bool) -> bool:
         return False
     assert missing is not None
     raise missing
+
+
+def _load_parts(
+    source: str, build: Callable[..., Any], revision: str | None, local: bool, settings: Mapping[str, bool]
+) -> tuple[Any, Any, dict[str, Any]]:
+    """Load the tokenizer, the model and the report of its missing weights; see `load`."""
+    place = {"revision": revision, "local_files_only": local}
+    place |= {"trust_remote_code": False}  # otherwise a model of the hub may ask to run its own code
+    safe = {"use_safetensors": _has_safetensors(source, revision, local), "weights_only": True}
+    model, report = build(source, output_loading_info=True, **safe, **place, **settings)
+    return transformers().AutoTokenizer.from_pretrained(source, **place), model, report
 
 
 def _check_digest(source: str, expected: str, revision: str | None, local: bool) -> None:

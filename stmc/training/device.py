@@ -9,8 +9,8 @@ from pathlib import Path
 import torch
 from accelerate import Accelerator
 
-from stmc.diffusion.tensors import found_device
-from stmc.io.files import locked
+from stmc.diffusion.tensors import resolve_device
+from stmc.io.files import lock_folder
 
 
 def find_accelerator(device: str) -> Accelerator:
@@ -22,7 +22,7 @@ def find_accelerator(device: str) -> Accelerator:
     choices = ("auto", "cpu", "cuda")
     if device not in choices:
         raise ValueError(f"device={device!r}: choose from {', '.join(choices)}")
-    return Accelerator(cpu=torch.device(found_device(device)).type != "cuda")
+    return Accelerator(cpu=torch.device(resolve_device(device)).type != "cuda")
 
 
 @contextmanager
@@ -32,5 +32,5 @@ def begin(run: str | Path, device: str) -> Iterator[Accelerator]:
     Raises `FolderInUse` if another process holds the lock.
     """
     accelerator = find_accelerator(device)
-    with locked(Path(run).expanduser()) if accelerator.is_main_process else nullcontext():
+    with lock_folder(Path(run).expanduser()) if accelerator.is_main_process else nullcontext():
         yield accelerator

@@ -125,7 +125,7 @@ class Trainer:
     """Trainer of a network, which resumes from the newest checkpoint in `folder` if there is one.
 
     A run that began with other settings raises `SettingsChanged`, or resumes with `allow_changed_settings`; `changes`
-    then lists what changed after which step. Two processes must not share a folder: see `stmc.io.files.locked`.
+    then lists what changed after which step. Two processes must not share a folder: see `stmc.io.files.lock_folder`.
 
     Args:
         network: Network to train, in place.

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from stmc.diffusion.statistics import Statistics
-from stmc.diffusion.tensors import found_device
+from stmc.diffusion.tensors import resolve_device
 from stmc.evaluators import Evaluator, GuoEvaluator, MatchingEvaluator
 from stmc.io.arrays import ArraysError, read_npy
 from stmc.motion.representation import BabelRepresentation, HumanML3DRepresentation
@@ -136,7 +136,7 @@ def read_guo_evaluator(
         CheckpointError: If weights or statistics are missing or do not fit.
         ArraysError: If word vectors are missing or do not fit.
     """
-    network = read_guo(Path(weights).expanduser()).to(found_device(device))
+    network = read_guo(Path(weights).expanduser()).to(resolve_device(device))
     words, vectors = network.text_encoder.pos_emb.out_features, Glove.read(glove)
     if vectors.vectors.shape[1] != words:
         raise ArraysError(f"{glove}: vectors have {vectors.vectors.shape[1]} numbers, but {weights} needs {words}")

@@ -116,7 +116,7 @@ def plan(
     fps: int | float,
     overlap: int,
     longest: int | None = None,
-    once: Collection[str] = (),
+    one_shot: Collection[str] = (),
     window: Span | None = None,
 ) -> Plan:
     r"""Lay out a timeline in crops and tiles.
@@ -134,8 +134,8 @@ def plan(
             body part is then selected from one crop, as in SINC (R11).
         longest: Maximum number of frames that the denoiser accepts. A prompt or gap whose widened crop would be longer
             is split into the fewest equal pieces that fit, with the same text, joined like any other transition.
-        once: Texts of one-shot actions, whatever their duration. Only the first piece of such a prompt has the text,
-            the others have none: nobody sits down every ten seconds.
+        one_shot: Texts of one-shot actions, whatever their duration. Only the first piece of such a prompt has the
+            text, the others have none: nobody sits down every ten seconds.
         window: Frames to plan; None plans all. Frame 0 of the plan is then the window's first frame. Pieces are those
             of the whole timeline, cut at the ends of the window, which may lie after the timeline's end, in a gap.
 
@@ -158,7 +158,7 @@ def plan(
     runs = {part: _cut_runs(owners[part], spans, split, (first, last)) for part in BodyPart}
     pieces = sorted({owned.piece for part in BodyPart for owned in runs[part]}, key=_row_order)
     changes = sorted({owned.start for part in BodyPart for owned in runs[part][1:]}) if overlap else []
-    texts = [_text(timeline, piece, spans, once) for piece in pieces]
+    texts = [_text(timeline, piece, spans, one_shot) for piece in pieces]
     crops = [Crop(text, *widening.widen(piece.start, piece.end)) for text, piece in zip(texts, pieces, strict=True)]
     crops += [Crop(None, *widening.widen(frame, frame)) for frame in changes]
     keys: list[_Piece | int] = [*pieces, *changes]
@@ -237,11 +237,11 @@ def _cut_runs(
     return owned
 
 
-def _text(timeline: Timeline, piece: _Piece, spans: Sequence[Span], once: Collection[str]) -> str | None:
+def _text(timeline: Timeline, piece: _Piece, spans: Sequence[Span], one_shot: Collection[str]) -> str | None:
     if piece.prompt is None:
         return None
     text = timeline.prompts[piece.prompt].text
-    return None if text in once and piece.start > spans[piece.prompt][0] else text
+    return None if text in one_shot and piece.start > spans[piece.prompt][0] else text
 
 
 def _row_order(piece: _Piece) -> tuple[bool, int, int]:

@@ -66,7 +66,7 @@ class AccessControl:
         elif (answer := self._refusal(scope)) is not None:
             await answer(scope, receive, _with_headers(scope, send))
         else:
-            await self.app(scope, _bounded(receive, self._most(scope)), _with_headers(scope, send))
+            await self.app(scope, _limit_body(receive, self._most(scope)), _with_headers(scope, send))
 
     def _refusal(self, scope: Scope) -> Response | None:
         """Return the answer to a rejected request, or None."""
@@ -115,11 +115,11 @@ async def _deny(scope: Scope, receive: Receive, send: Send) -> None:
         await send({"type": "websocket.close", "code": 1008, "reason": "the studio has no WebSockets"})
 
 
-def _bounded(receive: Receive, most: int) -> Receive:
+def _limit_body(receive: Receive, most: int) -> Receive:
     """Limit the size of a body and the time between its parts; waiting for a disconnection has no limit."""
     total, complete = 0, False
 
-    async def bounded() -> Message:
+    async def receive_part() -> Message:
         nonlocal total, complete
         if complete:
             return await receive()
@@ -133,18 +133,18 @@ def _bounded(receive: Receive, most: int) -> Receive:
             raise RequestError(413, "the request is too large")
         return message
 
-    return bounded
+    return receive_part
 
 
 def _with_headers(scope: Scope, send: Send) -> Send:
     """Add headers to every response; browsers do not cache the API, and revalidate files."""
     kept = "no-store" if scope["path"].startswith(API) else "no-cache"
 
-    async def sent(message: Message) -> None:
+    async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             headers.update(HEADERS)
             headers.setdefault("Cache-Control", kept)
         await send(message)
 
-    return sent
+    return send_with_headers

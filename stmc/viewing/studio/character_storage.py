@@ -85,8 +85,8 @@ class Characters:
         >>> characters = stmc.viewing.studio.Characters("characters")
         >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
         >>> stmc.write(motion, "hero.glb")
-        >>> name = characters.received(open("hero.glb", "rb").read(), "hero.glb")
-        >>> characters.told(name)["name"]
+        >>> name = characters.receive(open("hero.glb", "rb").read(), "hero.glb")
+        >>> characters.describe(name)["name"]
         'hero'
     """
 
@@ -102,7 +102,7 @@ class Characters:
             if not path.with_suffix(".json").exists():  # a process was killed before it wrote the record
                 path.unlink()
 
-    def received(self, content: bytes, filename: str) -> str:
+    def receive(self, content: bytes, filename: str) -> str:
         """Store the character of an uploaded file and return its name.
 
         Raises `RequestError` for a file that is no character, and if there are too many.
@@ -130,12 +130,12 @@ class Characters:
         found = []
         for path in paths:
             try:
-                found.append(self.told(path.stem))
+                found.append(self.describe(path.stem))
             except RequestError:
                 continue
         return found
 
-    def told(self, name: str) -> CharacterEntry:
+    def describe(self, name: str) -> CharacterEntry:
         """Describe a character for the page: its name, title, and the formats of a motion with it."""
         record = self._record(name)
         own = record["formats"]

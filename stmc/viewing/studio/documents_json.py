@@ -124,13 +124,13 @@ def _timeline(name: str, prompts: tuple[Prompt, ...]) -> Timeline:
 def as_data(timeline: Timeline) -> TimelineData:
     """Return the JSON data that `timeline_of` reads."""
     prompts: list[PromptData] = [
-        {"text": each.text, "start": each.start, "end": each.end, "parts": in_order(each.parts)}
+        {"text": each.text, "start": each.start, "end": each.end, "parts": sort_parts(each.parts)}
         for each in timeline.prompts
     ]
     return {"name": timeline.name, "prompts": prompts}
 
 
-def in_order(parts: Collection[BodyPart]) -> list[BodyPart]:
+def sort_parts(parts: Collection[BodyPart]) -> list[BodyPart]:
     """Return body parts as an ordered list for JSON."""
     return [part for part in BodyPart if part in parts]
 
@@ -157,7 +157,7 @@ def write_timeline(timeline: Timeline, kind: str) -> str:
     return TIMELINE_FILES[kind](timeline)
 
 
-def checked(timeline: Timeline, model: Model, suggest: Suggest) -> CheckedTimeline:
+def check_timeline(timeline: Timeline, model: Model, suggest: Suggest) -> CheckedTimeline:
     """Check a timeline before sampling. Raises `RequestError` if it cannot be planned.
 
     The result has the body parts, advice and row of each prompt, and for every body part its prompts and transitions
@@ -180,7 +180,7 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> CheckedTimeli
             raise RequestError(422, str(error), prompt=None) from None
     doubtful = {each.text: each for each in model.doubtful([timeline])}
     prompts = [
-        _described(prompt, row, suggestions[prompt.text], not listed, doubtful.get(prompt.text))
+        _describe_prompt(prompt, row, suggestions[prompt.text], not listed, doubtful.get(prompt.text))
         for prompt, row, listed in zip(timeline.prompts, timeline.rows, own, strict=True)
     ]
     owned = owned_seconds(timeline, model.fps, timeline.frames(model.fps), model.own_sampling.overlap or 0.0)
@@ -194,14 +194,14 @@ def checked(timeline: Timeline, model: Model, suggest: Suggest) -> CheckedTimeli
     }
 
 
-def _described(
+def _describe_prompt(
     prompt: Prompt, row: int, suggestion: Suggestion, suggested: bool, doubt: Recognition | None
 ) -> CheckedPrompt:
     return {
-        "parts": in_order(prompt.claims),
+        "parts": sort_parts(prompt.claims),
         "suggested": suggested,
         "confidence": suggestion.confidence if suggested else None,
-        "needs": [] if doubt is not None and not doubt.known else in_order(suggestion.needs),
+        "needs": [] if doubt is not None and not doubt.known else sort_parts(suggestion.needs),
         "advice": _advice(doubt),
         "row": row,
     }

@@ -15,7 +15,7 @@ from stmc.composing import Progress
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 from stmc.viewing.exports import EXPORTS, FILMS
-from stmc.viewing.studio.job_queue import Job, JobQueue, watched
+from stmc.viewing.studio.job_queue import Job, JobQueue, report_progress
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.storage import check_film, own_folder
 
@@ -72,12 +72,12 @@ class Films(JobQueue):
         """Draw a film into a file, and remove the oldest one beyond `MOST_FILMS`."""
         path, drawn = self._folder / f"{job.name}.{kind}", itertools.count()
 
-        def told() -> None:
+        def report() -> None:
             job.check()
-            job.tell("progress", stage=STAGE, step=min(next(drawn), motion.frames), steps=motion.frames)
+            job.emit("progress", stage=STAGE, step=min(next(drawn), motion.frames), steps=motion.frames)
 
         try:
-            self.render(motion, path, timeline, progress=watched(told))
+            self.render(motion, path, timeline, progress=report_progress(report))
             job.check()
             path.chmod(0o600)
         except BaseException:

@@ -113,10 +113,10 @@ class JsonQuery:
 
 def _parameter(name: str, schema: Schema) -> Schema:
     """Describe a parameter of an address: objects and lists are JSON texts there."""
-    told = {"name": name, "in": "query", "required": False, "description": schema["description"]}
+    described = {"name": name, "in": "query", "required": False, "description": schema["description"]}
     schema = {key: value for key, value in schema.items() if key != "description"}
     plain = "anyOf" not in schema and "$ref" not in schema and "object" not in schema.get("type", ())
-    return told | ({"schema": schema} if plain else {"content": {"application/json": {"schema": schema}}})
+    return described | ({"schema": schema} if plain else {"content": {"application/json": {"schema": schema}}})
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class Job:
         if self.cancelled:
             raise Cancelled
 
-    def tell(self, kind: str, **details: Any) -> None:
+    def emit(self, kind: str, **details: Any) -> None:
         """Emit an event, from any thread; events after the end are ignored."""
         with self._lock:
             if self.ended:
@@ -68,7 +68,7 @@ class Job:
                 if not loop.is_closed():
                     loop.call_soon_threadsafe(queue.put_nowait, (kind, details))
 
-    async def heard(self) -> AsyncIterator[Event]:
+    async def subscribe(self) -> AsyncIterator[Event]:
         """Yield past and future events up to the end."""
         queue: asyncio.Queue[Event] = asyncio.Queue()
         listener = (asyncio.get_running_loop(), queue)
@@ -108,13 +108,13 @@ class JobQueue:
         with self._changed:
             for other in [each for each in self._waiting if tab and each.tab == tab]:
                 self._waiting.remove(other)
-                other.tell("cancelled")
+                other.emit("cancelled")
             if len(self._waiting) >= MOST_WAITING:
                 raise RequestError(429, f"{MOST_WAITING} jobs are already waiting")
             self._known[job.name] = job
             self._forget()
             self._waiting.append(job)
-            job.tell("progress", stage="waiting", step=0, steps=0)
+            job.emit("progress", stage="waiting", step=0, steps=0)
             self._changed.notify_all()
         return job
 
@@ -132,7 +132,7 @@ class JobQueue:
             job.cancelled = True
             if job in self._waiting:
                 self._waiting.remove(job)
-                job.tell("cancelled")
+                job.emit("cancelled")
 
     def wait(self) -> None:
         """Wait until all jobs have ended."""
@@ -161,20 +161,20 @@ class JobQueue:
                 self._changed.wait_for(lambda: self._closed or self._waiting)
                 if self._closed:
                     for job in self._waiting:
-                        job.tell("cancelled")
+                        job.emit("cancelled")
                     return
                 job = self._current = self._waiting.popleft()
             _run(job)
 
 
-def watched(told: Callable[[], None]) -> Callable[..., Iterator[Any]]:
+def report_progress(report: Callable[[], None]) -> Callable[..., Iterator[Any]]:
     """Return a `Progress` that calls a function before each step and after the last."""
 
     def steps(items: Iterable[Any], total: int) -> Iterator[Any]:
-        told()
+        report()
         for item in items:
             yield item
-            told()
+            report()
 
     return steps
 
@@ -184,12 +184,12 @@ def _run(job: Job) -> None:
     try:
         job.work(job)
     except Cancelled:
-        job.tell("cancelled")
+        job.emit("cancelled")
     except Exception as error:
         refusal = request_error(error)
         if refusal is None:
             logger.error("job %s", job.name, exc_info=error)
             refusal = RequestError(500, "something went wrong; see the terminal that runs the studio")
-        job.tell("failed", error=str(refusal))
+        job.emit("failed", error=str(refusal))
     else:
-        job.tell("done")
+        job.emit("done")

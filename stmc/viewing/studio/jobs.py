@@ -17,7 +17,7 @@ from stmc.composing import Progress
 from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.motion import Motion
-from stmc.viewing.studio.job_queue import Job, JobQueue, watched
+from stmc.viewing.studio.job_queue import Job, JobQueue, report_progress
 from stmc.viewing.studio.request_errors import RequestError, request_error
 from stmc.viewing.studio.sampling_turns import Turns
 from stmc.viewing.studio.storage import Motions
@@ -103,24 +103,24 @@ class Jobs(JobQueue):
         """Sample the stages, store the motions, and emit them."""
         try:
             for stage in stages:
-                for seed, motion in zip(request.seeds, self._sampled(request, stage, job), strict=True):
-                    told = self.motions.told(self.motions.add(motion))
+                for seed, motion in zip(request.seeds, self._sample_stage(request, stage, job), strict=True):
+                    described = self.motions.describe(self.motions.add(motion))
                     demands = [each.measure(motion) for each in request.constraints]
-                    job.tell("motion", seed=seed, stage=stage.name, motion=told, demands=demands)
+                    job.emit("motion", seed=seed, stage=stage.name, motion=described, demands=demands)
         except (ValueError, ArithmeticError) as error:
             if not request.constraints or request_error(error) is not None:
                 raise
             kinds = ", ".join(sorted({each.name for each in request.constraints}))
             raise RequestError(422, f"constraints ({kinds}) cannot be met here: {error}") from error
 
-    def _sampled(self, request: GenerateRequest, stage: Stage, job: Job) -> Sequence[Motion]:
+    def _sample_stage(self, request: GenerateRequest, stage: Stage, job: Job) -> Sequence[Motion]:
         steps, made = stage.steps, itertools.count()
 
-        def told() -> None:
+        def report() -> None:
             self._turns.give_way()
             job.check()
-            job.tell("progress", stage=stage.name, step=min(next(made), steps), steps=steps)
+            job.emit("progress", stage=stage.name, step=min(next(made), steps), steps=steps)
 
-        sampling = Sampling(steps=steps).over(request.sampling).over(OWN)
+        sampling = Sampling(steps=steps).with_defaults(request.sampling).with_defaults(OWN)
         with self._turns.job(), CheckedOperations(job.check):
-            return self.sample(replace(request, sampling=sampling), watched(told))
+            return self.sample(replace(request, sampling=sampling), report_progress(report))

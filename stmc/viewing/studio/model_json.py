@@ -20,7 +20,7 @@ from stmc.text.vocabulary import Content, Sentence
 from stmc.timeline import Timeline
 from stmc.viewing.exports import EXPORTS
 from stmc.viewing.studio.bodies import MOST_SEEDS, RECEIVED
-from stmc.viewing.studio.documents_json import MOST_PROMPTS, MOST_SECONDS, as_data, in_order
+from stmc.viewing.studio.documents_json import MOST_PROMPTS, MOST_SECONDS, as_data, sort_parts
 from stmc.viewing.studio.inputs_outputs import MOST_UPLOAD
 from stmc.viewing.studio.jobs import Stage
 from stmc.viewing.studio.responses import ContentEntry, ModelData
@@ -54,7 +54,7 @@ def _actions(vocabulary: Mapping[Content, Sequence[Sentence]]) -> list[ContentEn
     for content, sentences in vocabulary.items():
         examples, own = [sentence.text for sentence in sentences], CONTENTS.get(content.name)
         title, topic = (own.title, own.topic) if own else (examples[0], "other actions")
-        parts = in_order(content.parts)
+        parts = sort_parts(content.parts)
         actions.setdefault(title, {"title": title, "topic": topic, "parts": parts, "examples": examples})
     return list(actions.values())
 

@@ -76,7 +76,7 @@ def openapi_document(operations: Sequence[Operation], version: str) -> dict[str,
     schemas = Schemas(OWN)
     paths: dict[str, Any] = {}
     for operation in operations:
-        paths.setdefault(operation.path, {})[operation.method.lower()] = _described(operation, schemas)
+        paths.setdefault(operation.path, {})[operation.method.lower()] = _describe_operation(operation, schemas)
     return {
         "openapi": "3.1.0",
         "info": {"title": "stmc studio", "version": version, "description": _ABOUT},
@@ -91,7 +91,7 @@ def openapi_document(operations: Sequence[Operation], version: str) -> dict[str,
     }
 
 
-def _described(operation: Operation, schemas: Schemas) -> Schema:
+def _describe_operation(operation: Operation, schemas: Schemas) -> Schema:
     takes = operation.takes.describe(schemas)
     parts = [
         {"name": name, "in": "path", "required": True, "description": _PARTS[name], "schema": {"type": "string"}}

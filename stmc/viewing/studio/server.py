@@ -52,7 +52,7 @@ from stmc.viewing.studio.bodies import (
     check_bounds,
 )
 from stmc.viewing.studio.character_storage import Characters
-from stmc.viewing.studio.documents_json import as_data, checked, read_timelines, write_timeline
+from stmc.viewing.studio.documents_json import as_data, check_timeline, read_timelines, write_timeline
 from stmc.viewing.studio.films import Films
 from stmc.viewing.studio.job_queue import Job, JobQueue
 from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
@@ -63,7 +63,7 @@ from stmc.viewing.studio.request_errors import RequestError, request_error, take
 from stmc.viewing.studio.responses import SkeletonMotion
 from stmc.viewing.studio.sampling_turns import Turns
 from stmc.viewing.studio.sessions import Sessions
-from stmc.viewing.studio.skeletons_json import MOST_KEY_FRAMES, describe_keys, describe_map, mapped
+from stmc.viewing.studio.skeletons_json import MOST_KEY_FRAMES, character_of, describe_keys, describe_map
 from stmc.viewing.studio.storage import Documents, Motions, private_folder
 from stmc.viewing.studio.streams import Streams, mannequin_file
 
@@ -82,7 +82,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
     Args:
         model: Model to sample with.
         folder: Folder for motions, documents and embedded texts. It serves one application at a time: hold
-            `stmc.io.files.locked(folder)` while the application runs, as `stmc studio` does.
+            `stmc.io.files.lock_folder(folder)` while the application runs, as `stmc studio` does.
         sessions: Sessions that may use the application.
         port: Port of the application, at 127.0.0.1.
         steps: Denoising steps of a motion; None: 50, or the model's own few. Previews have fewer.
@@ -112,19 +112,21 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
         Route("/", answers.page),
         Route("/api", answers.api_page),
         *[
-            Route(each.path, answered(each, getattr(answers, each.handler)), methods=[each.method])
+            Route(each.path, wrap_handler(each, getattr(answers, each.handler)), methods=[each.method])
             for each in OPERATIONS
         ],
         Mount("/assets", StaticFiles(directory=ASSETS / "studio")),
     ]
     guard = Middleware(AccessControl, sessions=sessions, port=port, public=PUBLIC, uploads=UPLOADS)
-    app = Starlette(routes=routes, lifespan=lifespan, middleware=[guard], exception_handlers={HTTPException: unrouted})
+    app = Starlette(
+        routes=routes, lifespan=lifespan, middleware=[guard], exception_handlers={HTTPException: answer_unknown_address}
+    )
     app.router.redirect_slashes = False
     app.state.folder, app.state.jobs, app.state.films = folder, answers.jobs, answers.films
     return app
 
 
-def answered(operation: Operation, handler: Handler) -> Handler:
+def wrap_handler(operation: Operation, handler: Handler) -> Handler:
     """Wrap a handler so that it gets what the operation takes, and that errors become responses {"error": message}."""
 
     async def answer(request: Request) -> Response:
@@ -142,7 +144,7 @@ def answered(operation: Operation, handler: Handler) -> Handler:
     return answer
 
 
-async def unrouted(request: Request, error: Exception) -> Response:
+async def answer_unknown_address(request: Request, error: Exception) -> Response:
     """Answer a request to an unknown address, or with an unknown method."""
     return error_response(
         error.status_code if isinstance(error, HTTPException) else 500, "the studio has no such address"
@@ -206,7 +208,7 @@ class Answers:
 
     async def check(self, body: TimelineBody) -> Response:
         """Check a timeline."""
-        return JSONResponse(await run_in_threadpool(checked, body.timeline, self.model, self.suggest))
+        return JSONResponse(await run_in_threadpool(check_timeline, body.timeline, self.model, self.suggest))
 
     async def read(self, body: ReadBody) -> Response:
         """Read timelines from a file."""
@@ -216,22 +218,22 @@ class Answers:
     async def write(self, body: WriteBody) -> Response:
         """Write a timeline to a file."""
         kind, content = body.format, await run_in_threadpool(write_timeline, body.timeline, body.format)
-        return _attached(content.encode(), f"timeline.{kind}", "application/json" if kind == "json" else "text/plain")
+        return _attachment(content.encode(), f"timeline.{kind}", "application/json" if kind == "json" else "text/plain")
 
     async def receive(self, filename: str, content: bytes) -> Response:
         """Store an uploaded motion, in the format of the file's suffix."""
-        name = await run_in_threadpool(self.motions.received, content, Path(filename).suffix.lower())
-        return JSONResponse({"motion": self.motions.told(name)}, 201)
+        name = await run_in_threadpool(self.motions.receive, content, Path(filename).suffix.lower())
+        return JSONResponse({"motion": self.motions.describe(name)}, 201)
 
     async def export(self, query: ExportQuery, name: str, kind: str) -> Response:
         """Export a motion as a file."""
-        content = await run_in_threadpool(self._exported, query, name, kind)
-        return _attached(content, f"motion.{kind}", TYPES[kind])
+        content = await run_in_threadpool(self._export, query, name, kind)
+        return _attachment(content, f"motion.{kind}", TYPES[kind])
 
-    def _exported(self, query: ExportQuery, name: str, kind: str) -> bytes:
+    def _export(self, query: ExportQuery, name: str, kind: str) -> bytes:
         demands = [] if query.constraints is None else self._constraints(query.constraints)
         character = None if query.character is None else self.characters.get(query.character)
-        return self.motions.exported(name, kind, query.timeline, query.fps, query.loop == 1, demands, character)
+        return self.motions.export(name, kind, query.timeline, query.fps, query.loop == 1, demands, character)
 
     async def add_film(self, body: FilmBody) -> Response:
         """Queue a film."""
@@ -253,8 +255,8 @@ class Answers:
 
     async def receive_character(self, filename: str, content: bytes) -> Response:
         """Store an uploaded character."""
-        name = await run_in_threadpool(self.characters.received, content, filename)
-        return JSONResponse({"character": self.characters.told(name)}, 201)
+        name = await run_in_threadpool(self.characters.receive, content, filename)
+        return JSONResponse({"character": self.characters.describe(name)}, 201)
 
     async def send_character(self, name: str) -> Response:
         """Send a character's file as it was uploaded."""
@@ -272,14 +274,14 @@ class Answers:
 
     async def map_skeleton(self, body: SkeletonBody) -> Response:
         """Find the joints of a skeleton."""
-        return JSONResponse(describe_map(await run_in_threadpool(mapped, body.skeleton, body.joint_map)))
+        return JSONResponse(describe_map(await run_in_threadpool(character_of, body.skeleton, body.joint_map)))
 
     async def retarget(self, body: RetargetBody) -> Response:
         """Move a skeleton as a motion."""
-        return await run_in_threadpool(lambda: JSONResponse(self._retargeted(body)))  # megabytes: not in the loop
+        return await run_in_threadpool(lambda: JSONResponse(self._retarget(body)))  # megabytes: not in the loop
 
-    def _retargeted(self, body: RetargetBody) -> SkeletonMotion:
-        character, motion = mapped(body.skeleton, body.joint_map), self.motions.get(body.motion)
+    def _retarget(self, body: RetargetBody) -> SkeletonMotion:
+        character, motion = character_of(body.skeleton, body.joint_map), self.motions.get(body.motion)
         fps = motion.fps if body.fps is None else body.fps
         if motion.duration * fps > MOST_KEY_FRAMES:
             raise RequestError(
@@ -297,11 +299,11 @@ class Answers:
         """Stream the events of a job (server-sent events)."""
         job = self._queue(name).get(name)
 
-        async def told() -> AsyncIterator[str]:
-            async for kind, details in job.heard():
+        async def write_events() -> AsyncIterator[str]:
+            async for kind, details in job.subscribe():
                 yield f"event: {kind}\ndata: {json.dumps(details)}\n\n"
 
-        return StreamingResponse(told(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        return StreamingResponse(write_events(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
     async def cancel_job(self, name: str) -> Response:
         """Cancel a job."""
@@ -348,7 +350,7 @@ class Answers:
         timeline, _ = with_suggestions(body.timeline, self.suggest)
         values = {**body.settings, "timelines": [timeline] * len(body.seeds), "seeds": body.seeds}
         request = GenerateRequest.read(values, self.motions.get)
-        self.model.check(dataclasses.replace(request, sampling=request.sampling.over(OWN)))
+        self.model.check(dataclasses.replace(request, sampling=request.sampling.with_defaults(OWN)))
         return request
 
     def _queue(self, name: str) -> JobQueue:
@@ -364,5 +366,5 @@ class Answers:
         return tuple(constraint_of(each, self.motions.get) for each in entries)
 
 
-def _attached(content: bytes, name: str, kind: str) -> Response:
+def _attachment(content: bytes, name: str, kind: str) -> Response:
     return Response(content, media_type=kind, headers={"Content-Disposition": f'attachment; filename="{name}"'})

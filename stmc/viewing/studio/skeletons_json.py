@@ -102,7 +102,7 @@ def joint_map_of(data: Mapping[str, Any]) -> JointMap:
     return dict(data)
 
 
-def mapped(skeleton: RestSkeleton, joint_map: JointMap) -> Character:
+def character_of(skeleton: RestSkeleton, joint_map: JointMap) -> Character:
     """Return a skeleton as a character. Raises `RequestError` if it is not a person's."""
     try:
         return skeleton.character(joint_map)

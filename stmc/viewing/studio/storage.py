@@ -20,7 +20,7 @@ from stmc.editing.constraints import Constraint
 from stmc.formats import READABLE, read, write
 from stmc.formats.characters import Character
 from stmc.io.bounds import BoundsError, check_metres
-from stmc.io.files import locked, remove_leftovers, write_text
+from stmc.io.files import lock_folder, remove_leftovers, write_text
 from stmc.io.untrusted import UnreadableError, load_json, read_text
 from stmc.motion.loops import looped
 from stmc.motion.motion import Motion
@@ -71,7 +71,7 @@ def own_folder(folder: Path | str) -> Path:
     return folder
 
 
-def _named(identity: str) -> str:
+def _check_identity(identity: str) -> str:
     if not ID.fullmatch(identity):
         raise RequestError(404, "there is no such thing")
     return identity
@@ -91,7 +91,7 @@ class Motions:
     folder: Path | str
     named: Callable[[], str] = str
     """Function that returns a text with the names of all motions to keep, however old: that of the documents."""
-    _held: OrderedDict[str, Motion] = field(default_factory=OrderedDict, repr=False)
+    _recent: OrderedDict[str, Motion] = field(default_factory=OrderedDict, repr=False)
     _lock: Lock = field(default_factory=Lock, repr=False)
     _film: Lock = field(default_factory=Lock, repr=False)
     _heavy: Semaphore = field(default_factory=lambda: Semaphore(2), repr=False)
@@ -115,10 +115,10 @@ class Motions:
     def get(self, name: str) -> Motion:
         """Return the motion with this name. Raises `RequestError` if it is missing or damaged."""
         with self._lock:
-            if name in self._held:
-                self._held.move_to_end(name)
-                return self._held[name]
-        path = self._folder / f"{_named(name)}.npz"
+            if name in self._recent:
+                self._recent.move_to_end(name)
+                return self._recent[name]
+        path = self._folder / f"{_check_identity(name)}.npz"
         if not path.exists():
             raise RequestError(404, "that motion is no longer stored; generate it again")
         try:
@@ -129,12 +129,12 @@ class Motions:
         self._hold(name, motion)
         return motion
 
-    def told(self, name: str) -> dict[str, Any]:
+    def describe(self, name: str) -> dict[str, Any]:
         """Describe a motion for the page: its name, seconds, frames, and frames per second."""
         motion = self.get(name)
         return {"id": name, "duration": motion.duration, "fps": motion.fps, "frames": motion.frames}
 
-    def received(self, content: bytes, kind: str) -> str:
+    def receive(self, content: bytes, kind: str) -> str:
         """Store the motion of an uploaded file with the suffix `kind`. Raises `RequestError` if the file is invalid."""
         readable = [each.suffix for each in READABLE]
         if kind not in readable:
@@ -149,7 +149,7 @@ class Motions:
         _check_bounds(motion)
         return self.add(motion)
 
-    def exported(
+    def export(
         self,
         name: str,
         kind: str,
@@ -234,9 +234,9 @@ class Motions:
 
     def _hold(self, name: str, motion: Motion) -> None:
         with self._lock:
-            self._held[name] = motion
-            while len(self._held) > REMEMBERED:
-                self._held.popitem(last=False)
+            self._recent[name] = motion
+            while len(self._recent) > REMEMBERED:
+                self._recent.popitem(last=False)
 
 
 def _check_bounds(motion: Motion) -> None:
@@ -341,7 +341,7 @@ class Documents:
         text = json.dumps(content, ensure_ascii=False, allow_nan=False)
         if len(text.encode()) > MOST_DOCUMENT:
             raise RequestError(413, f"the document is larger than {MOST_DOCUMENT / 2**20:g} MiB")
-        with self._lock, locked(self._folder, PATIENCE):  # threads, and other processes
+        with self._lock, lock_folder(self._folder, PATIENCE):  # threads, and other processes
             path = self._path(name)
             now: dict[str, Any] = self.get(name) if path.exists() else {"version": 0, "content": None}
             if now["version"] != base and now["content"] is not None:
@@ -368,4 +368,4 @@ class Documents:
         return "\n".join(found)
 
     def _path(self, name: str) -> Path:
-        return self._folder / f"{_named(name)}.json"
+        return self._folder / f"{_check_identity(name)}.json"

@@ -25,7 +25,7 @@ from stmc.motion.motion import Motion
 from stmc.motion.skins import build_mannequin
 from stmc.run.suggestions import Suggest, with_suggestions
 from stmc.timeline import Prompt, Timeline, TimelineError
-from stmc.viewing.studio.documents_json import MOST_PROMPTS, MOST_SECONDS, in_order
+from stmc.viewing.studio.documents_json import MOST_PROMPTS, MOST_SECONDS, sort_parts
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.responses import OpenedStream, StreamFrames, StreamPrompt
 from stmc.viewing.studio.sampling_turns import Turns
@@ -159,7 +159,7 @@ class Streams:
         except TimelineError:
             return edit  # the stream refuses it
         [suggested] = with_suggestions(timeline, self._suggest)[0].prompts
-        return {**edit, "add": {**prompt, "body_parts": list(in_order(suggested.parts))}}
+        return {**edit, "add": {**prompt, "body_parts": list(sort_parts(suggested.parts))}}
 
 
 def _beyond_bounds(stream: MotionStream, edit: Mapping[str, Any]) -> str | None:
@@ -180,7 +180,7 @@ def _beyond_bounds(stream: MotionStream, edit: Mapping[str, Any]) -> str | None:
 
 def _describe_prompts(stream: MotionStream) -> list[StreamPrompt]:
     return [
-        {"number": number, "text": each.text, "start": each.start, "end": each.end, "parts": in_order(each.parts)}
+        {"number": number, "text": each.text, "start": each.start, "end": each.end, "parts": sort_parts(each.parts)}
         for number, each in stream.prompts.items()
     ]
 
