@@ -100,7 +100,7 @@ def train(config: DictConfig, accelerator: accelerate.Accelerator) -> None:
         described=resolve_config(config) | {"cache": cache.fingerprint},
         allow_changed_settings=config.allow_changed_settings,
     )
-    table = Table(folder / "retrieval.csv", RECALL_COLUMNS, trainer.step)
+    table: Table = Table(folder / "retrieval.csv", RECALL_COLUMNS, trainer.step)
     trainer.run()
 
 
