@@ -15,6 +15,7 @@ import stmc
 from stmc.data.sources.amass.amass_recordings import RecordingError, read_recording
 from stmc.io.arrays import ArraysError, npz_headers, read_npy, read_npz
 from stmc.io.bounds import MOST_FRAMES, BoundsError, check_fps, check_frames
+from stmc.motion.body_model import load_body
 from stmc.motion.geometry import axis_angle_to_matrix
 
 STILL = stmc.Motion.posed(torch.eye(3).repeat(40, 22, 1, 1), torch.zeros(40, 3), 20, stmc.Skeleton.default())
@@ -149,7 +150,7 @@ def test_the_arrays_of_a_file_are_bounded_together(tmp_path, monkeypatch):
     names = ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f"]
     np.savez_compressed(tmp_path / "smpl_neutral.npz", **{name: np.zeros(1000) for name in names})
     with pytest.raises(ValueError, match="have 56000 bytes; the limit is 10000"):
-        stmc.BodyModel.load(tmp_path / "smpl_neutral.npz")
+        load_body(tmp_path / "smpl_neutral.npz")
 
 
 def test_a_recording_whose_frame_rate_fills_the_memory_is_refused_unread(tmp_path):

@@ -133,12 +133,12 @@ def test_what_the_disk_does_not_take_is_refused_in_a_sentence_and_is_taken_later
 
 
 def test_too_little_memory_is_a_sentence(client, monkeypatch):
-    monkeypatch.setattr("stmc.viewing.studio.server.checked", failing(MemoryError()))
+    monkeypatch.setattr("stmc.viewing.studio.server.check_timeline", failing(MemoryError()))
     assert "memory" in refused(client.post("/api/check", json={"timeline": WALK}), 503)
 
 
 def test_a_defect_of_the_studio_itself_is_told_in_a_sentence_too(client, monkeypatch):
-    monkeypatch.setattr("stmc.viewing.studio.server.checked", failing(KeyError("surprise")))
+    monkeypatch.setattr("stmc.viewing.studio.server.check_timeline", failing(KeyError("surprise")))
     assert "terminal" in refused(client.post("/api/check", json={"timeline": WALK}), 500)
 
 

@@ -179,7 +179,7 @@ def _seams(model: Model) -> list[Seam]:
         (stmc.model, "clean_motions", "feet"),
         (cleaning, "bend_leg", "inverse kinematics"),
         (Motions, "add", "store the motion"),
-        (Motions, "exported", "figure (.glb)"),
+        (Motions, "export", "figure (.glb)"),
         (JSONResponse, "render", "write JSON"),
     ]
     return [Seam(*each) for each in seams]

@@ -90,7 +90,7 @@ def read_npz_chunks(path: Path, names: Sequence[str], rows: int) -> Iterator[dic
     """
     with _open_npz(path) as (arrays, archive), ExitStack() as files:
         headers: dict[str, Header] = {}
-        streams: dict[str, IO[bytes]] = {}
+        streams: dict[str, IO[bytes] | io.BufferedIOBase] = {}
         for name in names:
             headers[name] = _read_header(archive, f"{name}.npy", path)
             streams[name] = files.enter_context(archive.open(f"{name}.npy"))
@@ -106,14 +106,14 @@ def read_npz_chunks(path: Path, names: Sequence[str], rows: int) -> Iterator[dic
             stream.read(1)  # at the end of an array, zipfile compares its checksum
 
 
-def _skip_header(file: IO[bytes]) -> bool:
+def _skip_header(file: IO[bytes] | io.BufferedIOBase) -> bool:
     """Move behind the header of an array, and return whether the array is in Fortran order."""
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     return bool(read(file)[1])
 
 
-def _next_rows(file: IO[bytes], header: Header, count: int) -> np.ndarray:
+def _next_rows(file: IO[bytes] | io.BufferedIOBase, header: Header, count: int) -> np.ndarray:
     """Read the next `count` rows. Raises `ValueError` at the end of the file."""
     shape = (count, *header.shape[1:])
     return np.frombuffer(file.read(math.prod(shape) * header.dtype.itemsize), header.dtype).reshape(shape)

@@ -36,8 +36,8 @@ MOST_CHARACTERS, MOST_CHARACTER_BYTES = 40, 2**30
 MOST_NAME = 60
 """Maximum number of letters of a character's name."""
 
-_SHOWN_NOWHERE = {".urdf": ("robots", "csv"), ".xml": ("robots", "csv"), ".bvh": ("skeletons", "bvh")}
-"""Files of characters without a mesh to show, and the format of their motions."""
+_ROBOTS = (".urdf", ".xml")
+"""Files of robots, whose motions are tables of joint angles."""
 
 _FASTEST = 60
 """Frames per second that a stage shows."""
@@ -216,9 +216,9 @@ class Characters:
 
 def _refusal(filename: str, suffix: str) -> str:
     """Return a sentence about a file that has no mesh to show, with the command that moves it if there is one."""
-    if suffix not in _SHOWN_NOWHERE:
+    if suffix not in (*_ROBOTS, ".bvh"):
         return f"a character must be a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file"
-    kinds, format_name = _SHOWN_NOWHERE[suffix]
+    kinds, format_name = ("robots", "csv") if suffix in _ROBOTS else ("skeletons", "bvh")
     name = shlex.quote(_title(filename) + Path(filename).suffix)
     command = f"stmc sample timeline.json outputs/ character={name} formats={format_name}"
     return f"the studio shows no {kinds}; to move this one, export the timeline and run `{command}`"
