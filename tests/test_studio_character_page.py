@@ -92,7 +92,9 @@ def grips(tab: browser.Tab) -> list[tuple[float, float]]:
     """Where hands, feet and head can be taken hold of, in the page, from the left to the right."""
     spots, count = ndimage.label(np.abs(colours(tab) - RED).sum(axis=-1) < 60)
     places = [np.argwhere(spots == number) for number in range(1, count + 1)]
-    centres = [place.mean(axis=0) for place in places if len(place) > 40]
+    # A body that walks can cut the thin line below a target off: it is long enough, and no ball.
+    balls = [place for place in places if len(place) > 40 and np.ptp(place, axis=0).min() > 3]
+    centres = [place.mean(axis=0) for place in balls]
     top = box(tab, "#stage")["top"]
     return sorted((float(x), float(y + top)) for y, x in centres)
 
