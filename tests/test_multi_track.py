@@ -31,11 +31,13 @@ from stmc.evaluation.benchmarks.atomic_prompts import LONGEST, AtomicPrompt, rea
 from stmc.evaluation.benchmarks.ground_truth import cache_reference_motions
 from stmc.evaluation.benchmarks.multi_track import open_mtt
 from stmc.evaluation.metrics.retrieval import cosines
+from stmc.evaluation.metrics.timeline_metrics import GroundTruth
 from stmc.evaluation.results import Result, read_results
 from stmc.evaluation.results.naming import MEASURES
 from stmc.motion.body import BodyPart
 from stmc.motion.motion import Motion
 from stmc.run import save, save_evaluator
+from stmc.settings.records import SettingError
 from stmc.timeline import Prompt, Timeline, TimelineError
 
 BUNDLED = Path(str(files("stmc") / "assets" / "open_mtt"))
@@ -270,6 +272,27 @@ def test_the_open_benchmark_takes_its_real_motion_from_held_out_clips_of_several
     assert len(opened.truth.real) == 2 * len(texts)
 
 
+def test_a_paraphrased_benchmark_asks_and_ranks_in_sentences_that_no_training_has_seen(tmp_path, monkeypatch):
+    monkeypatch.setattr("stmc.evaluation.benchmarks.multi_track.PER_TEXT", 0)
+    truth = GroundTruth(torch.ones(1, 1), torch.ones(1, 1))
+    monkeypatch.setattr(
+        MultiTrack,
+        "of",
+        lambda asked, prompts, ear, *_, questions: MultiTrack(asked, prompts, ear, truth, [], questions=questions),
+    )
+    prepared([prompt.text for prompt in read_atomic_prompts(BUNDLED / "prompts.json")]).write(tmp_path / "cache")
+    built = {number: open_mtt(AnyText(), tmp_path / "cache", 20, number) for number in (None, 3)}
+    texts = {number: [prompt.text for prompt in opened.atomic_prompts] for number, opened in built.items()}
+    assert len(set(texts[3])) == len(texts[None])
+    assert not set(texts[3]) & {text for content in CONTENTS.values() for text in content.sentences}
+    words = dict(zip(texts[None], texts[3], strict=True))
+    for timeline, before in zip(built[3].requested, built[None].requested, strict=True):
+        assert timeline.prompts == tuple(dataclasses.replace(each, text=words[each.text]) for each in before.prompts)
+    assert built[3].questions == {words[text]: each for text, each in built[None].questions.items()}
+    with pytest.raises(SettingError, match="paraphrase=4: must be null, 1, 2 or 3"):
+        open_mtt(AnyText(), tmp_path / "cache", paraphrase=4)
+
+
 def test_a_text_that_no_held_out_clip_shows_is_named(tmp_path, work, quick):
     texts = [prompt.text for prompt in read_atomic_prompts(work / "assets" / "open_mtt" / "prompts.json")]
     prepared(texts[1:]).write(tmp_path / "cache")
@@ -491,6 +514,14 @@ def share(rank: int, work: Path, *settings: str) -> None:
     with pytest.MonkeyPatch.context() as patch:
         quicken(patch, work)
         evaluated(work, "threads=1", *settings)
+
+
+def test_an_output_folder_of_before_a_setting_existed_goes_on_unless_the_setting_is_used(tmp_path):
+    begin, conditions = loaded("evaluate").begin, {"models": {}, "benchmark": {"cache": "c", "first": None}}
+    begin(tmp_path, conditions)
+    begin(tmp_path, conditions | {"benchmark": {"cache": "c", "first": None, "paraphrase": None}})
+    with pytest.raises(ValueError, match="holds results of another benchmark"):
+        begin(tmp_path, conditions | {"benchmark": {"cache": "c", "first": None, "paraphrase": 1}})
 
 
 @pytest.mark.slow

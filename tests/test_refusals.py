@@ -103,3 +103,32 @@ def test_ctrl_c_while_the_library_is_imported_is_one_line(tmp_path):
     root = Path(__file__).parents[1]
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "Interrupted. Run the same command again to resume.\n")
+
+
+INTERRUPTED_IMPORT = """
+import os, signal
+try:
+    os.kill(os.getpid(), signal.SIGTERM)
+    for _ in range(10**9): pass
+except BaseException:
+    raise ImportError("numpy.core.multiarray failed to import") from None
+"""
+"""What C code of an extension module makes of an exception that passes through it."""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes of Windows end without a signal")
+def test_a_request_to_end_is_one_line_while_the_library_is_imported_and_later(tmp_path):
+    (tmp_path / "torch.py").write_text(INTERRUPTED_IMPORT)
+    importing = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from stmc.__main__ import main; sys.exit(main())"
+    later = (
+        "import os, signal, sys; from stmc.cli.exit_codes import run_guarded\n"
+        "def run():\n"
+        "    try: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    finally: print('tidied')\n"
+        "sys.exit(run_guarded(run))"
+    )
+    for code, told in ((importing, ""), (later, "tidied\n")):
+        command = [sys.executable, "-c", code, "sample", "walk # 0 # 1", str(tmp_path / "out")]
+        done = subprocess.run(command, cwd=Path(__file__).parents[1], capture_output=True, text=True, check=False)
+        line = "Terminated. Run the same command again to resume.\n"
+        assert (done.returncode, done.stdout, done.stderr) == (143, told, line)

@@ -436,6 +436,22 @@ def test_a_path_can_be_typed_instead_of_drawn_and_what_was_measured_for_another_
     tab.wait("document.querySelectorAll('.constraints .error').length === 0")
 
 
+def test_a_path_that_is_drawn_begins_where_the_figure_stands_and_not_at_the_hand(tab):
+    write(tab, "walk")
+    shown(tab)
+    automatic(tab, False)
+    click(tab, "#tab-constraints")
+    click(tab, "[data-key=add-path]")
+    tab.wait("document.querySelector('#stage canvas.drawing') !== null")
+    stage = box(tab, "#stage canvas")
+    x, y = stage["left"] + stage["width"] / 2, stage["top"] + stage["height"]
+    drag(tab, (x + 150, y - 60), (x - 150, y - 30))
+    tab.wait("document.querySelector('[data-key^=points]') !== null")
+    points = tab.ask("document.querySelector('[data-key^=points]').value").split("; ")
+    begins = [float(each) for each in points[0].split(",")]
+    assert len(points) > 1 and max(map(abs, begins)) < 0.05  # a motion starts at the origin
+
+
 def test_every_format_is_taken_away_at_another_frame_rate_and_as_a_loop(tab, tmp_path):
     write(tab, "walk")
     shown(tab)

@@ -351,6 +351,12 @@ def test_a_finished_run_has_nothing_to_do(tmp_path):
     assert [row["step"] for row in rows(tmp_path / "train.csv")] == ["2", "4"]
 
 
+def test_a_run_that_has_more_steps_than_asked_for_says_so(tmp_path, caplog):
+    trainer(tmp_path, steps=4).run()
+    trainer(tmp_path, steps=2, lr_decay_steps=4).run()
+    assert "the run already has 4 steps; settings ask for 2" in caplog.text
+
+
 def test_another_seed_cannot_go_on_with_a_run(tmp_path):
     trainer(tmp_path, steps=4).run()
     with pytest.raises(SettingsChanged, match="seed: 0 → 1"):

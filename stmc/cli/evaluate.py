@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -152,11 +152,20 @@ def begin(folder: Path, conditions: dict) -> None:
         if different := [
             key
             for key in conditions
-            if (known.items() - before[key].items() if key == "models" else before.get(key) != conditions[key])
+            if (
+                known.items() - before[key].items()
+                if key == "models"
+                else _without_nulls(before.get(key)) != _without_nulls(conditions[key])
+            )
         ]:
             raise ValueError(f"{folder} holds results of another {different[0]} ({path}); choose another output folder")
         conditions = conditions | {"models": before["models"] | conditions["models"]}
     write_text(path, json.dumps(conditions, indent=1) + "\n")
+
+
+def _without_nulls(condition: Any) -> Any:
+    """Leave out settings that are null: an earlier version, which did not have them, behaved as with null."""
+    return {k: v for k, v in condition.items() if v is not None} if isinstance(condition, dict) else condition
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from types import FrameType
 from typing import TextIO
 
 import hydra
@@ -102,9 +103,27 @@ def _is_ours(error: BaseException) -> bool:
 
 
 def _exit_on_sigterm() -> None:
-    """Turn SIGTERM into `SystemExit` so that `finally` blocks remove temporary files."""
+    """Turn SIGTERM into a line and `SystemExit`, so that `finally` blocks remove temporary files.
+
+    During an import the process ends at once, because extension modules replace an exception that passes through them.
+    """
+    process = os.getpid()
+
+    def end(_: int, frame: FrameType | None) -> None:
+        if os.getpid() == process:  # workers inherit this function
+            os.write(2, b"Terminated. Run the same command again to resume.\n")
+        if _is_importing(frame):
+            os._exit(ENDED)
+        sys.exit(ENDED)
+
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(ENDED))
+        signal.signal(signal.SIGTERM, end)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
 
 
 def _print_warning(

@@ -6,7 +6,7 @@ Defines the frames of a motion that should show each text; `metrics.timeline_met
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from importlib.resources import files
 from pathlib import Path
@@ -19,6 +19,7 @@ from torch import Tensor
 
 from stmc.composing.sampling import INDEPENDENT
 from stmc.data.cache import CacheError, Clip, read_caches
+from stmc.data.sources.contents import CONTENTS
 from stmc.evaluation.benchmarks.atomic_prompts import LONGEST, AtomicPrompt, read_atomic_prompts
 from stmc.evaluation.benchmarks.benchmark_protocol import Scores, TextEvaluator
 from stmc.evaluation.benchmarks.crops import crop_spans, jerk_rows, requested_timelines
@@ -39,6 +40,7 @@ from stmc.evaluation.metrics.timeline_metrics import (
 from stmc.motion.kinematics import hand_step, local_joints
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, SmplRepresentation
+from stmc.settings.records import SettingError, quote
 from stmc.timeline import Timeline, TimelineError
 
 PER_TEXT = 12
@@ -266,7 +268,10 @@ class MultiTrack:
 
 
 def open_mtt(
-    evaluator: TextEvaluator, cache: str | Path | Sequence[str | Path], first: int | None = None
+    evaluator: TextEvaluator,
+    cache: str | Path | Sequence[str | Path],
+    first: int | None = None,
+    paraphrase: int | None = None,
 ) -> MultiTrack:
     """Build the benchmark that anybody can run: bundled timelines, and held-out recordings of Bandai Namco and CMU.
 
@@ -277,10 +282,15 @@ def open_mtt(
         evaluator: Evaluator of texts and motions.
         cache: Folders of the prepared data sets.
         first: Number of timelines; None uses all.
+        paraphrase: Which of the three held-out sentences of its action replaces each text, 1 to 3, in the timelines
+            and for the evaluator; None keeps the texts, which are training sentences of both.
 
     Raises:
         CacheError: If the caches do not show every text.
+        SettingError: If there is no such paraphrase.
     """
+    if paraphrase not in (None, 1, 2, 3):
+        raise SettingError(f"paraphrase={quote(paraphrase)}: must be null, 1, 2 or 3")
     folder, prepared = Path(str(files("stmc") / "assets" / "open_mtt")), read_caches(cache)
     atomic_prompts = read_atomic_prompts(folder / "prompts.json")
     requested = Timeline.read_all(folder / "timelines.json")[:first]
@@ -296,10 +306,25 @@ def open_mtt(
         drawn = [clips[index] for index in rng.integers(len(clips), size=PER_TEXT)]
         others += [reference_motions(clip.name, 0.0, _seconds(clip, prepared.fps)) for clip in drawn]
     contents = {clip.name: clip.content for clip in prepared.clips}
+    if paraphrase is not None:
+        atomic_prompts, requested = _paraphrased(atomic_prompts, requested, paraphrase)
     questions = {
         prompt.text: QUESTIONS[contents[prompt.clip]] for prompt in atomic_prompts if contents[prompt.clip] in QUESTIONS
     }
     return MultiTrack.of(requested, atomic_prompts, evaluator, reference_motions, others, questions=questions)
+
+
+def _paraphrased(
+    atomic_prompts: Sequence[AtomicPrompt], requested: Sequence[Timeline], number: int
+) -> tuple[list[AtomicPrompt], list[Timeline]]:
+    """Replace texts, which are first sentences of actions, by held-out sentence `number` of the same action."""
+    sentences = {content.sentences[0]: content.unseen for content in CONTENTS.values()}
+    texts = {prompt.text: sentences[prompt.text][number - 1] for prompt in atomic_prompts}
+    timelines = [
+        replace(timeline, prompts=[replace(prompt, text=texts[prompt.text]) for prompt in timeline.prompts])
+        for timeline in requested
+    ]
+    return [replace(prompt, text=texts[prompt.text]) for prompt in atomic_prompts], timelines
 
 
 def published_mtt(
