@@ -145,6 +145,21 @@ def bent(**turns: list[float]) -> stmc.Motion:
     return stmc.Motion.posed(rotations, -hanging.joints[:, JOINTS.index("left_foot")], 20, body)
 
 
+def test_a_foot_that_turns_on_its_toes_leaves_them_where_they_are(character):
+    if "left_foot" not in character.rig.joints:
+        pytest.skip("it has no toes")
+    source = bent()
+    toes = source.joints[0, JOINTS.index("left_foot")]
+    turns = axis_angle_to_matrix(torch.linspace(0, 0.4, 20, dtype=torch.float64)[:, None] * torch.eye(3)[2])
+    rotations = source.rotations.clone()
+    rotations[:, 0] = turns @ rotations[:, 0]
+    body = Skeleton(Skeleton.default().offsets.double())
+    source = stmc.Motion.posed(rotations, toes + (turns @ (source.translation - toes)[..., None])[..., 0], 20, body)
+    assert source.joints[:, JOINTS.index("left_ankle")].diff(dim=0).norm(dim=-1).min() > 1e-3, "the heel moves"
+    own = places(stmc.retarget(source, character), "left_foot")[:, :2]
+    assert (own - own[0]).norm(dim=-1).max() < 1e-4 * character.rig.length(("hip", "knee", "ankle"))
+
+
 SITTING = {
     f"{side}_{joint}": [turn, 0.0, 0.0] for side in ("left", "right") for joint, turn in (("hip", -1.5), ("knee", 1.5))
 }
