@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from stmc.motion.body import JOINTS
 from stmc.motion.body_model import Skeleton
 from stmc.motion.geometry import axis_angle_to_matrix
 
+DOCS = Path(__file__).parents[1] / "docs"
 UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """From glTF's world, y up, to ours."""
 LIMBS = [
@@ -141,6 +143,21 @@ def bent(**turns: list[float]) -> stmc.Motion:
     body = Skeleton(Skeleton.default().offsets.double())
     hanging = stmc.Motion.posed(rotations, torch.zeros(20, 3, dtype=torch.float64), 20, body)
     return stmc.Motion.posed(rotations, -hanging.joints[:, JOINTS.index("left_foot")], 20, body)
+
+
+def test_a_foot_that_turns_on_its_toes_leaves_them_where_they_are(character):
+    if "left_foot" not in character.rig.joints:
+        pytest.skip("it has no toes")
+    source = bent()
+    toes = source.joints[0, JOINTS.index("left_foot")]
+    turns = axis_angle_to_matrix(torch.linspace(0, 0.4, 20, dtype=torch.float64)[:, None] * torch.eye(3)[2])
+    rotations = source.rotations.clone()
+    rotations[:, 0] = turns @ rotations[:, 0]
+    body = Skeleton(Skeleton.default().offsets.double())
+    source = stmc.Motion.posed(rotations, toes + (turns @ (source.translation - toes)[..., None])[..., 0], 20, body)
+    assert source.joints[:, JOINTS.index("left_ankle")].diff(dim=0).norm(dim=-1).min() > 1e-3, "the heel moves"
+    own = places(stmc.retarget(source, character), "left_foot")[:, :2]
+    assert (own - own[0]).norm(dim=-1).max() < 1e-4 * character.rig.length(("hip", "knee", "ankle"))
 
 
 SITTING = {
@@ -369,6 +386,16 @@ def test_a_character_of_a_stranger_moves_and_its_file_is_kept(stranger, motion, 
     at_head = stmc.retarget(touching, character)
     own = (places(at_head, "left_wrist") - places(at_head, "head")).norm(dim=-1) / arm(character.rig)
     assert float(own[-1]) == pytest.approx(0.377, abs=0.1)
+
+
+def test_the_pictures_of_the_docs_show_the_nodes_where_the_written_file_has_them(tmp_path, motion):
+    matrices = runpy.run_path(str(DOCS / "characters.py"))["node_matrices"]
+    moved = stmc.retarget(motion.trimmed(0, 8), write(tmp_path, "a.glb", RIGS["stocky.glb"]()))
+    content = moved.content(".glb")
+    names = [node["name"] for node in made.unpacked(content)[0]["nodes"]]
+    drawn = matrices(moved)[7]
+    for name, matrix in made.moved(content, 7).items():
+        assert np.abs(drawn[names.index(name)] - matrix).max() < 1e-5, name
 
 
 def test_other_endings_and_other_files_are_refused(tmp_path, motion):

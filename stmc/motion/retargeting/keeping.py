@@ -23,6 +23,8 @@ _LOW, _HIGH = 0.1, 0.3
 """Metres above the floor, on our body, up to which a foot is exactly as high as ours, and from which on it is free."""
 _AROUND = 1e-3
 """The weight of a step just before or after a contact, against one of the contact."""
+_STILL = 1e-4
+"""Metres per step up to which heel and toes are equally still."""
 _SINK = 0.25
 """Seconds over which the pelvis sinks where a leg would be too short."""
 _NEAR, _FAR = 0.45, 0.65
@@ -120,14 +122,20 @@ def _bend(
 
 
 def _following(led: Float[Tensor, "frames 2 2 3"], pelvis: Float[Tensor, " frames"], fps: float | int) -> Tensor:
-    """Return the weights with which each step [steps, feet, 2] of heels and toes follows the leading one's: 1
-    if it stands, and next to nothing just before and after."""
+    """Return the weights with which each step [steps, feet, 2] of heels and toes follows the leading one's: up to 1 if
+    it stands, and next to nothing just before and after.
+
+    Where heel and toes stand, the stiller end has more weight, so that a foot of another length turns on the same end.
+    """
     if len(led) < 2:
         return led.new_zeros(0, 2, 2)
-    held = standing_steps(led, pelvis, fps, 0.0).to(led)
+    steps = led.diff(dim=0).norm(dim=-1) + _STILL
+    stillness = steps.flip(dims=(2,)) ** 2 / (steps**2).sum(dim=-1, keepdim=True)
+    held = standing_steps(led, pelvis, fps, 0.0)
     none = torch.zeros_like(held[:1])
-    around = torch.maximum(torch.cat([held[1:], none]), torch.cat([none, held[:-1]]))
-    return torch.maximum(held, _AROUND * around)
+    around = torch.cat([held[1:], none]) | torch.cat([none, held[:-1]])
+    weights = torch.where(held.all(dim=-1, keepdim=True), stillness, held.to(led))
+    return torch.maximum(weights, _AROUND * around.to(led))
 
 
 def _displacement(
