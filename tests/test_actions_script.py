@@ -1,5 +1,6 @@
 """scripts/actions.py: a model asked for what geometry can tell, beside real motion."""
 
+import dataclasses
 import json
 
 import pytest
@@ -8,8 +9,11 @@ from helpers.motions import standing_still
 from helpers.scripts import loaded, run
 from helpers.tiny_model import tiny
 from omegaconf import OmegaConf
+from rich.console import Console
 
 import stmc
+from stmc.cli.action_plausibility import measure_rest, split_rest
+from stmc.cli.action_reports import print_report
 from stmc.data.cache import Cache, Clip
 from stmc.data.sources.contents import CONTENTS, describe
 from stmc.evaluators import Evaluator
@@ -51,7 +55,10 @@ def test_unseen_sentences_are_asked_beside_what_real_motion_and_chance_reach(cac
     assert set(row["sentences"]) == {CONTENTS["sit"].unseen[0]} and row["shown"] in (0.0, 0.5, 1.0)
     assert row["real"]["hand_step_cm"] == pytest.approx(0, abs=1e-4) and row["sampled"]["hand_step_cm"] > 0
     assert [picture.name for picture in (tmp_path / "out").glob("*.png")] == ["sit.png"]
+    assert (row["real"]["energy"], row["real"]["rest_energy"], row["after"]) == (0.0, 0.0, None)
+    assert row["sampled"]["energy"] >= row["sampled"]["rest_energy"] > 0
     printed = capsys.readouterr().out
+    assert "floating by more than" in printed
     assert "sit" in printed and "cosine to the nearest training sentence" in printed
     with pytest.raises(SettingError, match="contents=dance: choose from stand, sit"):
         run("actions", "actions", *settings[:-1], "contents=[dance]")
@@ -107,6 +114,39 @@ def test_the_settings_of_sampling_reach_the_model(monkeypatch):
     config = OmegaConf.create({"samples": 2} | sampling)
     loaded("actions").sample_sentence(config, tiny(), "sit", "be seated", 2.04)
     assert requests == [([2.0, 2.0], sampling)]
+
+
+def test_the_seconds_after_an_action_are_judged_apart_and_beside_people_who_stand():
+    frames = torch.arange(60)
+
+    def moving(speed):
+        still = standing_still(60)
+        path = torch.zeros(60, 3, dtype=torch.float64)
+        path[:, 0] = speed * frames / 20
+        return dataclasses.replace(still, translation=still.translation + path, joints=still.joints + path[:, None])
+
+    actions, rests = split_rest({"jump": [moving(0.1)]}, 1.0)
+    assert [motion.frames for motion in (*actions["jump"], *rests)] == [40, 20]
+    assert measure_rest(rests, {"stand": [moving(0.2)], "run": [moving(4.0)]})["after"] == pytest.approx(0.25)
+    assert measure_rest(rests, {"run": [moving(4.0)]})["after"] is None
+    assert split_rest(actions, 0.0) == (actions, []) and measure_rest([], {})["after"] is None
+
+
+def test_actions_beyond_a_factor_of_two_and_bodies_that_float_are_named(capsys):
+    def row(energy, toe, after):
+        life = {"sliding_cm": None, "hand_step_cm": 1.0, "rest_energy": 1.0}
+        shares = dict.fromkeys(("shown", "ceiling", "chance", "found", "real_found"))
+        real = {**life, "energy": 1.0, "lower_toe_cm": 1.0}
+        return {**shares, "after": after, "sampled": {**life, "energy": energy, "lower_toe_cm": toe}, "real": real}
+
+    results = {"walk": row(1.9, 3.0, None), "dance": row(0.3, 5.2, None), "jump": row(1.0, 1.0, 0.1)}
+    print_report(results, Console(width=200))
+    lines = capsys.readouterr().out.splitlines()
+    named = dict(line.rsplit(": ", 1) for line in lines if ": " in line)
+    assert named["energy (whole) beyond a factor of 2 of recordings"] == "dance"
+    assert named["energy (calmest) beyond a factor of 2 of recordings"] == "none"
+    assert named["energy (after) beyond a factor of 2 of recordings"] == "jump"
+    assert named["floating by more than 2.5 cm"] == "dance"
 
 
 def test_sentences_of_the_training_are_asked_where_wanted():

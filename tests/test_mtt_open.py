@@ -69,6 +69,27 @@ def test_crops_and_whole_timelines_that_are_shown_are_counted():
     assert {"timelines_shown", "sliding"} <= {measure.key for measure in MEASURES}
 
 
+class Bower(Judge):
+    """Finds a bow in whatever moves."""
+
+    def motions(self, features) -> torch.Tensor:
+        return torch.stack([_one_hot(BOW) for _ in features])
+
+
+def test_a_second_judge_is_reported_beside_the_first_and_decides_nothing_else():
+    motions = [walking_with_an_arm_raised(), walking(1.2)]
+    alone, both = (MttOpen(ASKED, Judge(), judge=judge).measured("stmc", motions, seed=0) for judge in (None, Bower()))
+    own = {key: both.metrics[key] for key in both.metrics if key.startswith("judge_")}
+    assert both.metrics == alone.metrics | own and (own["judge_recall_1"], own["judge_m2t"]) == (25.0, 0.625)
+    assert own.keys() <= {measure.key for measure in MEASURES} and own.keys() <= both.resampled.keys()
+    bow = MttOpen(ASKED, Judge(), {BOW: [moved()]}, judge=Bower()).real(seed=0).metrics
+    assert (bow["judge_recall_1"], bow["recall_1"]) == (100.0, 0.0)
+    faster = Bower()
+    faster.fps = 30
+    with pytest.raises(SettingError, match="judge: works at 30 fps, but the evaluator at 20"):
+        MttOpen(ASKED, Judge(), judge=faster)
+
+
 def test_prompts_alone_are_no_timelines():
     benchmark = MttOpen(ASKED, Judge())
     assert isinstance(benchmark, Benchmark)

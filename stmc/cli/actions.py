@@ -8,7 +8,6 @@ directory; `prompts=prompts.json` calibrates the warnings of the model.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -24,6 +23,7 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
+from stmc.cli.action_plausibility import measure_plausibility, measure_rest, split_rest
 from stmc.cli.action_reports import CONFUSED, print_by_distance, print_report, print_texts
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel
@@ -40,7 +40,6 @@ from stmc.io.extras import require
 from stmc.io.files import write_text, write_whole
 from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, quote, read_text
 from stmc.model import Precision
-from stmc.motion.kinematics import foot_sliding, hand_step
 from stmc.motion.motion import Motion
 from stmc.motion.representation import Representation, SmplRepresentation
 from stmc.run import calibrate
@@ -74,6 +73,9 @@ class Settings(OnModel):
         None, "classifier-free guidance scale; null: the model's default", at_least=0
     )
     steps: int | None = setting(50, "denoising steps, fast actions need many; null: as many as in training", at_least=1)
+    after: float | int = setting(
+        0.0, "seconds by which samples of one-shot actions last longer: do people freeze then?", at_least=0
+    )
     clean_feet: bool = setting(False, "remove foot sliding and floor penetration after sampling")
     noise_scale: str | None = setting(
         None, "scale of DDPM's noise; null: the model's default", choices=get_args(NoiseScale)
@@ -109,8 +111,10 @@ def main(config: DictConfig) -> None:
     real = real_motions(cache, model.representation, model.skeleton, config.clips)
     for name in track(choose_contents(config, set(real)), "Sampling", console=console):
         seconds = min(WINDOW, median(motion.duration for motion in real[name]))
-        motions = {text: sample_sentence(config, model, name, text, seconds) for text in sentences(config, name)}
-        answers = check_geometry(name, motions, real)
+        after = 0.0 if CONTENTS[name].cyclic else config.after
+        longer = {text: sample_sentence(config, model, name, text, seconds + after) for text in sentences(config, name)}
+        motions, rests = split_rest(longer, after)
+        answers = check_geometry(name, motions, real) | measure_rest(rests, real)
         sampled = [motion for several in motions.values() for motion in several]
         plausible = {"sampled": measure_plausibility(sampled), "real": measure_plausibility(real[name])}
         found = {text: finder.recall(name, several) for text, several in motions.items()}
@@ -212,16 +216,6 @@ class Finder:
         scores = cosines(self.evaluator.motions(features), self.latents)
         own = torch.tensor([text == CONTENTS[name].sentences[0] for text in self.texts])
         return float((ranks(scores, own.expand(len(motions), -1)) < RANKED_BEST).float().mean())
-
-
-def measure_plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:
-    """Measure the mean foot sliding per frame of contact and the largest hand step of a frame, in centimetres."""
-    slides = [100 * foot_sliding(motion) for motion in motions]
-    stands = [slide for slide in slides if not math.isnan(slide)]
-    return {
-        "sliding_cm": fmean(stands) if stands else None,
-        "hand_step_cm": max(100 * hand_step(motion) for motion in motions),
-    }
 
 
 def draw(path: Path, motions: Mapping[str, Motion]) -> None:

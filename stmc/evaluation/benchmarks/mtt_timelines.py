@@ -31,6 +31,8 @@ from stmc.evaluation.metrics.timeline_metrics import Span, measured_points
 from stmc.motion.kinematics import foot_sliding, hand_step, local_joints
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, SmplRepresentation
+from stmc.run import load_evaluator
+from stmc.settings.records import SettingError
 from stmc.timeline import Timeline, TimelineError
 
 PER_TEXT = 4
@@ -47,17 +49,22 @@ class MttOpen:
         recorded: Recorded motions of some of the texts. Their pass rates are the ceiling and, for other texts, the
             chance; without them neither is reported.
         joints_from: Source of the measured joints; see `Model.decode`.
+        judge: Second evaluator, whose retrieval is reported beside that of the first ("judge_recall_1", …).
 
     Raises:
         TimelineError: If a text is not one of MTT's.
+        SettingError: If the judge expects another frame rate.
     """
 
     requested: Sequence[Timeline]
     evaluator: TextEvaluator
     recorded: Mapping[str, Sequence[Motion]] = field(default_factory=dict)
     joints_from: JointsFrom = "skeleton"
+    judge: TextEvaluator | None = None
 
     def __post_init__(self) -> None:
+        if self.judge is not None and self.judge.fps != self.evaluator.fps:
+            raise SettingError(f"judge: works at {self.judge.fps:g} fps, but the evaluator at {self.evaluator.fps:g}")
         texts = [prompt.text for timeline in self.requested for prompt in timeline.prompts]
         if unknown := [text for text in texts if text not in MTT_CHECKS]:
             raise TimelineError(f"{unknown[0]!r} is not one of MTT's {len(MTT_CHECKS)} texts")
@@ -70,9 +77,9 @@ class MttOpen:
         """Compute the scores of motions.
 
         They are the percentages of crops that show their text ("shown", and "shown/TEXT" for each text) and of
-        timelines whose crops all do ("timelines_shown"); R@1, R@3 and M2T of the crops among MTT's texts; transition
-        distance, foot sliding and hand steps in centimetres, and the jerk around transitions. "independent" motions
-        have no transitions and are no timelines, so that only their crops are measured.
+        timelines whose crops all do ("timelines_shown"); R@1, R@3 and M2T of the crops among MTT's texts, also by the
+        judge; transition distance, foot sliding and hand steps in centimetres, and the jerk around transitions.
+        "independent" motions have no transitions and are no timelines, so that only their crops are measured.
 
         Args:
             method: Name of the method.
@@ -116,9 +123,7 @@ class MttOpen:
         numbers = torch.tensor([number for *_, number in pairs])
         texts = list(MTT_CHECKS)
         shown = [MTT_CHECKS[texts[number]].shows(motion.trimmed(start, end)) for motion, start, end, number in pairs]
-        features = [self.evaluator.features(motion) for motion in motions]
-        crops = [rows[start:end] for rows, prompts in zip(features, spans, strict=True) for start, end, _ in prompts]
-        table = cosines(self.evaluator.motions(crops), self._latents)
+        retrieval = {prefix: self._retrieve(prefix, motions, spans) for prefix in self._evaluators}
         points = [measured_points(prompts, len(motion)) for prompts, motion in zip(spans, motions, strict=True)]
         steps = [
             pose_steps(local_joints(motion))[[point - 1 for point in frames]]
@@ -130,8 +135,14 @@ class MttOpen:
             shown=Rows.spread(answers, counts, units),
             numbers=numbers,
             whole=Rows(torch.stack([crops.amin() for crops in answers.split(counts)]), units),
-            ranks=Rows.spread(ranks(table, _SYNONYMS[numbers]), counts, units),
-            cosines=Rows.spread(table.gather(1, numbers[:, None])[:, 0], counts, units),
+            ranks={
+                prefix: Rows.spread(ranks(table, _SYNONYMS[numbers]), counts, units)
+                for prefix, table in retrieval.items()
+            },
+            cosines={
+                prefix: Rows.spread(table.gather(1, numbers[:, None])[:, 0], counts, units)
+                for prefix, table in retrieval.items()
+            },
             steps=Rows.spread(torch.cat(steps), list(map(len, steps)), units),
             slides=Rows(torch.tensor([100 * foot_sliding(motion) for motion in motions]), units),
             hands=Rows(torch.tensor([100 * hand_step(motion) for motion in motions]), units),
@@ -140,13 +151,14 @@ class MttOpen:
 
     def _metrics(self, evidence: _Evidence, units: Units, whole: bool) -> dict[str, float]:
         """Compute the metrics of some of the timelines."""
-        positions = evidence.ranks.of(units)
-        metrics = {
-            "shown": 100 * float(evidence.shown.of(units).mean()),
-            "recall_1": 100 * float((positions < 1).double().mean()),
-            "recall_3": 100 * float((positions < 3).double().mean()),
-            "m2t": float(scores(evidence.cosines.of(units)).double().mean()),
-        }
+        metrics = {"shown": 100 * float(evidence.shown.of(units).mean())}
+        for prefix in self._evaluators:
+            positions, similarities = evidence.ranks[prefix].of(units), evidence.cosines[prefix].of(units)
+            metrics |= {
+                f"{prefix}recall_1": 100 * float((positions < 1).double().mean()),
+                f"{prefix}recall_3": 100 * float((positions < 3).double().mean()),
+                f"{prefix}m2t": float(scores(similarities).double().mean()),
+            }
         if whole:
             metrics |= {
                 "timelines_shown": 100 * float(evidence.whole.of(units).mean()),
@@ -166,9 +178,23 @@ class MttOpen:
             if bool((evidence.numbers == number).any())
         }
 
+    def _retrieve(
+        self, prefix: str, motions: Sequence[Motion], spans: Sequence[Sequence[Span]]
+    ) -> Float[Tensor, "crops texts"]:
+        """Compute the cosines between all crops and MTT's texts by one of the evaluators."""
+        evaluator = self._evaluators[prefix]
+        features = [evaluator.features(motion) for motion in motions]
+        crops = [rows[start:end] for rows, prompts in zip(features, spans, strict=True) for start, end, _ in prompts]
+        return cosines(evaluator.motions(crops), self._latents[prefix])
+
     @cached_property
-    def _latents(self) -> Float[Tensor, "texts width"]:
-        return self.evaluator.texts(list(MTT_CHECKS))
+    def _evaluators(self) -> dict[str, TextEvaluator]:
+        """The evaluators by the prefix of their metrics."""
+        return {"": self.evaluator} | ({"judge_": self.judge} if self.judge is not None else {})
+
+    @cached_property
+    def _latents(self) -> dict[str, Float[Tensor, "texts width"]]:
+        return {prefix: evaluator.texts(list(MTT_CHECKS)) for prefix, evaluator in self._evaluators.items()}
 
     @cached_property
     def _chance(self) -> float:
@@ -192,16 +218,16 @@ class MttOpen:
 class _Evidence:
     """Measurements row by row, each of one timeline.
 
-    For crops: whether they show their text (0 or 1), the index of the text, its rank and its cosine. For motions:
-    whether all crops show their texts, foot sliding and the largest hand step in centimetres. For transitions: the step
-    of the pose in metres, and the jerk.
+    For crops: whether they show their text (0 or 1), the index of the text, and its rank and cosine by each evaluator.
+    For motions: whether all crops show their texts, foot sliding and the largest hand step in centimetres. For
+    transitions: the step of the pose in metres, and the jerk.
     """
 
     shown: Rows
     numbers: Tensor
     whole: Rows
-    ranks: Rows
-    cosines: Rows
+    ranks: Mapping[str, Rows]
+    cosines: Mapping[str, Rows]
     steps: Rows
     slides: Rows
     hands: Rows
@@ -225,6 +251,7 @@ def mtt_open(
     texts: str | Path,
     cache: str | Path | Sequence[str | Path] | None = None,
     first: int | None = None,
+    judge: str | Path | None = None,
 ) -> MttOpen:
     """Build the benchmark of MTT's 500 timelines from its 60 texts, by the authors' own draw.
 
@@ -233,13 +260,15 @@ def mtt_open(
         texts: The authors' texts.txt.
         cache: Folders of prepared data that show some of the texts.
         first: Number of timelines; None uses all.
+        judge: Run directory of a second evaluator; None uses the first alone.
 
     Raises:
         TimelineError: If a text has no check.
         CacheError: If a folder holds no prepared data.
     """
     requested = sample_published_timelines(read_texts(Path(texts).expanduser()))[:first]
-    return MttOpen(requested, evaluator, {} if cache is None else recorded_motions(read_caches(cache)))
+    recorded = {} if cache is None else recorded_motions(read_caches(cache))
+    return MttOpen(requested, evaluator, recorded, judge=load_evaluator(judge, "auto") if judge else None)
 
 
 def recorded_motions(cache: Cache) -> dict[str, list[Motion]]:

@@ -22,6 +22,7 @@ from stmc.motion.geometry import orthonormal_rows
 from stmc.motion.representation.layout import Layout
 from stmc.text import TextEncoder
 from stmc.training.data.joining import Arrangement
+from stmc.training.data.leaving_out import leave_out
 from stmc.training.loss import Batch
 
 NULL = 0
@@ -53,6 +54,8 @@ class Dataset:
         device: Device of the data.
         joined: Sentences about two contents at once by the contents' names, for compositions (see `BalancedBatches`);
             pairs with an unknown content are ignored.
+        without: Patterns of names of recordings that are not trained on; see `leave_out`.
+        without_texts: Sentences that are not trained on.
     """
 
     def __init__(
@@ -67,7 +70,11 @@ class Dataset:
         statistics_over: MeansOver = "clips",
         device: torch.device | str = "cpu",
         joined: Mapping[frozenset[str], Sequence[str]] = MappingProxyType({}),
+        without: Sequence[str] = (),
+        without_texts: Sequence[str] = (),
     ) -> None:
+        if without or without_texts:
+            cache = leave_out(cache, without, without_texts)
         if cache.features.shape[1] != layout.width:
             raise ValueError(f"the cache has {cache.features.shape[1]} features, but the layout has {layout.width}")
         self.fps, self.layout, self.clips, self.skeleton = cache.fps, layout, cache.clips, cache.skeleton

@@ -9,7 +9,7 @@ from stmc.data.cache import Cache, fingerprint
 from stmc.data.preparation import Watch, find_source
 from stmc.data.sources.bandai import recordings as bandai
 
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 """Version of the conversion of the same files. Raise it by one with every change that produces other features, clips or
 texts: caches of earlier versions are then prepared again."""
 

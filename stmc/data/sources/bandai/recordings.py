@@ -47,6 +47,8 @@ FARTHEST = 1e4
 """Distance in metres from the origin, and speed in m/s, that no person reaches in a clip; float32 then resolves a
 millimetre."""
 
+_FEET = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("ankle", "foot")]
+
 UNLABELLED = ""
 """Key of clips without sentences, which serve training without a name."""
 
@@ -128,7 +130,7 @@ def rest_rotations(names: Iterable[str]) -> Float[Tensor, "joints 3 3"]:
 
 
 def retarget(bvh: Bvh, skeleton: Skeleton) -> Motion:
-    """Retarget a clip to SMPL's joints at its own frame rate: metres, z up, the lowest joint at height zero.
+    """Retarget a clip to SMPL's joints at its own frame rate: metres, z up, the lowest foot at height zero.
 
     Each SMPL joint has the rotation of the dataset's joint, corrected by that joint's constant rotation in the rest
     pose; at the dataset's own proportions, forward kinematics reproduces the clip's joint positions. Raises `BvhError`
@@ -149,7 +151,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton) -> Motion:
     centimetre = 0.01
     pelvis = einsum(up, positions[:, bvh.names.index("Hips")] * centimetre, "a b, frames b -> frames a")
     motion = Motion.posed(local, pelvis, bvh.fps, skeleton)
-    floor = motion.joints[..., 2].min()
+    floor = motion.joints[:, _FEET, 2].min()  # not of all joints: a hand that touches the floor would lift the feet
     return Motion.posed(local, pelvis - torch.tensor([0.0, 0.0, floor]), bvh.fps, skeleton)
 
 
