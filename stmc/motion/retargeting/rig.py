@@ -111,8 +111,10 @@ class Rig:
         return replace(self, rest=self.rest * by)
 
     def posed(self, turns: Float[Tensor, "frames driven 3 3"], pelvis: Float[Tensor, "frames 3"]) -> Tensor:
-        """Positions [frames, driven, 3] of the driven nodes, turned from rest by `turns` in the world's axes, with the
-        `pelvis` there."""
+        """Compute the positions [frames, driven, 3] of the driven nodes (forward kinematics).
+
+        `turns` are world rotations from the rest pose, `pelvis` the positions of the pelvis.
+        """
         places: list[Tensor] = []
         for node in self.driven:
             above = self.carriers[self.parents[node]] if self.parents[node] >= 0 else -1

@@ -186,7 +186,7 @@ def _describe_prompts(stream: MotionStream) -> list[StreamPrompt]:
 
 
 def mannequin_file(skeleton: Skeleton, fps: float | int) -> bytes:
-    """Return a `.glb` file of the mannequin at rest, whose nodes are called as the joints of streams.
+    """Return a `.glb` file of the mannequin at rest; its nodes have the names of the joints in streams.
 
     Args:
         skeleton: Body of the mannequin.
