@@ -62,7 +62,7 @@ class Rig:
         """
         missing = [joint for joint in NEEDED if joint not in joints]
         if missing:
-            raise RigError(f"no joint is known for {', '.join(missing)}; name it in a joint map")
+            raise RigError(f"no joint was found for {', '.join(missing)}; name it in a joint map")
         ends = [joints["head"], *(joints[f"{side}_{joint}"] for joint in ("hip", "shoulder") for side in SIDES)]
         pelvis = _pelvis(parents, joints, ends)
         chest = _common(parents, [joints["head"], joints["left_shoulder"], joints["right_shoulder"]])
@@ -159,7 +159,7 @@ def _common(parents: Sequence[int], nodes: Sequence[int]) -> int | None:
 def _pelvis(parents: Sequence[int], joints: Mapping[str, int], ends: Sequence[int]) -> int:
     common = _common(parents, ends)
     if common is None:
-        raise RigError("legs, arms and head hang from different roots, so that no joint is the pelvis")
+        raise RigError("legs, arms and head hang from different roots, so no joint is the pelvis")
     given = joints.get("pelvis", common)
     below = all(given in ancestors(parents, end) for end in ends)
     return given if below else common
