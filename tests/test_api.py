@@ -411,7 +411,7 @@ JOINT = {"name": "a", "parent": None, "place": [0, 0, 0]}
         ({"joints": [JOINT], "up": "x"}, {}, "choose from y, z"),
         ({"joints": [JOINT]}, {}, "name them in a joint map"),
         (skeleton_of(made.lanky()), {"left_knee": 7}, "joint_map: left_knee=7"),
-        (skeleton_of(made.lanky()), {"tail": "root"}, "'tail' is no joint of ours"),
+        (skeleton_of(made.lanky()), {"tail": "root"}, "'tail' is not a joint of SMPL"),
         (skeleton_of(made.lanky()), {"left_knee": "nose"}, "left_knee is 'nose'"),
     ],
 )
@@ -518,7 +518,7 @@ def test_the_add_on_s_thread_brings_keys_or_a_sentence(addon, program):
     assert done.error == "" and done.keys["frames"] == 48 and done.keys["travelling"] == "DEF-hips"
     assert set(addon.JOINTS) >= set(done.keys["joint_map"])
     failed = task(addon, program, {"joints": [JOINT]})
-    assert failed.keys is None and failed.error.startswith("Skeleton: no joint is known for head")
+    assert failed.keys is None and failed.error.startswith("Skeleton: no joint was found for head")
     held = task(addon, program, skeleton_of(made.lanky()), {"DEF-hips"})
     assert "The bone DEF-hips cannot travel" in held.error
     with pytest.raises(addon.StudioError, match="this machine"):

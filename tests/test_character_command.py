@@ -77,7 +77,7 @@ def test_the_table_of_a_robot_has_its_joints_at_its_rate(name, content, columns,
         (["formats=npz,glb", "character={robot}"], "robot.urdf: none of these formats shows it; add one of csv"),
         (["formats=csv,vrma", "character={robot}"], "robot.urdf is a robot, whose motions are tables; choose from csv"),
         (["formats=csv,vrm", "character={robot}"], "robot.urdf has no humanoid map of VRM; choose from csv"),
-        (["character={hero}.zip"], "no characters of '.zip' files are read"),
+        (["character={hero}.zip"], "cannot read a character from a '.zip' file"),
     ],
 )
 def test_a_character_that_cannot_be_shown_is_refused_in_a_sentence(

@@ -368,9 +368,9 @@ def test_a_joint_map_corrects_and_its_mistakes_are_named(tmp_path):
             {"left_elbow": "elbow"},
             "joint map: left_elbow is 'elbow', but the file's joints are Armature, root",
         ),
-        ({"left_ellbow": "elbow"}, "joint map: 'left_ellbow' is no joint of ours; choose from pelvis, head"),
+        ({"left_ellbow": "elbow"}, "joint map: 'left_ellbow' is not a joint of SMPL; choose from pelvis, head"),
         ({"left_elbow": "DEF-shin.L"}, "'DEF-shin.L' cannot be both left_elbow and left_knee"),
-        ({"left_knee": None}, "no joint is known for left_knee"),
+        ({"left_knee": None}, "no joint was found for left_knee"),
     ):
         with pytest.raises(CharacterError, match=re.escape(said)):
             stmc.read_character(path, corrections)
@@ -402,5 +402,5 @@ def test_other_endings_and_other_files_are_refused(tmp_path, motion):
     path = write(tmp_path, "lanky.glb", RIGS["lanky.glb"]())
     with pytest.raises(CharacterError, match=r"choose from \.glb, \.vrma, \.bvh"):
         stmc.retarget(motion, path).write(tmp_path / "out.fbx")
-    with pytest.raises(CharacterError, match=r"no characters of '\.fbx' files are read; choose from \.glb, \.gltf"):
+    with pytest.raises(CharacterError, match=r"cannot read a character from a '\.fbx' file; choose from \.glb, \.gltf"):
         stmc.read_character(tmp_path / "hero.fbx")

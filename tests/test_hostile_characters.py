@@ -124,7 +124,7 @@ def _deep(document: dict) -> None:
 BAD: dict[Callable[[dict], None], str] = {
     _without_skin: "it has no skin: a mesh without bones cannot be animated; rig it first",
     _second_skeleton: "it has two skeletons, 'skin 0' and 'other': keep one character",
-    _cycle: "its nodes hang from one another in a cycle",
+    _cycle: "its nodes form a cycle",
     _many_vertices: "it has 10000000 vertices, more than 2,000,000, the limit",
     _external: "buffers[0] is in another file, 'hero.bin': export the character as one file, glTF Binary (.glb)",
     _cut_base64: "buffers[0] should be ",
@@ -137,9 +137,9 @@ BAD: dict[Callable[[dict], None], str] = {
     _zero_bone: "left_elbow is where left_shoulder is: the bone between them has no length",
     _uneven: "nodes[1] is scaled unevenly, by [1.0, 2.0, 1.0]: apply its scale first",
     _mirrored: "the scale of nodes[1] is [-1.0, 1.0, 1.0]: it must be positive",
-    _no_rotation: "the rotation of nodes[1] is [0.0, 0.0, 0.0, 0.0], which is no rotation",
+    _no_rotation: "the rotation of nodes[1] is [0.0, 0.0, 0.0, 0.0], which is not a rotation",
     _lying: "it does not stand along the y axis, which is up in glTF: turn it and apply the rotation",
-    _nameless: "no joint is known for head, left_hip",
+    _nameless: "no joint was found for head, left_hip",
     _huge: "the translation of nodes[1] has 1e+30, which is not a number up to 1e+06",
     _deep: "its joints hang more than 500 nodes deep",
 }
@@ -178,7 +178,7 @@ def test_a_bvh_that_is_none_and_a_joint_map_that_is_none_are_refused(tmp_path):
     good = made.bvh(made.stocky())
     assert refused(tmp_path / "a.bvh", good.replace("MOTION", "")).startswith("no MOTION section")
     stick = made.Bones(["hip", "knee"], [-1, 0], [np.zeros(3), np.array([0.0, -1.0, 0.0])])
-    assert refused(tmp_path / "b.bvh", made.bvh(stick)).startswith("no joint is known for head, left_hip")
+    assert refused(tmp_path / "b.bvh", made.bvh(stick)).startswith("no joint was found for head, left_hip")
     lying = good.replace("OFFSET 0.000000 15.000000 0.000000", "OFFSET 0.000000 0.000000 -150.000000")
     assert refused(tmp_path / "c.bvh", lying).startswith("its rest pose does not stand upright")
     hero = tmp_path / "hero.glb"

@@ -37,12 +37,12 @@ BAD_URDF = {
     SECRET: "it has a document type (<!DOCTYPE>)",
     "<a>" * 300: "more than 50,000 elements, or more than 200 deep",
     "<robot>" + "<link/>" * 60_000 + "</robot>": "more than 50,000 elements",
-    "<mujoco/>": "its outermost element is <mujoco>; that of a URDF is <robot>",
+    "<mujoco/>": "its outermost element is <mujoco>; a URDF begins with <robot>",
     "<robot/>": "it has 0 links",
     "<robot xmlns:xacro='x'><xacro:macro/></robot>": "it is a template of xacro",
     "<robot><link name='a'/><link name='b'/></robot>": "it has 2 links without a parent, such as 'b': keep one robot",
     "<robot><link name='a'/><link name='a'/></robot>": "a <link> has the name of another, 'a'",
-    "<robot><link name='a'/></robot>": "no joint is known for left_hip",
+    "<robot><link name='a'/></robot>": "no joint was found for left_hip",
     URDF.replace("<axis xyz='0 1 0'/>", "<axis xyz='0 0 0'/>"): "the axis of joint 'left_hip_pitch' is [0.0, 0.0, 0.0]",
     URDF.replace("upper='2.5'", "upper='nan'"): "upper of the limit of joint 'left_knee' is 'nan'",
     URDF.replace("lower='0.0' upper='2.5'", "lower='3' upper='2.5'"): "the limits of joint 'left_knee' are 3 and 2.5",
@@ -52,7 +52,7 @@ BAD_URDF = {
     URDF.replace("name='left_knee' type='revolute'", "name='left_knee' type='planar'"): "joint 'left_knee' is 'planar'",
     URDF.replace("<child link='left_knee_link'/>", "<child link='knee'/>"): "the child of joint 'left_knee' is 'knee'",
     URDF.replace("<child link='left_knee_link'/>", "<child link='right_knee_link'/>"): "link 'right_knee_link' has two",
-    URDF.replace("<parent link='left_hip_yaw_link'/>", "<parent link='left_knee_link'/>"): "its links hang from one",
+    URDF.replace("<parent link='left_hip_yaw_link'/>", "<parent link='left_knee_link'/>"): "its links form a cycle",
     URDF.replace("0 0 -0.25", "0 0 0").replace(
         "0 0 -0.1'", "0 0 0'"
     ): "left_knee is where left_hip is: the bone between them has no length",
@@ -70,9 +70,9 @@ def test_a_bad_urdf_is_refused_in_a_sentence_that_says_why(content, tmp_path):
 MJCF = made.mjcf()
 KNEE = re.search(r"<joint name='left_knee'[^>]*/>", MJCF)[0]
 BAD_MJCF = {
-    "<robot/>": "its outermost element is <robot>; that of an MJCF model is <mujoco>",
+    "<robot/>": "its outermost element is <robot>; an MJCF model begins with <mujoco>",
     "<mujoco/>": "its world has no bodies",
-    "<mujoco><worldbody><body/></worldbody></mujoco>": "no joint is known for left_hip",
+    "<mujoco><worldbody><body/></worldbody></mujoco>": "no joint was found for left_hip",
     MJCF.replace(
         "<mujoco model='robot'>", "<mujoco><include file='/etc/passwd'/>"
     ): "it includes '/etc/passwd', which is",

@@ -64,7 +64,7 @@ class Network(nn.Module, ABC):
     def encode_text(
         self, text: Float[Tensor, "batch words width"], text_mask: Bool[Tensor, "batch words"] | None = None
     ) -> Float[Tensor, "batch words encoded"]:
-        """Encode texts once for all steps: as many words, of the width that the network uses."""
+        """Encode texts once for all steps: keep the number of words, change their width to that of the network."""
 
     @abstractmethod
     def denoise(
@@ -75,7 +75,7 @@ class Network(nn.Module, ABC):
         text_mask: Bool[Tensor, "batch words"] | None = None,
         mask: Bool[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames features"]:
-        """Predict, as `Denoiser` does, for an encoded `text`."""
+        """Predict as a `Denoiser`, but from a `text` that `encode_text` has encoded."""
 
     def forward(
         self,

@@ -50,7 +50,7 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def _read_up_to(file: BinaryIO, most: int) -> bytes:
-    """At most so many bytes; `file.read(most)` would allocate as many for a small file, too."""
+    """Read at most `most` bytes in chunks; `file.read(most)` would allocate `most` bytes for a small file, too."""
     chunks = []
     while most > 0 and (chunk := file.read(min(most, _CHUNK))):
         chunks.append(chunk)

@@ -1,4 +1,4 @@
-"""The vocabulary of a run directory's model, and what was measured of that model: two files beside its weights."""
+"""Two files beside the weights of a run directory: the vocabulary of its model, and the calibration of that model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ VOCABULARY, CALIBRATION = "vocabulary.safetensors", "calibration.json"
 
 
 def write_model_vocabulary(vocabulary: Vocabulary | None, folder: Path) -> None:
-    """Write both files beside the weights; those of a model that lay here before are removed."""
+    """Write the vocabulary and the calibration of a model; remove files of an earlier model that it does not have."""
     if vocabulary is None:
         (folder / VOCABULARY).unlink(missing_ok=True)
     else:
@@ -37,7 +37,10 @@ def write_model_vocabulary(vocabulary: Vocabulary | None, folder: Path) -> None:
 
 
 def write_model_calibration(calibration: Calibration, folder: Path) -> Path:
-    """Write what was measured of the model beside its weights, whose digest tells whose measurements they are."""
+    """Write the calibration of a model beside its weights, with the digest of these weights; return its path.
+
+    Raises `RunError` if the folder has no weights.
+    """
     if not (folder / WEIGHTS).is_file():
         raise RunError(f"{folder} is not a run directory: {WEIGHTS} missing")
     write_calibration(replace(calibration, weights=sha256(folder / WEIGHTS)), folder / CALIBRATION)
@@ -45,8 +48,11 @@ def write_model_calibration(calibration: Calibration, folder: Path) -> Path:
 
 
 def read_model_vocabulary(folder: Path, config: Mapping[str, Any]) -> Vocabulary | None:
-    """Read the model's vocabulary, with its calibration; a file that the config's digest does not name, or that was
-    measured with other weights, is of another model that lay here before. Raises `RunError` for a damaged file."""
+    """Read the vocabulary of a model with its calibration; return None if the model has none.
+
+    Ignore files of an earlier model in the folder: a vocabulary that the config's digest does not name, and a
+    calibration of other weights. Raises `RunError` for a damaged file.
+    """
     if not (folder / VOCABULARY).is_file() or "vocabulary" not in config.get("digest", ("vocabulary",)):
         return None
     try:

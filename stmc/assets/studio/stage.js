@@ -15,6 +15,10 @@ const ROOM = 1.02; // of the picture for what is within bounds
 const FARTHEST = 40; // metres
 const fovOf = (width, height) => (width < height ? 40 : 32); // degrees
 const FLOOR = new Plane(new Vector3(0, 1, 0), 0);
+const SLOW = 50; // milliseconds between moving pictures above which they are drawn coarser: motions have 20 a second
+const SLOW_PICTURES = 3; // that follow one another before that
+const COARSE = 110e3; // pixels of a coarser picture, but at least half of the width
+const STANDS = 300; // milliseconds after which a picture that stands is drawn with all pixels
 const MOVED = 0.01; // metres from which on a hand has pulled rather than clicked
 
 // `tell`: {drawn(points), moved(id, point, finished), chosen(id), pulled(joint, point, finished)}, what the hand does in
@@ -24,7 +28,8 @@ export function createStage(host, tell = null) {
   const renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
   renderer.shadowMap.enabled = true;
   renderer.shadowMap.type = PCFSoftShadowMap;
-  renderer.setPixelRatio(Math.min(devicePixelRatio || 1, 2));
+  const sharp = Math.min(devicePixelRatio || 1, 2); // pixels of the picture per pixel of the page
+  renderer.setPixelRatio(sharp);
   renderer.domElement.setAttribute("role", "img");
   renderer.domElement.setAttribute("aria-label", "The person in the room: drag to turn the camera");
   host.prepend(renderer.domElement);
@@ -56,6 +61,7 @@ export function createStage(host, tell = null) {
   let marked = [[], null]; // constraints, and the chosen one's id
   let restore = []; // what undoes them in the figure
   let pictures = 0; // drawn so far
+  let [slow, shown, before, standing] = [0, 0, Infinity, null]; // slow pictures, the last one's time, when it was drawn, a timer
 
   const invalidate = () => (stale = true);
   controls.addEventListener("change", invalidate);
@@ -94,11 +100,28 @@ export function createStage(host, tell = null) {
     last = here;
   }
 
-  function render() {
+  // While time moves on a slow machine (WebGL in software, say), pictures are coarser; one that stands has all pixels.
+  // Figures side by side are compared, and keep all of them.
+  function pace(now) {
+    if (time === shown) [slow, before] = [Math.min(slow, SLOW_PICTURES - 1), Infinity];
+    else {
+      if (slow < SLOW_PICTURES) slow = now - before > SLOW ? slow + 1 : before === Infinity ? slow : 0;
+      before = now;
+    }
+    shown = time;
+    const fewer = Math.sqrt(COARSE / (host.clientWidth * host.clientHeight || 1));
+    const ratio = slow < SLOW_PICTURES || figures.length > 1 ? sharp : Math.max(sharp / 2, Math.min(sharp, fewer));
+    if (ratio !== renderer.getPixelRatio()) renderer.setPixelRatio(ratio);
+    clearTimeout(standing);
+    if (ratio < sharp) standing = setTimeout(invalidate, STANDS);
+  }
+
+  function render(now) {
     requestAnimationFrame(render);
     if (controls.enabled && controls.update()) stale = true;
     if (!stale) return;
     stale = false;
+    pace(now);
     keepUp();
     release();
     for (const { figure } of figures) {
@@ -267,7 +290,7 @@ export function createStage(host, tell = null) {
     invalidate();
   }
 
-  render();
+  render(performance.now());
   return {
     cells,
     reset,

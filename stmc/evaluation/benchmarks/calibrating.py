@@ -1,4 +1,7 @@
-"""From measured success and two lists of prompts to the recogniser's thresholds, and how well it then warns."""
+"""Calibrate the thresholds of the recogniser of prompts, and measure how well it then warns.
+
+The data are the measured success of prompts, known prompts and unknown prompts.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,24 @@ from stmc.io.untrusted import UnreadableError, load_json, quote, read_text
 from stmc.text.vocabulary import RARELY, Calibration, Recognition
 
 SHOWN_RATE = 0.75
-"""The share of a text's samples that show it, where a model can do it: 6 of 8."""
+"""The fraction of a text's samples that must show it if the model is to count as able to show it: 6 of 8."""
 MOST_LOST = 0.05
-"""The share of known prompts that may warn."""
+"""The maximum fraction of known prompts that may warn."""
 ENOUGH = 8
-"""Known prompts, and unknown ones, that an action needs for a threshold of its own."""
+"""The number of known and of unknown prompts that an action needs for a threshold of its own."""
 _MOST_BYTES = 2**22
 
 
 @dataclass(frozen=True)
 class Rates:
-    """How well a model warns: how many of the `asked` texts of MTT are `missed` without a warning, and the shares of
-    `known` and of `unknown` prompts that warn (None: there are none)."""
+    """How well a model warns.
+
+    Args:
+        missed: Number of texts of MTT that the model rarely shows and that do not warn.
+        asked: Number of texts of MTT with measured success.
+        known: Fraction of known prompts that warn; None without any.
+        unknown: Fraction of unknown prompts that warn; None without any.
+    """
 
     missed: int
     asked: int
@@ -39,10 +48,10 @@ class Rates:
 
 
 def read_prompts(path: str | Path) -> tuple[dict[str, str], list[str]]:
-    """Read the known prompts, each with its action, and the unknown ones, which are about no action of the model, of a
-    file `{"inside": [[action, text]], "outside": [text], "unusual": [text]}`; the last may be missing.
+    """Read known prompts, each with its action, and unknown prompts, which describe no action of the model.
 
-    Raises `ValueError` for any other file.
+    The file is `{"inside": [[action, text]], "outside": [text], "unusual": [text]}`; "unusual" is optional. Raises
+    `ValueError` for any other file.
     """
     try:
         table = load_json(read_text(Path(path), _MOST_BYTES))
@@ -61,8 +70,9 @@ def read_prompts(path: str | Path) -> tuple[dict[str, str], list[str]]:
 def calibrate_thresholds(
     calibration: Calibration, known: Mapping[str, str], unknown: Sequence[str], found: Mapping[str, Recognition]
 ) -> Calibration:
-    """Choose the threshold that tells most of the `unknown` prompts from the `known` ones, of which at most `MOST_LOST`
-    lie below it; for an action with `ENOUGH` prompts of both kinds, one of its own.
+    """Choose the threshold below which most unknown prompts and at most `MOST_LOST` of the known prompts lie.
+
+    An action with `ENOUGH` prompts of both kinds gets a threshold of its own.
 
     Args:
         calibration: What was measured; known prompts of actions that work rarely, which warn rightly, do not count.
@@ -101,8 +111,10 @@ def threshold_between(known: Sequence[float], unknown: Sequence[float]) -> float
 def rates_of_warnings(
     calibration: Calibration, known: Mapping[str, str], unknown: Sequence[str], found: Mapping[str, Recognition]
 ) -> Rates:
-    """Count the warnings: for the texts of MTT that were tried, for known prompts of actions that work, for unknown
-    ones. The arguments are those of `calibrate_thresholds`."""
+    """Count warnings: for texts of MTT with measured success, known prompts of working actions, and unknown prompts.
+
+    The arguments are those of `calibrate_thresholds`.
+    """
     warns = {
         text: not replace(each, threshold=calibration.threshold_of(each.action, each.threshold)).works
         for text, each in found.items()
@@ -115,7 +127,7 @@ def rates_of_warnings(
 
 
 def working_prompts(calibration: Calibration, known: Mapping[str, str]) -> list[str]:
-    """Return the known prompts whose own samples and whose action's are not measured to work rarely."""
+    """Return the known prompts, except those whose samples, or whose action's, were measured to show it rarely."""
     rates = {text: calibration.rate(text, action) for text, action in known.items()}
     return [text for text, rate in rates.items() if rate is None or rate >= RARELY]
 

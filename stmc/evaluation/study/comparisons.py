@@ -51,7 +51,7 @@ def read_pairs(first: str | Path, second: str | Path, timelines: Sequence[Timeli
 
 
 def _motions(folder: Path) -> dict[Content, Path]:
-    """Where the motion of each timeline lies, by what the records say."""
+    """Map each timeline of a folder to the path of its motion with the lowest seed."""
     chosen: dict[Content, tuple[int, Path]] = {}
     for path in sorted(folder.glob("*.npz")):
         seed, content = _record(path.with_suffix(".json"))

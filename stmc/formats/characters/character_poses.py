@@ -31,7 +31,7 @@ def stage_poses(moved: CharacterMotion, motion: Motion) -> bytes:
     """
     body, rig = moved.character.body, moved.motion.rig
     if not isinstance(body, GltfRig):
-        raise CharacterError("a BVH file has a skeleton without a mesh, so that there is nothing to show")
+        raise CharacterError("a BVH file has no mesh, so there is nothing to show")
     rotations, pelvis = body.local_pose(moved.motion, moved.character.standing)
     driven = list(rotations)
     turn = torch.from_numpy(Z_UP_TO_Y_UP @ moved.character.standing.turn)

@@ -159,7 +159,7 @@ def read_character(path: str | Path, joint_map: str | Path | Mapping[str, str | 
     read = _READERS.get(path.suffix.lower())
     if read is None:
         choices = ", ".join(_READERS)
-        raise CharacterError(f"{path}: no characters of {path.suffix!r} files are read; choose from {choices}")
+        raise CharacterError(f"{path}: cannot read a character from a {path.suffix!r} file; choose from {choices}")
     corrections = _read_map(Path(joint_map)) if isinstance(joint_map, (str, Path)) else joint_map or {}
     try:
         return read(path, corrections)
@@ -273,7 +273,7 @@ def _corrected(joints: Mapping[str, int], names: tuple[str, ...], corrections: _
     corrected = dict(joints)
     for joint, name in corrections.items():
         if joint not in _JOINTS:
-            raise CharacterError(f"joint map: {quote(joint)} is no joint of ours; choose from {', '.join(_JOINTS)}")
+            raise CharacterError(f"joint map: {quote(joint)} is not a joint of SMPL; choose from {', '.join(_JOINTS)}")
         if name is None:
             corrected.pop(joint, None)
         elif name in names:

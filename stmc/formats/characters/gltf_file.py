@@ -106,7 +106,7 @@ def _document(content: bytes) -> dict[str, Any]:
     except (ValueError, RecursionError):
         raise CharacterError("its JSON has a number that is not finite") from None
     if not isinstance(document, dict):
-        raise CharacterError("its JSON is not an object, so that it is no glTF")
+        raise CharacterError("its JSON is not an object, so it is not a glTF file")
     return document
 
 
@@ -139,7 +139,7 @@ def _check_document(gltf: Gltf) -> None:
     document = gltf.document
     asset = document.get("asset")
     if not isinstance(asset, dict) or not str(asset.get("version", "")).startswith("2."):
-        raise CharacterError("it says no glTF version 2 in its asset")
+        raise CharacterError("its asset does not have glTF version 2")
     for name in ("extensionsUsed", "extensionsRequired"):
         if not isinstance(document.get(name, []), list):
             raise CharacterError(f"{name} is not a list")
@@ -227,7 +227,7 @@ def parents_of(nodes: Sequence[Mapping[str, Any]]) -> list[int]:
             line.append(number)
             number = parents[number]
         if not rooted[number]:
-            raise CharacterError("its nodes hang from one another in a cycle")
+            raise CharacterError("its nodes form a cycle")
         for each in line:
             rooted[each] = True
     return parents

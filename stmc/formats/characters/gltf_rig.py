@@ -234,7 +234,7 @@ def transform(node: Mapping[str, Any], name: str) -> tuple[np.ndarray, np.ndarra
     scale = np.array(numbers(node.get("scale", [1, 1, 1]), 3, f"the scale of {name}"))
     length = np.linalg.norm(rotation)
     if not length > 1e-6:
-        raise CharacterError(f"the rotation of {name} is {quote(rotation.tolist())}, which is no rotation")
+        raise CharacterError(f"the rotation of {name} is {quote(rotation.tolist())}, which is not a rotation")
     if not scale.min() > 1e-9:
         raise CharacterError(f"the scale of {name} is {quote(scale.tolist())}: it must be positive")
     return translation, _matrix(rotation / length), scale

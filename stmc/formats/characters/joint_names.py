@@ -63,7 +63,10 @@ VRM_BONES: Mapping[str, str] = {
 
 
 def joints_by_name(names: Sequence[str], nodes: Iterable[int]) -> dict[str, int]:
-    """Which of the `nodes` is which joint of ours, by its name; empty where arms and legs are not all named."""
+    """Map joints of SMPL to those of the `nodes` that bear their names.
+
+    The mapping is empty unless the names identify all joints of both arms and both legs.
+    """
     places: dict[tuple[str | None, str], int] = {}
     for node in nodes:
         places.setdefault(taken_apart(names[node]), node)

@@ -42,16 +42,16 @@ class Mjcf:
         """Read a model. Raise `CharacterError` for a file that is none, and for includes from elsewhere."""
         root = read_xml(path)
         if root.tag != "mujoco":
-            raise CharacterError(f"its outermost element is <{truncate(root.tag)}>; that of an MJCF model is <mujoco>")
+            raise CharacterError(f"its outermost element is <{truncate(root.tag)}>; an MJCF model begins with <mujoco>")
         _include(root, path.parent, set())
         if sum(1 for _ in root.iter()) > MOST_ELEMENTS:
             raise CharacterError(f"more than {MOST_ELEMENTS:,} elements")
         settings = {name: value for element in root.findall("compiler") for name, value in element.attrib.items()}
         if settings.get("coordinate", "local") != "local":
-            raise CharacterError("its coordinates are global, which MuJoCo no longer reads either")
+            raise CharacterError("its coordinates are global, but MuJoCo supports only local ones")
         euler = settings.get("eulerseq", "xyz")
         if len(euler) != 3 or not set(euler) <= set("xyzXYZ") or euler not in (euler.lower(), euler.upper()):
-            raise CharacterError(f"eulerseq of its compiler is {quote(euler)}, which is no order of axes")
+            raise CharacterError(f"eulerseq of its compiler is {quote(euler)}, not an order of axes such as xyz or XYZ")
         degrees = settings.get("angle", "degree") != "radian"
         classes: dict[str, dict[str, dict[str, str]]] = {_MAIN: {name: {} for name in _WITH_DEFAULTS}}
         for element in root.findall("default"):
@@ -76,7 +76,7 @@ class Mjcf:
 
         if (quat := numbers(element, "quat", (4,), place)) is not None:
             if not np.linalg.norm(quat) > 1e-9:
-                raise CharacterError(f"quat of {place} is {quote(quat.tolist())}, which is no rotation")
+                raise CharacterError(f"quat of {place} is {quote(quat.tolist())}, which is not a rotation")
             return Rotation.from_quat(quat[[1, 2, 3, 0]]).as_matrix()
         if (turn := numbers(element, "axisangle", (4,), place)) is not None:
             return Rotation.from_rotvec(unit(turn[:3], "axisangle", place) * self.angle(turn[3])).as_matrix()
@@ -131,7 +131,7 @@ def _inside(folder: Path, name: str) -> Path:
     try:
         path, home = (folder / name).resolve(), folder.resolve()
     except (OSError, ValueError, RuntimeError):
-        raise CharacterError(f"it includes {quote(name)}, which is no path") from None
+        raise CharacterError(f"it includes {quote(name)}, which is not a valid path") from None
     if not name or not path.is_relative_to(home):
         raise CharacterError(f"it includes {quote(name)}, which is not in the model's folder: put it there")
     return path

@@ -82,7 +82,7 @@ class RestSkeleton:
         for joint in ordered:  # grows while it is read
             ordered += children.get(joint.name, [])
         if len(ordered) < len(self.joints):
-            raise CharacterError("its joints hang from one another in a cycle")
+            raise CharacterError("its joints form a cycle")
         return ordered
 
 

@@ -1,4 +1,4 @@
-"""Which joint of a robot is which joint of ours: by the names of hinges and links, else by the robot's shape."""
+"""Identify the joints of a robot with those of SMPL: by the names of hinges and links, else by the robot's shape."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WRIST = 0.05
 
 
 def identify_joints(pieces: Pieces) -> tuple[str, dict[str, int]]:
-    """Return the way in which joints were found, and the nodes that are joints of ours."""
+    """Map joints of SMPL to nodes of a robot; also return, for messages, what identified them."""
     joints = _by_name(pieces)
     if all(f"{side}_{joint}" in joints for side in SIDES for joint in _NEEDED):
         return "the joints' names", joints
@@ -36,7 +36,7 @@ def identify_joints(pieces: Pieces) -> tuple[str, dict[str, int]]:
 
 
 def _by_name(pieces: Pieces) -> dict[str, int]:
-    """Return the last node of each joint's name: hinges' names count before links'."""
+    """Map joints to the last node that bears their name. Names of hinges take precedence over names of links."""
     hinged = [number for number, hinge in enumerate(pieces.hinges) if hinge is not None]
     links = [pieces.link(node).name for node in range(len(pieces.names))]
     known: dict[tuple[str | None, str], int] = {}
@@ -57,7 +57,7 @@ def _by_name(pieces: Pieces) -> dict[str, int]:
 
 
 def _by_shape(pieces: Pieces) -> dict[str, int]:
-    """Return joints by shape, of the tree of joints that hinges make together."""
+    """Map joints to nodes by the shape of the tree whose vertices are groups of adjacent hinges."""
     if not pieces.joints:
         return {}
     roots = [ancestors(pieces.parents, joint[0])[-1] for joint in pieces.joints]
@@ -73,7 +73,7 @@ def _by_shape(pieces: Pieces) -> dict[str, int]:
 
 
 def _is_gripper(pieces: Pieces, joint: tuple[int, ...]) -> bool:
-    """Whether a joint is a single hinge that ends its limb, just behind a joint of several."""
+    """Return whether a joint is a gripper: a single hinge at the end of a limb, close to a joint of several hinges."""
     above = pieces.joint(pieces.above(joint[0])) if pieces.above(joint[0]) >= 0 else ()
     ends = not any(pieces.above(other[0]) == joint[-1] for other in pieces.joints)
     if len(joint) > 1 or len(above) < 2 or not ends or pieces.above(above[0]) < 0:
@@ -84,7 +84,7 @@ def _is_gripper(pieces: Pieces, joint: tuple[int, ...]) -> bool:
 
 
 def _apart(pieces: Pieces, joint: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Return a joint as it is, or, if it ends a limb and its last hinge is far from it, without and with that alone."""
+    """Split off the last hinge of a joint if the joint ends a limb and that hinge is far from the others."""
     ends = not any(pieces.above(other[0]) == joint[-1] for other in pieces.joints)
     away = np.linalg.norm(pieces.places[joint[-1]] - pieces.centre(joint))
     if len(joint) < 2 or not ends or away < _WRIST * np.ptp(pieces.places, axis=0).max():

@@ -72,7 +72,7 @@ class Pieces:
 
     @cached_property
     def joints(self) -> tuple[tuple[int, ...], ...]:
-        """Up to three hinges that follow one another and nearly meet in a point, no two of which turn the same way."""
+        """Groups of one to three consecutive hinges, whose axes nearly intersect in a point and are not parallel."""
         near = _NEAR * float(np.ptp(self.places, axis=0).max())
         hinged = [node for node, hinge in enumerate(self.hinges) if hinge is not None]
         carried = [self.above(node) for node in hinged]
@@ -93,7 +93,7 @@ class Pieces:
         return next((joint for joint in self.joints if node in joint), (node,))
 
     def centre(self, nodes: Sequence[int]) -> Float[np.ndarray, " 3"]:
-        """Return the point nearest to the axes of some nodes, and, where these leave it open, to their places."""
+        """Return the point nearest to the axes of some nodes; of several, the one nearest to the mean of the nodes."""
         middle = self.places[list(nodes)].mean(axis=0)
         squares, sides = 1e-6 * np.eye(3), 1e-6 * middle
         for node in nodes:

@@ -62,7 +62,7 @@ class RobotTree:
         )
         missing = [joint for joint in NEEDED if joint not in joints and joint not in _ADDED]
         if missing:
-            raise CharacterError(f"no joint is known for {', '.join(missing)}; name them in a joint map")
+            raise CharacterError(f"no joint was found for {', '.join(missing)}; name them in a joint map")
         for side in SIDES:
             if tree.joints.get(f"{side}_foot") == tree.joints[f"{side}_ankle"]:
                 del tree.joints[f"{side}_foot"]
@@ -114,7 +114,7 @@ class RobotTree:
         shape = enclose([each for each in (link.shape, link.mass_shape) if each is not None][:1])
         if shape is None:
             raise CharacterError(
-                f"no joint is known for {side}_wrist, and its forearm has no shape: name it in a joint map"
+                f"no joint was found for {side}_wrist, and its forearm has no mesh: name it in a joint map"
             )
         upper = float(np.linalg.norm(self.places[elbow] - self.at(f"{side}_shoulder")))
         along = shape.mean(axis=0) - self.places[elbow]
@@ -135,7 +135,7 @@ class RobotTree:
         lines = [ancestors(self.parents, self.joints[f"{side}_shoulder"]) for side in SIDES]
         shared = [node for node in lines[0] if node in lines[1]]
         if not shared:
-            raise CharacterError("its arms hang from different roots, so that no link is the chest")
+            raise CharacterError("its arms hang from different roots, so no link is the chest")
         crown = shoulders + up * (_HEAD * arm)
         head = self.joints.get("head", shared[0])
         if head in shared:

@@ -62,7 +62,7 @@ def _parse(content: bytes, start: Callable[..., Any], end: Callable[..., Any]) -
 
 
 def _refuse_doctype(*_: Any) -> None:
-    raise CharacterError("it has a document type (<!DOCTYPE>), which robots need not have and which is not read")
+    raise CharacterError("it has a document type (<!DOCTYPE>), which is not supported: remove it")
 
 
 def numbers(element: Element, name: str, counts: tuple[int, ...], place: str) -> Float[np.ndarray, " _"] | None:

@@ -58,7 +58,7 @@ def stand(
     """
     missing = [joint for joint in NEEDED if joint not in joints]
     if missing:
-        raise CharacterError(f"no joint is known for {', '.join(missing)}; name them in a joint map")
+        raise CharacterError(f"no joint was found for {', '.join(missing)}; name them in a joint map")
     turn = upright_turn(places, joints)
     if y_up and not (turn[2] == [0.0, 1.0, 0.0]).all():
         raise CharacterError("it does not stand along the y axis, which is up in glTF: turn it and apply the rotation")

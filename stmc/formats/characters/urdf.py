@@ -34,7 +34,7 @@ def read_urdf(path: Path) -> Robot:
     """Read a robot. Raise `CharacterError`, which says what is missing, for a file that is none."""
     root = read_xml(path)
     if root.tag != "robot":
-        raise CharacterError(f"its outermost element is <{truncate(root.tag)}>; that of a URDF is <robot>")
+        raise CharacterError(f"its outermost element is <{truncate(root.tag)}>; a URDF begins with <robot>")
     if any("xacro" in element.tag for element in root):
         raise CharacterError("it is a template of xacro: write it out first, with `xacro robot.urdf.xacro`")
     links = _named(root, "link")
@@ -75,7 +75,7 @@ def _tree(links: dict[str, Element], joints: dict[str, Element]) -> dict[str, tu
             end = joint.find(tag)
             ends.append("" if end is None else end.get("link", ""))
             if ends[-1] not in links:
-                raise CharacterError(f"the {tag} of joint {quote(name)} is {quote(ends[-1])}, which is no link")
+                raise CharacterError(f"the {tag} of joint {quote(name)} is {quote(ends[-1])}, which is not a link")
         parent, child = ends
         if child in children:
             raise CharacterError(f"link {quote(child)} has two parents: links must be a tree")
@@ -92,7 +92,7 @@ def _tree(links: dict[str, Element], joints: dict[str, Element]) -> dict[str, tu
             tree[link] = (parent, joint_above)
             left.append(link)
     if len(tree) < len(links):
-        raise CharacterError("its links hang from one another in a cycle")
+        raise CharacterError("its links form a cycle")
     return tree
 
 
@@ -169,7 +169,7 @@ def _mimics(joints: dict[str, Element], moving: list[str]) -> tuple[Mimic, ...]:
             continue
         said, leader = f"the mimic of joint {quote(name)}", mimic.get("joint", "")
         if leader not in moving or joints[leader].find("mimic") is not None:
-            raise CharacterError(f"{said} is {quote(leader)}, which is no joint that moves by itself")
+            raise CharacterError(f"{said} is {quote(leader)}, which is not a joint that moves by itself")
         lower, upper = (-np.inf, np.inf) if limit is None else _range(limit, f"joint {quote(name)}")
         ratio, offset = number(mimic, "multiplier", 1.0, said), number(mimic, "offset", 0.0, said)
         found.append(Mimic(column, moving.index(leader), ratio, offset, lower, upper))

@@ -54,7 +54,7 @@ def _document(
 def _bones(rig: Rig) -> dict[str, int]:
     """Map each VRM bone of the rig to its index among the driven nodes, the hips first."""
     if not rig.spine:
-        raise CharacterError("it has no joint between pelvis and chest, and VRM Animation asks for a spine")
+        raise CharacterError("it has no joint between pelvis and chest, but VRM Animation requires a spine")
     spine = {1: ("spine",), 2: ("spine", "chest")}.get(len(rig.spine), ("spine", "chest", "upperChest"))
     chosen = np.linspace(0, len(rig.spine) - 1, len(spine)).round().astype(int)
     bones = {bone: rig.place(joint) for bone, joint in VRM_BONES.items() if joint in rig.joints}

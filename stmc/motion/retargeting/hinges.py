@@ -65,7 +65,7 @@ class HingeCurves:
 
 @dataclass(frozen=True, eq=False)
 class _Goals:
-    """The sums of points that should be somewhere, and the nodes that should be turned somehow."""
+    """Targets of the least-squares problems: positions of sums of points, and rotations of nodes."""
 
     rest: Float[np.ndarray, "points 3"]
     movers: np.ndarray
@@ -86,15 +86,21 @@ def follow(
     places: Float[np.ndarray, "frames driven 3"],
     fps: float | int,
 ) -> HingeCurves:
-    """Return the angles with which the rig's linkage comes nearest to its driven nodes' turns and places.
+    """Solve for the hinge angles that bring a robot closest to the rotations and positions of its driven nodes.
 
-    Each frame is a least-squares problem with bounds, solved by Gauss-Newton steps from the frame before: soles are
-    where the rig's are, arms and legs point as its do, trunk and head turn as its do. No corner of a sole is below the
-    floor: where the problem leaves one there, the base is lifted.
+    Each frame is a bounded least-squares problem, solved by Gauss-Newton steps from the solution of the frame before.
+    Its terms are the positions of the soles, the directions of arms and legs, and the rotations of trunk and head. If a
+    corner of a sole remains below the floor, the base is lifted.
 
-    An arm can often be turned in two ways, of which one ends at the limits of its hinges. If a hand thereby misses the
-    head or the other hand, the frame in which it does so most is solved from other angles of its arm, and the frames
-    before and after it are solved from there.
+    An arm often has two solutions, and the limits of its hinges block one of them. If a hand therefore misses the head
+    or the other hand, its worst frame is solved again from other angles of that arm, and the frames before and after
+    are solved from there.
+
+    Args:
+        rig: Rig with a linkage.
+        turns: World rotations of the driven nodes from the rest pose.
+        places: World positions of the driven nodes, in the rig's unit.
+        fps: Frame rate, for the speed limits of hinges.
     """
     linkage, leg = _linkage(rig), rig.length(LIMBS[0])
     problem = _Problem(linkage, _goals(rig, linkage, turns, places, leg), fps, leg)
@@ -111,7 +117,7 @@ def follow(
 def apply_hinges(
     rig: Rig, curves: HingeCurves
 ) -> tuple[Float[np.ndarray, "frames driven 3 3"], Float[np.ndarray, "frames driven 3"]]:
-    """Return the turns and the places of a rig's driven nodes that its hinges give them."""
+    """Compute the rotations and positions of a rig's driven nodes from its hinge angles (forward kinematics)."""
     linkage, driven = _linkage(rig), list(rig.driven)
     movers, turners, rest = linkage.movers[driven], linkage.turners[driven], rig.rest[driven].numpy()
     turns, places = [], []
@@ -128,7 +134,7 @@ def _linkage(rig: Rig) -> Linkage:
 
 
 def _start(rig: Rig, turns: np.ndarray, places: np.ndarray) -> Base:
-    """Return the base as if it were rigid with the pelvis."""
+    """Return the base that places the resting robot's pelvis where the rig's is."""
     place = rig.place("pelvis")
     return Base(turns[place], places[place] - turns[place] @ rig.at("pelvis").numpy())
 
@@ -201,10 +207,10 @@ def _bones(rig: Rig) -> list[tuple[dict[int, float], float]]:
 
 
 def _bend(rig: Rig, linkage: Linkage, places: np.ndarray, side: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normal of a bent arm's plane in each frame, as long as the sine of its bend, and that at rest of the
-    arm bent as far as is in the middle of its elbow's limits.
+    """Return the normal of an arm's plane in each frame, and the unit normal at rest with a bent elbow.
 
-    An arm that is straight cannot tell, without it, to which side its elbow has to be turned before it bends.
+    The length of the first is the sine of the bend. For the second, the elbow is in the middle of its limits. Both tell
+    to which side the elbow of a straight arm has to point before it bends.
     """
     from scipy.spatial.transform import Rotation  # imported late: it is slow to import
 
@@ -227,12 +233,12 @@ def _unit(vectors: Float[np.ndarray, "*_ 3"]) -> Float[np.ndarray, "*_ 3"]:
 
 
 def _chest(rig: Rig) -> int:
-    """Return the index among the driven nodes of what carries arms and head."""
+    """Return the index, among the driven nodes, of the node that carries arms and head."""
     return rig.driven.index(rig.spine[-1]) if rig.spine else rig.place("pelvis")
 
 
 def _hands(rig: Rig, places: np.ndarray) -> list[tuple[dict[int, float], np.ndarray]]:
-    """Return the ways from the head to the wrists and between these, with weights in each frame."""
+    """Return the vectors from head to wrists and between the wrists, as sums of nodes, with weights per frame."""
     arm, found = rig.length(LIMBS[1]), []
     for pair in _HAND_PAIRS:
         first, second = (rig.place(joint) for joint in pair)
@@ -242,7 +248,7 @@ def _hands(rig: Rig, places: np.ndarray) -> list[tuple[dict[int, float], np.ndar
 
 
 def _share(values: Float[np.ndarray, " frames"], near: float, far: float) -> Float[np.ndarray, " frames"]:
-    """1 up to `near`, smoothly 0 from `far` on."""
+    """Return a weight that falls smoothly from 1, for values up to `near`, to 0, for values from `far` on."""
     share = np.clip((far - values) / (far - near), 0, 1)
     return share**2 * (3 - 2 * share)
 
@@ -257,7 +263,7 @@ class _Problem:
     leg: float
 
     def track(self, frames: Iterable[int], start: _Posture) -> list[_Posture]:
-        """Solve frames one after the other, the first beginning at the frame beside it, within limits of speed."""
+        """Solve frames in the given order, each from the solution before it (at first `start`), within speed limits."""
         found = []
         for frame in frames:
             near = self.linkage.speeds / self.fps - _MARGIN
@@ -268,11 +274,11 @@ class _Problem:
         return found
 
     def solved(self, frame: int, angles: np.ndarray, base: Base) -> _Posture:
-        """Solve a frame that begins anywhere."""
+        """Solve a frame from any initial posture, without limits of speed."""
         return self._frame(frame, (angles, base), self._limits(), _FIRST)
 
     def misses(self, frame: int, posture: _Posture) -> Float[np.ndarray, " rows"]:
-        """Return the weighted distances of the sums of points from where they should be, in lengths of the leg."""
+        """Return the weighted distance of each sum of points from its target, in leg lengths."""
         points = self.linkage.pose(*posture).points(self.goals.rest, self.goals.movers)
         away = self.goals.targets[frame] - self.goals.sums @ points
         return self.goals.weights[frame] * np.linalg.norm(away, axis=1)
@@ -281,7 +287,7 @@ class _Problem:
         return self.linkage.lower + _MARGIN, self.linkage.upper - _MARGIN
 
     def _frame(self, frame: int, start: _Posture, bounds: tuple[np.ndarray, np.ndarray], most: int) -> _Posture:
-        """Solve one frame in at most so many steps."""
+        """Solve one frame in at most `most` Gauss-Newton steps, with angles within `bounds`."""
         from scipy.spatial.transform import Rotation  # imported late: it is slow to import
 
         (before, base), goals, leg = start, self.goals, self.leg
@@ -300,9 +306,9 @@ class _Problem:
 
 
 def _begin_again(problem: _Problem, found: list[_Posture]) -> list[_Posture]:
-    """Return postures whose first second is solved backwards from its end, if it is then nearer.
+    """Solve the first second again, backwards from its end, and return the postures with the smaller residual.
 
-    The first frame begins at rest, so that it can end with a limb folded the wrong way, which later frames unfold.
+    The first frame is solved from the rest pose, which can fold a limb the wrong way until later frames unfold it.
     """
     end = min(round(problem.fps), len(found) - 1)
     if _square(problem.misses(0, found[0])) < _FOLDED * _square(problem.misses(end, found[end])):
@@ -316,7 +322,7 @@ def _begin_again(problem: _Problem, found: list[_Posture]) -> list[_Posture]:
 
 
 def _reach(rig: Rig, problem: _Problem, found: list[_Posture]) -> list[_Posture]:
-    """Return postures in which the hand that misses most is led by another way to turn its arm, if these are nearer."""
+    """Solve all frames again with another posture of the arm whose hand misses most, if that lowers the residual."""
     misses = np.stack([problem.misses(frame, posture) for frame, posture in enumerate(found)])
     hands = misses[:, -len(_HAND_PAIRS) :] / _HAND
     frame, pair = (int(place) for place in np.unravel_index(hands.argmax(), hands.shape))
@@ -340,8 +346,10 @@ def _square(values: np.ndarray) -> float:
 
 
 def _other_arms(rig: Rig, linkage: Linkage, side: str, angles: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield angles whose arm is turned otherwise: its first three hinges at a quarter or three quarters of their
-    limits, the others in the middle."""
+    """Yield other initial angles for the hinges of an arm; all other hinges keep theirs.
+
+    The arm's first three hinges are at a quarter or three quarters of their ranges, the rest in the middle.
+    """
     wrist, chest = linkage.movers[rig.joints[f"{side}_wrist"]], linkage.turners[rig.driven[_chest(rig)]]
     carrying = linkage.chains[chest] if chest >= 0 else np.zeros(len(angles), dtype=bool)
     arm = np.flatnonzero(linkage.chains[wrist] & ~carrying) if wrist >= 0 else np.zeros(0, dtype=int)
@@ -362,7 +370,7 @@ def _step(
     bounds: tuple[np.ndarray, np.ndarray],
     leg: float,
 ) -> Float[np.ndarray, " unknowns"]:
-    """Return the step of base and angles to the least squares of the problem that is linear around a pose."""
+    """Compute the Gauss-Newton step of base and angles: bounded least squares of the problem linearised at `pose`."""
     from scipy.optimize import lsq_linear  # imported late: it is slow to import
     from scipy.spatial.transform import Rotation  # imported late: it is slow to import
 

@@ -59,9 +59,10 @@ def keep_feet(
 
 
 def keep_hands(source: Performer, target: Performer, rig: Rig, spread: Float[Tensor, "driven 3 3"]) -> Performer:
-    """Move the target's wrists to the places of the source's, in units of the arm.
+    """Move the target's wrists to the source's relative positions, in arm lengths.
 
-    Places are seen from the head where it is near, or from the middle between both wrists where these are near.
+    Positions are relative to the head while a wrist is near it, and to the midpoint of both wrists while these are near
+    each other. Other wrists stay.
     """
     unit = source.length(_ARM)
     larger = target.length(_ARM) / unit
@@ -82,9 +83,9 @@ def keep_hands(source: Performer, target: Performer, rig: Rig, spread: Float[Ten
 
 
 def _tilt_feet(led: Float[Tensor, "frames 2 2 3"], target: Performer, rig: Rig) -> Performer:
-    """Tilt low feet of the target so that heels are as far above toes as the leading ones'.
+    """Tilt low feet of the target so that the height of heels above toes is that of the source's soles, `led`.
 
-    A longer foot tilts less, so that the leg above need not bend more; a shorter foot tilts as ours.
+    A longer foot tilts less, so that the leg above need not bend more. A shorter foot has the source's tilt.
     """
     turns = target.turns.clone()
     soles = target.soles()
@@ -110,9 +111,9 @@ def _bend(
     reach: Float[Tensor, "frames 3"],
     hinge: tuple[float, float, float],
 ) -> None:
-    """Turn the two bones of a limb, in place, so that it ends at `reach` from where it begins.
+    """Rotate the two bones of a limb, in place, so that the limb ends at `reach` relative to its first joint.
 
-    `hinge`: the axis about which it bends in our T-pose; it counts where the limb is straight.
+    `hinge` is the axis, in SMPL's T-pose, about which a straight limb bends.
     """
     upper, lower = (rig.place(joint) for joint in limb[:2])
     joints = torch.stack([target.at(joint) for joint in limb], dim=1)
@@ -144,8 +145,17 @@ def _displacement(
     following: Float[Tensor, "_ 2"],
     fps: float | int,
 ) -> Float[Tensor, "frames 3"]:
-    """Return the displacement of a foot: over the floor so that it makes the leading one's steps while that stands, and
-    is where it was on average; up or down to the leading one's height, where that is low."""
+    """Compute the displacement of a foot that keeps its contacts.
+
+    Horizontally, the foot makes the source's steps while the source's foot stands, without moving on average.
+    Vertically, it moves to the height of the source's foot while that is low.
+
+    Args:
+        led: Heel and toes of the source's foot.
+        own: Heel and toes of the target's foot.
+        following: Weights of `_following`.
+        fps: Frame rate.
+    """
     total = following.sum(dim=1)
     steps = ((led - own).diff(dim=0) * following[..., None]).sum(dim=1) / total.clamp(min=_AROUND)[:, None]
     ways, spans = torch.zeros_like(led[:, 0]), runs(total > 0)
@@ -159,6 +169,6 @@ def _displacement(
 
 
 def _share(values: Float[Tensor, " frames"], near: float, far: float) -> Float[Tensor, "frames 1"]:
-    """1 up to `near`, smoothly 0 from `far` on."""
+    """Return a weight that falls smoothly from 1, for values up to `near`, to 0, for values from `far` on."""
     share = ((far - values) / (far - near)).clamp(0, 1)
     return (share**2 * (3 - 2 * share))[:, None]

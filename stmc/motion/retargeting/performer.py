@@ -1,6 +1,6 @@
-"""A body that moves, seen from its rest pose: the one that a motion is taken from, and the one that takes it.
+"""A moving body, as the source or the target of retargeting.
 
-Knows turns, places and soles; rest poses stand upright on the floor at 0, z up, facing -y.
+Knows rotations, positions and soles. Rest poses stand upright on the floor at 0, z up, facing -y.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _TOES = 0.12
 
 @dataclass(frozen=True, eq=False)
 class Performer:
-    """Nodes over time. `joints` says which of them are joints of ours."""
+    """Nodes over time; `joints` maps joints of SMPL to nodes."""
 
     turns: Float[Tensor, "frames nodes 3 3"]
     """Each node's turn from its rest pose, in the world's axes."""
@@ -50,7 +50,7 @@ class Performer:
         return sum(float(self.resting(f"{side}_ankle")[2]) for side in SIDES) / 2
 
     def resting_sole(self, side: str) -> Float[Tensor, "2 3"]:
-        """Heel and toes on the floor below ankle and toe joint, at rest."""
+        """Return heel and toes at rest: the points on the floor below the ankle and the toe joint."""
         ankle = self.resting(f"{side}_ankle")
         if f"{side}_foot" in self.joints:
             toes = self.resting(f"{side}_foot")
@@ -59,7 +59,7 @@ class Performer:
         return torch.stack([ankle, toes]) * ankle.new_tensor([1.0, 1.0, 0.0])
 
     def soles(self) -> Float[Tensor, "frames 2 2 3"]:
-        """Heel and toes of the left and the right foot."""
+        """Return the positions of heel and toes of the left and the right foot."""
         feet = []
         for side in SIDES:
             arms = self.resting_sole(side) - self.resting(f"{side}_ankle")

@@ -62,7 +62,7 @@ class Rig:
         """
         missing = [joint for joint in NEEDED if joint not in joints]
         if missing:
-            raise RigError(f"no joint is known for {', '.join(missing)}; name it in a joint map")
+            raise RigError(f"no joint was found for {', '.join(missing)}; name it in a joint map")
         ends = [joints["head"], *(joints[f"{side}_{joint}"] for joint in ("hip", "shoulder") for side in SIDES)]
         pelvis = _pelvis(parents, joints, ends)
         chest = _common(parents, [joints["head"], joints["left_shoulder"], joints["right_shoulder"]])
@@ -111,8 +111,10 @@ class Rig:
         return replace(self, rest=self.rest * by)
 
     def posed(self, turns: Float[Tensor, "frames driven 3 3"], pelvis: Float[Tensor, "frames 3"]) -> Tensor:
-        """Positions [frames, driven, 3] of the driven nodes, turned from rest by `turns` in the world's axes, with the
-        `pelvis` there."""
+        """Compute the positions [frames, driven, 3] of the driven nodes (forward kinematics).
+
+        `turns` are world rotations from the rest pose, `pelvis` the positions of the pelvis.
+        """
         places: list[Tensor] = []
         for node in self.driven:
             above = self.carriers[self.parents[node]] if self.parents[node] >= 0 else -1
@@ -157,7 +159,7 @@ def _common(parents: Sequence[int], nodes: Sequence[int]) -> int | None:
 def _pelvis(parents: Sequence[int], joints: Mapping[str, int], ends: Sequence[int]) -> int:
     common = _common(parents, ends)
     if common is None:
-        raise RigError("legs, arms and head hang from different roots, so that no joint is the pelvis")
+        raise RigError("legs, arms and head hang from different roots, so no joint is the pelvis")
     given = joints.get("pelvis", common)
     below = all(given in ancestors(parents, end) for end in ends)
     return given if below else common

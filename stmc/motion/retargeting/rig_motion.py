@@ -1,6 +1,6 @@
-"""Motions of our body on a rig: bones point where ours do, the trunk bends as ours, hips go as high.
+"""Retarget motions of SMPL's body to a rig: directions of bones, bending of the trunk, height of the hips.
 
-Knows our joints and rest pose; knows no contacts, which `keeping` restores afterwards.
+Knows SMPL's joints and rest pose, but no contacts, which `keeping` restores afterwards.
 """
 
 from __future__ import annotations
@@ -28,40 +28,43 @@ _UP = torch.from_numpy(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0
 _SPINE = ("pelvis", "spine1", "spine2", "spine3")
 _NECK = ("spine3", "neck")
 _SITTING = (0.1, 0.4)
-"""Metres above the floor from which on feet begin to carry our hips, and from which on they do."""
+"""Heights of the hips in metres: below the first the body sits on the floor, above the second the feet carry it."""
 
 
 @dataclass(frozen=True, eq=False)
 class RigMotion:
-    """A rig moving (float64, CPU): in the world of our motions, z up, but in the rig's own unit."""
+    """The motion of a rig (float64, CPU), in the world of `Motion` (z up) but in the rig's own unit of length."""
 
     rig: Rig
     turns: Float[Tensor, "frames driven 3 3"]
-    """Each driven node's turn from its rest pose, in the world's axes."""
+    """World rotation of each driven node from its rest pose."""
     places: Float[Tensor, "frames driven 3"]
-    """Each driven node's position."""
+    """Position of each driven node."""
     spread: Float[Tensor, "driven 3 3"]
-    """The turns that bring the rest pose to our T-pose."""
+    """World rotations from the rest pose to SMPL's T-pose."""
     fps: float | int
     scale: float
-    """The length of the rig's legs, in its unit, per metre of ours."""
+    """Length of the rig's legs, in its unit, divided by that of the body's legs in metres."""
     curves: HingeCurves | None = None
-    """The angles of a robot's hinges, which turns and places follow; None if the rig has no hinges."""
+    """Hinge angles of a robot, from which `turns` and `places` follow; None if the rig has no hinges."""
 
     def direction(self, above: str, below: str) -> Float[Tensor, "frames 3"]:
-        """Return unit vectors from one joint of ours to another, in each frame."""
+        """Return the unit vectors from joint `above` to joint `below`."""
         first, second = (self.places[:, self.rig.place(joint)] for joint in (above, below))
         return normalize(second - first, dim=-1)
 
 
 def transfer(motion: Motion, rig: Rig) -> RigMotion:
-    """Move a `rig` as our body moves in `motion`.
+    """Retarget a motion to a rig.
 
-    Bones of arms and legs point where ours do, whatever the rest pose; the spine's turns spread over the rig's own
-    joints; feet and hands are turned as ours from where they are flat. Everything is scaled by the length of the legs.
-    Then feet move over the floor as ours do (`keep_feet`), and hands that are near the head or one another are where
-    ours are, in units of the arm (`keep_hands`). On a rig with our own bones the motion is the same. The hinges of a
-    robot then follow the result (`follow`).
+    1. Bones of arms and legs get the body's directions, whatever the rig's rest pose. The spine's rotation is spread
+       over the rig's joints. Feet and hands get the body's rotations, relative to flat feet and hands.
+    2. Positions are scaled by the length of the legs.
+    3. Feet make the body's steps (`keep_feet`). Hands near the head or each other keep their relative positions, in
+       arm lengths (`keep_hands`).
+    4. If the rig is a robot, its hinges follow the result (`follow`).
+
+    On a rig with SMPL's own bones the motion is unchanged.
     """
     source = _performer(motion)
     scale = rig.length(LIMBS[0]) / source.length(LIMBS[0])
@@ -74,14 +77,14 @@ def transfer(motion: Motion, rig: Rig) -> RigMotion:
 
 
 def _fit_hinges(motion: RigMotion) -> RigMotion:
-    """Return the motion that comes nearest to one with the hinges of its rig."""
+    """Return the closest motion that the hinges of the rig can make."""
     curves = follow(motion.rig, motion.turns.numpy(), motion.places.numpy(), motion.fps)
     turns, places = (torch.from_numpy(values) for values in apply_hinges(motion.rig, curves))
     return replace(motion, turns=turns, places=places, curves=curves)
 
 
 def _performer(motion: Motion) -> Performer:
-    """Our body in a motion, its bones as long as they are on average."""
+    """Return the body of a motion as a `Performer`, with bones of constant, mean length."""
     exact = motion.to("cpu", torch.float64)
     skeleton = Skeleton.measured(exact.rotations, exact.joints)
     rest = skeleton.rest @ _UP.T
@@ -92,7 +95,7 @@ def _performer(motion: Motion) -> Performer:
 
 
 def _turn_rig(rig: Rig, source: Performer) -> tuple[Performer, Float[Tensor, "driven 3 3"]]:
-    """Return the rig turned as the source, with the same middle of the hips, and the rotations from its rest pose."""
+    """Return the rig with the source's rotations and midpoint of the hips, and the rotations to the T-pose."""
     joints = {joint: rig.place(joint) for joint in rig.joints}
     turns = torch.eye(3, dtype=torch.float64).repeat(len(source.turns), len(rig.driven), 1, 1)
     rest = rig.rest[list(rig.driven)]
@@ -112,12 +115,12 @@ def _turn_rig(rig: Rig, source: Performer) -> tuple[Performer, Float[Tensor, "dr
 
 
 def _lift(hips: Float[Tensor, " frames"], higher: float) -> Float[Tensor, " frames"]:
-    """Return the lift of hips of this height for ankles that are `higher`: less where the body sits on the floor."""
+    """Return how far to raise the hips for ankles that are `higher`: less while the body sits on the floor."""
     return higher * ((hips - _SITTING[0]) / (_SITTING[1] - _SITTING[0])).clamp(0, 1)
 
 
 def _along(knots: Float[Tensor, "knots frames 3 3"], share: float) -> Float[Tensor, "frames 3 3"]:
-    """Rotations a share of the way from the first to the last of these, each as far from the next."""
+    """Interpolate between evenly spaced knots on shortest arcs; `share` is 0 at the first knot and 1 at the last."""
     position = share * (len(knots) - 1)
     before = min(int(position + 1e-9), len(knots) - 2)
     arc = matrix_to_axis_angle(knots[before].mT @ knots[before + 1])

@@ -73,7 +73,7 @@ def own_folder(folder: Path | str) -> Path:
 
 def _check_identity(identity: str) -> str:
     if not ID.fullmatch(identity):
-        raise RequestError(404, "there is no such thing")
+        raise RequestError(404, "nothing is stored under this identifier")
     return identity
 
 

@@ -98,7 +98,7 @@ class Streams:
         """
         entry = self._find(name)
         if not entry.reading.acquire(blocking=False):
-            raise RequestError(429, "another request reads this stream; send one after the other")
+            raise RequestError(429, "another request is reading this stream; wait for its answer")
         try:
             stream, last = entry.stream, round(MOST_SECONDS * entry.stream.fps)
             answers = [self._answer(stream, edit) for edit in edits]
@@ -134,7 +134,7 @@ class Streams:
             return
         waiting = {name: each.used for name, each in self._entries.items() if not each.reading.locked()}
         if not waiting:
-            raise RequestError(429, f"{MOST_STREAMS} streams are being read, as many as there may be; end one")
+            raise RequestError(429, f"{MOST_STREAMS} streams are being read, the maximum; end one first")
         del self._entries[min(waiting, key=lambda name: waiting[name])]
 
     def _take(self, stream: MotionStream, frames: int) -> list[Any]:
@@ -186,7 +186,7 @@ def _describe_prompts(stream: MotionStream) -> list[StreamPrompt]:
 
 
 def mannequin_file(skeleton: Skeleton, fps: float | int) -> bytes:
-    """Return a `.glb` file of the mannequin at rest, whose nodes are called as the joints of streams.
+    """Return a `.glb` file of the mannequin at rest; its nodes have the names of the joints in streams.
 
     Args:
         skeleton: Body of the mannequin.
