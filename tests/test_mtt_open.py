@@ -6,9 +6,11 @@ import pytest
 import torch
 from helpers.scripts import run
 from helpers.tiny_model import tiny
+from omegaconf import OmegaConf
 from test_mtt_checks import bumps, moved, walking
 
 import stmc
+from stmc.cli.evaluate import build_benchmark
 from stmc.data.cache import Cache, Clip
 from stmc.evaluation.benchmarks import Benchmark, MttOpen, mtt_open, resampling
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
@@ -129,6 +131,16 @@ def test_timelines_are_drawn_from_the_texts_and_recordings_come_from_prepared_da
     benchmark = mtt_open(Judge(), texts, cache=tmp_path / "data", first=7)
     assert len(benchmark.requested) == 7 and {text: len(each) for text, each in benchmark.recorded.items()} == {WALK: 1}
     assert mtt_open(Judge(), texts).recorded == {}
+
+
+def test_evaluate_loads_the_judge_that_the_benchmark_names(texts, monkeypatch):
+    loaded = []
+    monkeypatch.setattr(stmc, "load_evaluator", lambda place, **_: loaded.append(place) or Judge())
+    part = {"_target_": "stmc.evaluation.benchmarks.mtt_open", "_partial_": True, "texts": str(texts)}
+    config = {"evaluator": "first", "device": "cpu", "trusted": []}
+    benchmark = build_benchmark(OmegaConf.create(config | {"benchmark": part | {"judge": "second"}}))
+    assert isinstance(benchmark.judge, Judge) and sorted(loaded) == ["first", "second"]
+    assert build_benchmark(OmegaConf.create(config | {"benchmark": part | {"judge": None}})).judge is None
 
 
 def test_a_model_is_asked_for_each_text_alone_and_in_other_words(texts, tmp_path, monkeypatch, capsys):

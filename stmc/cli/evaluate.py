@@ -98,11 +98,11 @@ def main(config: DictConfig) -> None:
 
 
 def build_benchmark(config: DictConfig) -> Benchmark:
-    """Build the benchmark, with `config.evaluator` unless it has its own evaluator."""
-    benchmark = build_part(config, "benchmark")
-    if "evaluator" in config.benchmark:
-        return benchmark()
-    return benchmark(evaluator=stmc.load_evaluator(config.evaluator, device=config.device, trusted=config.trusted))
+    """Build the benchmark, with `config.evaluator` unless it has its own, and with its judge if it names one."""
+    load = partial(stmc.load_evaluator, device=config.device, trusted=config.trusted)
+    judge = config.benchmark.get("judge")
+    benchmark = build_part(config, "benchmark", **({"judge": load(judge)} if judge else {}))
+    return benchmark() if "evaluator" in config.benchmark else benchmark(evaluator=load(config.evaluator))
 
 
 def choose_settings(

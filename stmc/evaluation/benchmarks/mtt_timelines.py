@@ -31,7 +31,6 @@ from stmc.evaluation.metrics.timeline_metrics import Span, measured_points
 from stmc.motion.kinematics import foot_sliding, hand_step, local_joints
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, SmplRepresentation
-from stmc.run import load_evaluator
 from stmc.settings.records import SettingError
 from stmc.timeline import Timeline, TimelineError
 
@@ -251,7 +250,7 @@ def mtt_open(
     texts: str | Path,
     cache: str | Path | Sequence[str | Path] | None = None,
     first: int | None = None,
-    judge: str | Path | None = None,
+    judge: TextEvaluator | None = None,
 ) -> MttOpen:
     """Build the benchmark of MTT's 500 timelines from its 60 texts, by the authors' own draw.
 
@@ -260,7 +259,7 @@ def mtt_open(
         texts: The authors' texts.txt.
         cache: Folders of prepared data that show some of the texts.
         first: Number of timelines; None uses all.
-        judge: Run directory of a second evaluator; None uses the first alone.
+        judge: Second evaluator; None uses the first alone.
 
     Raises:
         TimelineError: If a text has no check.
@@ -268,7 +267,7 @@ def mtt_open(
     """
     requested = sample_published_timelines(read_texts(Path(texts).expanduser()))[:first]
     recorded = {} if cache is None else recorded_motions(read_caches(cache))
-    return MttOpen(requested, evaluator, recorded, judge=load_evaluator(judge, "auto") if judge else None)
+    return MttOpen(requested, evaluator, recorded, judge=judge)
 
 
 def recorded_motions(cache: Cache) -> dict[str, list[Motion]]:

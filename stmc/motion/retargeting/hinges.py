@@ -395,7 +395,5 @@ def _step(
         for sign, bound in zip((-1, 1), bounds, strict=True)
     )
     lower[:3], upper[:3] = -np.inf, np.inf
-    solved = lsq_linear(
-        np.concatenate(lines), np.concatenate(wanted), (lower, np.maximum(upper, lower + 1e-12)), method="bvls"
-    )
-    return solved.x
+    within = lower, np.maximum(upper, lower + 1e-12)
+    return lsq_linear(np.concatenate(lines), np.concatenate(wanted), within, method="bvls").x
