@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import logging.config
+from functools import partial
 
 import pytest
 import torch
@@ -10,7 +11,7 @@ from helpers.motions import walk
 from helpers.scripts import ROOT, configured
 from helpers.toy_data import LetterCounts
 from hydra.utils import get_object, instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from stmc.data.cache import Cache, Clip
 from stmc.motion.representation import SmplRepresentation
@@ -77,7 +78,9 @@ def test_every_config_describes_what_can_be_built(name):
         if node.get("_partial_"):  # what a script completes, with what only a run has
             check_keywords(node)
             continue
-        build = instantiate(node, _partial_=True)
+        lists = {key: tuple(value) for key, value in node.items() if isinstance(value, ListConfig)}
+        others = {key: value for key, value in node.items() if key not in lists}
+        build = partial(instantiate(others, _partial_=True), **lists)
         parameters = inspect.signature(build.func).parameters
         with torch.device("meta" if node["_target_"].startswith(NETWORKS) else "cpu"):
             built = build(**{key: value for key, value in FROM_THE_DATA.items() if key in parameters})

@@ -410,6 +410,13 @@ def test_any_body_with_other_parts_can_be_a_receiver_and_shows_its_own_text_only
         said = [dataset.sentences[each[row]] for each in (plan.sentence, plan.other)]
         assert said == [receiver.content if whole else donor.content, donor.content]
     assert set(pairs) == {("turn", "left"), ("turn", "right"), ("left", "right")}
+    recipe = BalancedBatches(rows=96, receivers="any", uncomposed=("left",), **settings)
+    [plan] = ClipBatches(dataset, "train", recipe).plans(0)
+    rows = np.flatnonzero(plan.donor.frames)
+    pairs = {tuple(dataset.clips[each.clip[row]].content for each in (plan.body, plan.donor)) for row in rows}
+    assert pairs == {("turn", "right")}
+    with pytest.raises(ValueError, match=r"uncomposed: unknown contents \['lfet'\]; choose from left, right, turn"):
+        ClipBatches(dataset, "train", BalancedBatches(rows=96, uncomposed=("lfet",))).plans(0)
 
 
 def test_some_compositions_that_show_both_have_a_sentence_about_both_and_the_others_never() -> None:

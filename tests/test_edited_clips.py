@@ -82,6 +82,13 @@ def test_a_clip_depends_on_its_name_alone_and_every_one_has_a_mirror_image():
         assert (motion.mirrored().joints - other.joints).abs().max() < 1e-4
 
 
+def test_instruments_have_no_mirror_images():
+    bases = RecordedBases(recorded())
+    rows, _ = make(dataclasses.replace(SLOW, clips=3, mirrors=False), bases, bases.splits, 20)
+    assert len(rows) == 3 and not any(clip.mirrored for clip, _ in rows)
+    assert {recipe.action for recipe in RECIPES if not recipe.mirrors} == {"guitar", "violin"}
+
+
 def test_a_clip_is_kept_from_training_with_its_recording():
     bases = RecordedBases(recorded())
     rows, _ = make(dataclasses.replace(SLOW, clips=30), bases, bases.splits, 20)

@@ -100,8 +100,8 @@ def main(config: DictConfig) -> None:
 def build_benchmark(config: DictConfig) -> Benchmark:
     """Build the benchmark, with `config.evaluator` unless it has its own, and with its judge if it names one."""
     load = partial(stmc.load_evaluator, device=config.device, trusted=config.trusted)
-    judge = config.benchmark.get("judge")
-    benchmark = build_part(config, "benchmark", **({"judge": load(judge)} if judge else {}))
+    given: dict[str, Any] = {"judge": load(judge)} if (judge := config.benchmark.get("judge")) else {}
+    benchmark = build_part(config, "benchmark", **given)
     return benchmark() if "evaluator" in config.benchmark else benchmark(evaluator=load(config.evaluator))
 
 

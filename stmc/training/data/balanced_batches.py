@@ -47,6 +47,9 @@ class BalancedBatches(CropRecipe):
     compose_legs_prob: float | int = setting(
         0.0, "probability that a row with legs becomes a donor", at_least=0, at_most=1
     )
+    uncomposed: tuple[str, ...] = setting(
+        (), "contents that are never composed, such as bows: their pelvis bends, too, but belongs to the legs"
+    )
     joined_prob: float | int = setting(
         0.0, "probability that a composition has a sentence about both actions", at_least=0, at_most=1
     )
@@ -77,7 +80,10 @@ class BalancedBatches(CropRecipe):
         return self.pool, self.pieces
 
     def begin(self, clips: SplitClips, seed: int) -> Draw:
-        """Prepare to draw. Raises `ValueError` if `emphasis` names unknown contents, or leaves none to draw."""
+        """Prepare to draw.
+
+        Raises `ValueError` if `emphasis` or `uncomposed` names unknown contents, or if no content is left to draw.
+        """
         probabilities = self._probabilities(clips)
 
         def draw(number: int, process: int, rng: np.random.Generator) -> BatchPlan:
@@ -93,8 +99,10 @@ class BalancedBatches(CropRecipe):
             [table[index].content for index in clips.described], return_inverse=True, return_counts=True
         )
         known = {clip.content for clip in table}
-        if unknown := set(self.emphasis) - known:
-            raise ValueError(f"emphasis: unknown contents {sorted(unknown)}; choose from {', '.join(sorted(known))}")
+        for name, named in (("emphasis", self.emphasis), ("uncomposed", self.uncomposed)):
+            if unknown := set(named) - known:
+                choices = ", ".join(sorted(known))
+                raise ValueError(f"{name}: unknown contents {sorted(unknown)}; choose from {choices}")
         emphasis = np.array([self.emphasis.get(name, 1.0) for name in names.tolist()])
         weight = emphasis[inverse] * counts[inverse] ** (self.balance - 1.0)
         if not weight.any():
@@ -135,9 +143,10 @@ class BalancedBatches(CropRecipe):
         """Choose each row's receiver (itself: no composition), whether it is shown whole, and the donor's offset."""
         claims, legs, drawn = clips.dataset.claims[plan.body.clip], clips.dataset.legs, plan.body
         composed = np.where(claims[:, legs], self.compose_legs_prob, self.compose_prob)
-        moved = (rng.random(len(claims)) < composed) & claims.any(axis=1)
+        free = np.array([clips.dataset.clips[index].content not in self.uncomposed for index in drawn.clip.tolist()])
+        moved = (rng.random(len(claims)) < composed) & claims.any(axis=1) & free
         walking = clips.cyclic[drawn.clip] & claims[:, legs] & (claims.sum(axis=1) == 1)
-        carrying = walking if self.receivers == "walking" else claims.any(axis=1)
+        carrying = (walking if self.receivers == "walking" else claims.any(axis=1)) & free
         receiver, whole = np.arange(len(claims)), np.zeros(len(claims), dtype=bool)
         offset = np.zeros(len(claims), dtype=int)
         for row in np.flatnonzero(moved):

@@ -246,6 +246,8 @@ def violin(rng: np.random.Generator) -> Script:
 
 GOES_ON = ("wipe-left", "applause", "guitar", "violin")
 """Actions that any part of a clip shows."""
+INSTRUMENTS = ("guitar", "violin")
+"""Actions of which the mirror image is no clip: the left hand holds the neck."""
 
 
 def _recipe(
@@ -255,7 +257,8 @@ def _recipe(
     kinds: dict[Kind, float] = STANDING,
     clips: int = 70,
 ) -> Recipe:
-    return Recipe(action, "authored", _Gesture(script, kinds), accept, clips, once=action not in GOES_ON)
+    make = _Gesture(script, kinds)
+    return Recipe(action, "authored", make, accept, clips, action not in GOES_ON, action not in INSTRUMENTS)
 
 
 RECIPES: tuple[Recipe, ...] = (

@@ -31,7 +31,7 @@ MAX_DRAWS = 40
 """Maximum number of draws of one clip."""
 SHORTEST = 1.5
 """Minimum duration of a clip in seconds."""
-CACHE_VERSION = 2
+CACHE_VERSION = 3
 """Version of the conversion of the same caches. Raise it by one with every change that produces other clips, features
 or texts: caches of earlier versions are then prepared again."""
 
@@ -132,7 +132,7 @@ def _skeleton() -> Skeleton:
 def make(
     recipe: Recipe, bases: Bases, splits: Mapping[str, str], fps: float | int
 ) -> tuple[Rows, list[tuple[str, str]]]:
-    """Make all clips of a recipe and their mirror images, with features; also return the failures.
+    """Make all clips of a recipe and its mirror images, with features; also return the failures.
 
     A clip depends on the bases and its own name alone. It has the split of the recording that it was made from; rest
     that a recipe adds may come from a recording of another split. A failure is the name of a clip without a usable
@@ -157,7 +157,8 @@ def make(
             skipped.append((name, str(error)))
             continue
         split = splits.get(draft.recording, "train")
-        for mirrored, motion in ((False, draft.motion), (True, draft.motion.mirrored())):
+        for mirrored in (False, True) if recipe.mirrors else (False,):
+            motion = draft.motion.mirrored() if mirrored else draft.motion
             posed = Motion.posed(motion.rotations, motion.translation, fps, _skeleton())
             rows.append(
                 (_clip(recipe, f"{name}/{draft.recording}", mirrored, split, posed.frames), encode_above_floor(posed))

@@ -53,6 +53,8 @@ class Recipe:
         accept: Gate that a finished clip must pass.
         clips: Number of clips to make.
         once: Whether the action is one-shot, with rest before and after it, so that training must not trim the clip.
+        mirrors: Whether the mirror images are clips, too. Those of instruments, which have no side in their texts, are
+            not: a network that sees both forms shows either.
     """
 
     action: str
@@ -61,3 +63,4 @@ class Recipe:
     accept: Callable[[Motion], bool]
     clips: int = 60
     once: bool = True
+    mirrors: bool = True
