@@ -1,8 +1,8 @@
 """Draw the figures of these pages that need nothing but the library.
 
 `python docs/figures.py` draws the plans into docs/figures/ with `stmc.plot_plan`. `python docs/figures.py film` samples
-the film at the top of the README with the bundled model and writes it to docs/assets/. `stmc evaluate` draws the charts
-of the results.
+the film at the top of the README with the bundled model and writes it to docs/assets/; `python docs/figures.py mtt
+MTT.txt` does the same for the first ten timelines of MTT. `stmc evaluate` draws the charts of the results.
 """
 
 import sys
@@ -19,15 +19,17 @@ from PIL import Image
 import stmc
 from stmc.composing.methods import TEACH_CONTEXT_SECONDS
 from stmc.timeline.planning import Plan, cross_fade, handshake, look_back, multi_diffusion, reweighted
-from stmc.viewing.colours import part_colours, transition_seconds
+from stmc.viewing.colours import palette, part_colours, transition_seconds
 from stmc.viewing.strip import Stage
-from stmc.viewing.timeline_figure import INK, draw_tracks
+from stmc.viewing.timeline_figure import FAINT, INK, draw_tracks
 
 FOLDER = Path(__file__).parent / "figures"
 FPS = 20
 DOTS_PER_INCH = 110
 FILM = Path(__file__).parent / "assets" / "timeline.webp"
 FILM_FPS, FILM_SEED = 12, 0
+MTT_FILM = FILM.with_name("mtt.webp")
+MTT_ROWS, MTT_COLUMNS, MTT_FPS = 2, 5, 6
 FILM_TIMELINE = """
 walk forwards # 0 # 3.5 # legs
 wave the right hand # 0.6 # 3.3 # right arm
@@ -112,6 +114,42 @@ def pictures(motion: stmc.Motion, timeline: stmc.Timeline) -> Iterator[Image.Ima
         yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
 
+def film_mtt(file: str) -> None:
+    """Sample the first ten timelines of MTT's `file`, with one seed, and film them side by side above their prompts."""
+    timelines = stmc.Timeline.read_all(file)[: MTT_ROWS * MTT_COLUMNS]
+    motions = stmc.load().generate(timelines, seed=FILM_SEED, steps=50)
+    first, *others = draw_side_by_side([motion.resampled(MTT_FPS) for motion in motions], timelines)
+    first.save(
+        MTT_FILM, save_all=True, append_images=others, duration=round(1000 / MTT_FPS), loop=0, quality=38, method=6
+    )
+
+
+def draw_side_by_side(motions: list[stmc.Motion], timelines: list[stmc.Timeline]) -> Iterator[Image.Image]:
+    """Draw each frame of all motions; prompts are in colour while they last, and shorter motions stop at their end."""
+    figure = Figure(figsize=(10.5, 5.8), dpi=80)
+    canvas, cells = FigureCanvasAgg(figure), []
+    for number, (motion, timeline) in enumerate(zip(motions, timelines, strict=True)):
+        left, low = number % MTT_COLUMNS / MTT_COLUMNS, 0.5 - number // MTT_COLUMNS / MTT_ROWS
+        axes = figure.add_axes((left, low + 0.12, 1 / MTT_COLUMNS, 0.34))
+        colours = part_colours(timeline, motion.fps, motion.frames, transition_seconds(motion, None))
+        stage = Stage.of(motion, None, colours, np.arange(motion.frames))
+        lines = [
+            figure.text(left + 0.01, low + 0.09 - 0.032 * row, prompt.text, fontsize=6.3)
+            for row, prompt in enumerate(timeline.prompts)
+        ]
+        cells.append((axes, stage, timeline, lines))
+    for frame in range(max(motion.frames for motion in motions)):
+        for axes, stage, timeline, lines in cells:
+            seconds = frame / stage.motion.fps
+            for line, prompt, colour in zip(lines, timeline.prompts, palette(len(lines)), strict=True):
+                line.set_color(colour if prompt.start <= seconds < prompt.end else FAINT)
+            if frame < stage.motion.frames:
+                axes.clear()
+                stage.paint(axes, frame)
+        canvas.draw()
+        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+
+
 def draw_stream() -> Figure:
     """Draw the window of a stream: observed frames, fading frames, the block, and the crops that it needs."""
     figure, axes = plt.subplots(figsize=(8.5, 2.7), layout="constrained")
@@ -139,6 +177,9 @@ def draw_stream() -> Figure:
 def main() -> None:
     if sys.argv[1:] == ["film"]:
         film()
+        return
+    if sys.argv[1:2] == ["mtt"]:
+        film_mtt(*sys.argv[2:])
         return
     FOLDER.mkdir(exist_ok=True)
     draw_stream().savefig(FOLDER / "stream.png", dpi=DOTS_PER_INCH, metadata={"Software": None})

@@ -52,7 +52,7 @@ def flagged(vocabulary: Vocabulary, texts: list[str]) -> float:
 
 def test_the_bundled_model_knows_what_it_was_trained_with_and_nothing_else():
     model = stmc.load()
-    assert len(model.vocabulary.contents) == 74
+    assert len(model.vocabulary.contents) == 119
     assert all(
         each.known
         for each in model.recognise(
@@ -78,8 +78,8 @@ def test_a_prompt_that_is_not_known_warns_with_the_nearest_that_are_and_is_made_
 
 def test_only_what_is_near_is_named(bundled_recognitions):
     tango, german, walk = bundled_recognitions
-    assert [sentence.text for sentence in tango.near] == ["salsa footwork"] and len(tango.nearest) == 3
-    assert tango.advice.endswith("the nearest it knows: 'salsa footwork'")
+    assert [sentence.text for sentence in tango.near] == ["salsa basic step"] and len(tango.nearest) == 3
+    assert tango.advice.endswith("the nearest it knows: 'salsa basic step'")
     assert not german.near and german.advice.endswith("it knows nothing near")
     assert walk.near == walk.nearest
 

@@ -108,7 +108,7 @@ class Vocabulary:
     Examples:
         >>> vocabulary = stmc.load().vocabulary
         >>> sorted(content.name for content in vocabulary.contents if content.parts == {"head", "spine"})
-        ['bow']
+        ['bow', 'dodge']
     """
 
     known: tuple[Sentence, ...]
