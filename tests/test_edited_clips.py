@@ -15,6 +15,7 @@ from stmc.data.sources.contents import CONTENTS
 from stmc.data.sources.edited import RECIPES, edited_clips
 from stmc.data.sources.edited.edited_clips import EditedClips, RecordedBases, make
 from stmc.data.sources.edited.recipe import Draft, Recipe, Unusable
+from stmc.data.sources.edited.strides import repeat_strides
 from stmc.editing import change_pace
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
@@ -163,3 +164,19 @@ def test_a_recipe_s_clips_are_those_of_other_seeds():
     rows, _ = make(SLOW, bases, bases.splits, 20)
     assert len({len(features) for _, features in rows}) > 2
     assert np.unique([clip.name for clip, _ in rows]).size == len(rows)
+
+
+def test_repeated_strides_walk_on_as_the_same_walk_would():
+    short, long = walking(seconds=3.0, turn=0.0), walking(seconds=9.0, turn=0.0)
+    repeated = repeat_strides(short, 9.0)
+    assert repeated.frames == long.frames
+    ahead = repeated.translation[-1, :2] - repeated.translation[0, :2]
+    assert torch.allclose(ahead, long.translation[-1, :2] - long.translation[0, :2], atol=0.3), "9.8 metres ahead"
+    step = lambda motion: float(motion.joints.diff(dim=0).norm(dim=-1).max())
+    assert step(repeated) < 1.1 * step(short), "no jump at a seam"
+    assert torch.equal(repeat_strides(long, 3.0).joints, long.joints)
+
+
+def test_a_motion_without_two_frames_of_one_phase_cannot_be_repeated():
+    with pytest.raises(Unusable, match="of one phase"):
+        repeat_strides(walking(seconds=0.7, turn=0.0), 5.0)

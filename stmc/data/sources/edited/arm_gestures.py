@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stmc.data.sources.edited import gesture_gates as gates
-from stmc.data.sources.edited.body_gestures import dodge, golf, pick_up, punch, throw
+from stmc.data.sources.edited.body_gestures import box, dodge, golf, pick_up, punch, throw
 from stmc.data.sources.edited.gesture_bases import Kind, draw_base
 from stmc.data.sources.edited.recipe import Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.script import ONSET, Script, Spot, turn_key
@@ -40,7 +40,7 @@ WIPING, CLAPPING, STRUMMING, BOWING, RUBBING = 20 / 24, 20 / 10, 20 / 12, 20 / 3
 """Frequencies in Hz of periodic movements: whole frames at 20 fps, in phase from an arrival that is always at the same
 time, so that a network can learn the phase. Sizes, places and bodies differ."""
 
-SHORTEST, LONGEST = 3.5, 7.5
+SHORTEST, LONGEST = 3.5, 9.0
 """Minimum and maximum duration of a clip in seconds."""
 STANDING: dict[Kind, float] = {"stand": 1.0}
 ANYWHERE: dict[Kind, float] = {"stand": 0.7, "walk": 0.18, "sit": 0.12}
@@ -79,7 +79,7 @@ def _end(rng: np.random.Generator, time: float, returning: float) -> tuple[tuple
 
 def phone(rng: np.random.Generator) -> Script:
     """Script a phone call: the hand goes to the ear and stays; the head leans to it and turns slightly."""
-    begins, takes, stays = ONSET, rng.uniform(0.7, 0.8), rng.uniform(2.4, 3.8)
+    begins, takes, stays = ONSET, rng.uniform(0.7, 0.8), rng.uniform(2.4, 6.0)
     there, ear = begins + takes, EAR.draw(rng)
     back, seconds = _end(rng, there + stays, 0.5)
     roll, nods = rng.uniform(4, 13), [turn_key(there, takes * 0.8, roll=rng.uniform(4, 13))]
@@ -129,7 +129,7 @@ def drink(rng: np.random.Generator) -> Script:
 
 def touch_head(rng: np.random.Generator) -> Script:
     """Script a touch: the hand goes past the ear to the back of the head and stays, rubbing in half of the draws."""
-    begins, takes, stays = ONSET, rng.uniform(0.9, 1.0), rng.uniform(2.0, 2.8)
+    begins, takes, stays = ONSET, rng.uniform(0.9, 1.0), rng.uniform(2.0, 5.0)
     there, nape = begins + takes, NAPE.draw(rng)
     rub = Oscillation(RUBBING, (0.004, 0.014, 0.0)) if rng.uniform() < 0.5 else None
     via = BESIDE_HEAD.draw(rng).key(begins + 0.72 * takes, 0.72 * takes, 1.2)
@@ -144,7 +144,7 @@ def touch_head(rng: np.random.Generator) -> Script:
 
 def point(rng: np.random.Generator) -> Script:
     """Script a pointing gesture: the stretched arm rises to a goal ahead or aside, and the head looks there."""
-    begins, takes, stays = ONSET, rng.uniform(0.55, 0.65), rng.uniform(1.8, 2.8)
+    begins, takes, stays = ONSET, rng.uniform(0.55, 0.65), rng.uniform(1.8, 4.5)
     azimuth, elevation = np.radians(rng.uniform(-15, 45)), np.radians(rng.uniform(-8, 18))
     length, there = 0.466 * rng.uniform(0.955, 0.985), begins + takes
     x, y = length * np.sin(azimuth) * np.cos(elevation), length * np.sin(elevation)
@@ -158,6 +158,20 @@ def point(rng: np.random.Generator) -> Script:
     twist = [turn_key(there, takes, float(rng.uniform(-6, 2)))] + ([turn_key(back[0].time, 0.7)] if back else [])
     key = spot.key(there, takes, rng.uniform(1.2, 1.7), roundness=0.7)
     return Script(seconds, left=(key, *back), head=tuple(look), trunk=tuple(twist))
+
+
+def raise_arm(rng: np.random.Generator) -> Script:
+    """Script a raised arm: it rises ahead or aside, nearly stretched, stays above the shoulder, and comes down."""
+    begins, takes, stays = ONSET, rng.uniform(0.8, 1.1), rng.uniform(0.8, 5.0)
+    azimuth, elevation = np.radians(rng.uniform(-10, 60)), np.radians(rng.uniform(55, 84))
+    length, there = 0.466 * rng.uniform(0.93, 0.985), begins + takes
+    level = length * np.cos(elevation)
+    goal = (float(level * np.sin(azimuth)), float(length * np.sin(elevation)), float(level * np.cos(azimuth)))
+    shrug = rng.uniform(8, 18)
+    spot = Spot(goal, goal, "shoulder", ((1, -0.4, 0.2), (1, -0.4, 0.2)), (shrug, shrug))
+    back, seconds = _end(rng, there + stays, 0.8)
+    drift = Oscillation(0.4, (0.003, 0.002, 0.003), (0.002, 0, 0.003))
+    return Script(seconds, left=(spot.key(there, takes, rng.uniform(1.1, 1.4), drift, roundness=0.9), *back))
 
 
 def wipe(rng: np.random.Generator) -> Script:
@@ -182,7 +196,7 @@ def wipe(rng: np.random.Generator) -> Script:
 def look(rng: np.random.Generator) -> Script:
     """Script a look: the head turns left, the chest slightly with it, and stays for a while."""
     begins, takes, yaw = ONSET, rng.uniform(0.5, 0.6), rng.uniform(50, 72)
-    there, stays, pitch = begins + takes, rng.uniform(1.0, 2.4), rng.uniform(-6, 8)
+    there, stays, pitch = begins + takes, rng.uniform(1.0, 4.5), rng.uniform(-6, 8)
     keys, chest = [turn_key(there, takes, 0.82 * yaw, pitch, skew=1.35)], [turn_key(there + 0.1, takes, 0.18 * yaw)]
     if rng.uniform() < 0.4:
         keys.append(
@@ -244,7 +258,7 @@ def violin(rng: np.random.Generator) -> Script:
     return Script(seconds, left=left, right=right, head=(head, *ends), tremor=(0.0008, 0.0014))
 
 
-GOES_ON = ("wipe-left", "applause", "guitar", "violin")
+GOES_ON = ("wipe-left", "applause", "guitar", "violin", "box")
 """Actions that any part of a clip shows."""
 INSTRUMENTS = ("guitar", "violin")
 """Actions of which the mirror image is no clip: the left hand holds the neck."""
@@ -263,9 +277,11 @@ def _recipe(
 
 RECIPES: tuple[Recipe, ...] = (
     _recipe("punch-left", punch, gates.punches),
+    _recipe("box", box, gates.boxes),
     _recipe("throw-left", throw, gates.throws),
     _recipe("pick-up-left", pick_up, gates.picks_up),
     _recipe("point-left", point, gates.points, ANYWHERE),
+    _recipe("raise-up-left-hand", raise_arm, gates.raises, ANYWHERE, clips=80),
     _recipe("wipe-left", wipe, gates.wipes, ON_FEET),
     _recipe("eat-left", eat, gates.eats, ANYWHERE),
     _recipe("drink-left", drink, gates.drinks, ANYWHERE),

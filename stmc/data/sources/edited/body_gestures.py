@@ -1,4 +1,4 @@
-"""Gestures of the whole body as scripts of keys: punches, throws, a golf swing, picking up and dodging.
+"""Gestures of the whole body as scripts of keys: punches, boxing, throws, a golf swing, picking up and dodging.
 
 Hips and weight go first, the trunk follows, the hand comes last. Feet stay in place, except for the step of a throw.
 """
@@ -48,6 +48,29 @@ def punch(rng: np.random.Generator) -> Script:
     twists.append(turn_key(ends, 0.7))
     right = (GUARD.draw(rng).key(raised, 0.45, 1.3), WristKey(ends + 0.05, 0.7)) if rng.uniform() < 0.5 else ()
     return Script(seconds, (*keys, WristKey(ends, 0.7)), right, trunk=tuple(twists), pelvis=tuple(hips), gaze=0.9)
+
+
+def box(rng: np.random.Generator) -> Script:
+    """Script boxing: from a guard, the fists shoot forward in turn at an even beat; hips and trunk turn with them."""
+    raised, beat, out, back = ONSET + 0.45, 0.6, 0.2, 0.28
+    guards = [GUARD.draw(rng), GUARD.draw(rng)]
+    hands = [[guard.key(raised, 0.45, 1.3)] for guard in guards]
+    hip, yaw, depth = rng.uniform(5, 10), rng.uniform(12, 20), -rng.uniform(0.02, 0.05)
+    hips, twists = [pelvis_key(raised, 0.45, (0.0, depth, 0.0))], [turn_key(raised, 0.45, pitch=5)]
+    time = raised + 0.2
+    for number in range(int(rng.integers(6, 13))):
+        arm, side = number % 2, 1 - 2 * (number % 2)
+        time += out
+        hands[arm] += [
+            JAB.draw(rng).key(time, out, 1.2),
+            guards[arm].near(rng, 0.015).key(time + back, back, 1.35),
+        ]
+        hips.append(
+            pelvis_key(time, 0.4, (0.0, depth + rng.uniform(-0.01, 0.01), rng.uniform(0.01, 0.03)), -side * hip)
+        )
+        twists.append(turn_key(time, 0.4, -side * yaw, 5))
+        time += beat - out
+    return Script(time + 0.3, tuple(hands[0]), tuple(hands[1]), trunk=tuple(twists), pelvis=tuple(hips), gaze=0.9)
 
 
 def throw(rng: np.random.Generator) -> Script:

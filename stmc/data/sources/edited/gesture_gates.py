@@ -132,6 +132,14 @@ def points(motion: Motion) -> bool:
     return len(runs) == 1 and runs[0] > 0.8
 
 
+def raises(motion: Motion) -> bool:
+    """Return whether the arm is stretched above the shoulder once, for half a second or more, away from the head."""
+    level = wrist(motion, "left", "shoulder")
+    up = (level[:, 1] > 0.3) & (_extension(motion, "left") > 0.9)
+    runs = _seconds(motion, up)
+    return len(runs) == 1 and runs[0] > 0.5 and not bool(_is_near(motion, _EAR, 0.12).any())
+
+
 def wipes(motion: Motion) -> bool:
     """Return whether the hand moves to and fro in front of the body."""
     hand = wrist(motion, "left", "chest")
@@ -189,6 +197,16 @@ def punches(motion: Motion) -> bool:
     return (
         1 <= len(runs) <= 3 and max(runs) < 0.5 * motion.fps and bool(wrist_speed(motion, "left", "ground").max() > 2.6)
     )
+
+
+def boxes(motion: Motion) -> bool:
+    """Return whether both arms shoot forward twice or more."""
+    for side in ("left", "right"):
+        hand = wrist(motion, side, "shoulder")
+        runs = visits((_extension(motion, side) > 0.88) & (hand[:, 1] > -0.15) & (hand[:, 2] > 0.3))
+        if len(runs) < 2 or max(runs) > 0.5 * motion.fps:
+            return False
+    return True
 
 
 def picks_up(motion: Motion) -> bool:

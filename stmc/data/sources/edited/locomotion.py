@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stmc.data.sources.edited.measuring import degrees_turned, distance, foot_speed, forward, pace, steady
+from stmc.data.sources.edited.measuring import degrees_turned, distance, flights, foot_speed, forward, pace, steady
 from stmc.data.sources.edited.recipe import Base, Bases, Draft, Recipe, Unusable
 from stmc.data.sources.edited.script import ONSET
 from stmc.data.sources.edited.standing import draw_standing
+from stmc.data.sources.edited.strides import repeat_strides
 from stmc.editing.paths import bend_path, change_pace, reverse
 from stmc.editing.turning import turn_on_spot
 from stmc.motion.kinematics import joint
@@ -71,19 +72,37 @@ def _circles(motion: Motion) -> bool:
     return angle[-1] > 340 and 0.75 < pace(motion) < 1.5
 
 
-def quarter(bases: Bases, rng: np.random.Generator) -> Draft:
-    """Bend a walk of 3.5 to 6 seconds by a right angle."""
-    base = _draw(bases, rng, ("walk",), _EVEN, 3.6)
-    motion = change_pace(base.motion, tempo=rng.uniform(0.85, 1.05), stride=rng.uniform(0.85, 1.0))
-    motion = _part(motion, rng, rng.uniform(3.6, 6.2))
-    return Draft(
-        bend_path(motion, angle=math.radians(rng.uniform(84, 97)), ramp=rng.uniform(0.1, 0.25)), base.recording
-    )
+@dataclass(frozen=True)
+class Bend:
+    """Walks that turn left by a total angle, over 3.5 to 9.5 seconds: the recipe's `make`.
+
+    A network that has only seen short turns goes on turning when it is asked for a long one.
+
+    Args:
+        angles: Range of the angle in degrees.
+        ramps: Range of the fraction of the path over which the curvature grows, and over which it falls.
+    """
+
+    angles: tuple[float | int, float | int]
+    ramps: tuple[float | int, float | int]
+
+    def __call__(self, bases: Bases, rng: np.random.Generator) -> Draft:
+        """Draw a walk, and bend it."""
+        base = _draw(bases, rng, ("walk",), _EVEN, 3.6)
+        motion = change_pace(base.motion, tempo=rng.uniform(0.8, 1.05), stride=rng.uniform(0.75, 1.0))
+        motion = _part(motion, rng, rng.uniform(3.6, _LONGEST))
+        angle, ramp = math.radians(rng.uniform(*self.angles)), rng.uniform(*self.ramps)
+        return Draft(bend_path(motion, angle=angle, ramp=ramp), base.recording)
 
 
 def _is_quarter(motion: Motion) -> bool:
     angle = degrees_turned(motion)
     return 72 < angle[-1] < 108 and angle.max() < 115 and distance(motion) > 1.5
+
+
+def _is_veer(motion: Motion) -> bool:
+    angle = degrees_turned(motion)
+    return 20 < angle[-1] < 55 and angle.max() < 65 and angle.min() > -20
 
 
 def slow(bases: Bases, rng: np.random.Generator) -> Draft:
@@ -125,15 +144,31 @@ def _at_speed(motion: Motion, rng: np.random.Generator, speed: float, tempos: tu
     stride = change / tempo
     if not 0.35 < stride < 1.2:
         raise Unusable(f"the speed needs steps {stride:.2f} times as long")
-    return _part(change_pace(motion, tempo, stride), rng, rng.uniform(5.0, _LONGEST))
+    seconds = rng.uniform(5.0, _LONGEST)
+    return _part(change_pace(repeat_strides(motion, seconds * tempo), tempo, stride), rng, seconds)
+
+
+_RUNNERS = ("normal", "active", "feminine", "masculine", "youthful", "happy", "exhausted")
+"""Styles of plain runs."""
+
+
+def long_run(bases: Bases, rng: np.random.Generator) -> Draft:
+    """Repeat the strides of a run; recorded ones last two to four seconds."""
+    base = _draw(bases, rng, ("run",), _RUNNERS, 1.9)
+    seconds = rng.uniform(4.0, _LONGEST)
+    return Draft(change_pace(repeat_strides(base.motion, seconds), tempo=rng.uniform(0.95, 1.05)), base.recording)
+
+
+def _runs(motion: Motion) -> bool:
+    return _is_straight(motion) and 1.6 < forward(motion) / motion.duration < 4.5 and flights(motion) >= motion.duration
 
 
 def jog_back(bases: Bases, rng: np.random.Generator) -> Draft:
     """Reverse a run, with short steps."""
-    styles = ("normal", "active", "feminine", "masculine", "youthful", "happy", "exhausted")
-    base = _draw(bases, rng, ("run",), styles, 1.9)
-    motion = change_pace(reverse(base.motion), tempo=rng.uniform(0.92, 1.08), stride=rng.uniform(0.42, 0.62))
-    return Draft(motion, base.recording)
+    base = _draw(bases, rng, ("run",), _RUNNERS, 1.9)
+    longer = repeat_strides(base.motion, rng.uniform(3.0, _LONGEST))
+    motion = change_pace(reverse(longer), tempo=rng.uniform(0.92, 1.08), stride=rng.uniform(0.42, 0.62))
+    return Draft(_part(motion, rng, _LONGEST), base.recording)
 
 
 @dataclass(frozen=True)
@@ -169,15 +204,22 @@ def _walks(slowest: float, fastest: float, backwards: bool = False) -> Callable[
     return accept
 
 
+def _jogs_back(motion: Motion) -> bool:
+    return _walks(0.9, 2.0, backwards=True)(motion) and flights(motion) >= motion.duration
+
+
 RECIPES = (
     Recipe("walk-circle-left", "edited", circle, _circles, clips=80, once=False),
-    Recipe("quarter-circle-left", "edited", quarter, _is_quarter, clips=80),
+    Recipe("quarter-circle-left", "edited", Bend((84, 97), (0.1, 0.25)), _is_quarter, clips=120),
+    Recipe("walk-turn-left", "edited", Bend((82, 100), (0.4, 0.5)), _is_quarter, clips=80),
+    Recipe("walk-veer-left", "edited", Bend((30, 45), (0.2, 0.5)), _is_veer, clips=80),
     Recipe("half-turn-left-on-left-foot", "authored", HalfTurn("left").make, HalfTurn("left").accept, clips=80),
     Recipe("half-turn-left-on-right-foot", "authored", HalfTurn("right").make, HalfTurn("right").accept, clips=80),
     Recipe("walk-slow", "edited", slow, _walks(0.25, 0.7), clips=80, once=False),
     Recipe("walk-fast", "edited", fast, _walks(1.55, 2.2), clips=80, once=False),
     Recipe("walk-back-slow", "edited", back_slow, _walks(0.2, 0.5, backwards=True), clips=80, once=False),
     Recipe("walk-back-fast", "edited", back_fast, _walks(1.0, 1.7, backwards=True), clips=80, once=False),
-    Recipe("jog-back", "edited", jog_back, _walks(0.9, 2.0, backwards=True), clips=80, once=False),
+    Recipe("run", "edited", long_run, _runs, clips=80, once=False),
+    Recipe("jog-back", "edited", jog_back, _jogs_back, clips=80, once=False),
 )
 """Recipes in the order of the data set."""
