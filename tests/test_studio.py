@@ -213,8 +213,8 @@ ANY = st.recursive(
     max_leaves=12,
 )
 ADDRESSES = [("POST", "/api/check"), ("POST", "/api/read"), ("POST", "/api/write"), ("POST", "/api/motions"),
-             ("PUT", "/api/documents/fuzz"), ("POST", "/api/jobs"), ("POST", "/api/map"),
-             ("POST", "/api/retarget"), ("POST", "/api/films"), ("POST", "/api/streams"),
+             ("PUT", "/api/documents/fuzz"), ("PUT", "/api/characters/none/joint_map"), ("POST", "/api/jobs"),
+             ("POST", "/api/map"), ("POST", "/api/retarget"), ("POST", "/api/films"), ("POST", "/api/streams"),
              ("POST", "/api/streams/none")]  # fmt: skip
 
 

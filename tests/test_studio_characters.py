@@ -1,6 +1,7 @@
 """Characters of users in the studio: what its server takes and refuses, how they move, and that they are kept."""
 
 import json
+import os
 import random
 from collections.abc import Iterator
 
@@ -144,11 +145,15 @@ def test_a_file_that_is_no_character_is_refused_in_a_sentence(client, content, n
 def test_an_upload_is_bounded_and_needs_the_key(client):
     assert added(client, b"glTF" + bytes(MOST_UPLOAD)).status_code == 413
     for headers, status in (({"Authorization": ""}, 401), ({"Origin": "http://evil.example"}, 403)):
-        for method, path in (("POST", ""), ("GET", ""), ("GET", "/a"), ("DELETE", "/a"), ("GET", "/a/poses/b")):
+        paths = [("POST", ""), ("GET", ""), ("GET", "/a"), ("DELETE", "/a"), ("GET", "/a/poses/b")]
+        for method, path in (*paths, ("GET", "/a/joint_map"), ("PUT", "/a/joint_map")):
             assert client.request(method, f"/api/characters{path}", headers=headers).status_code == status
 
 
-@pytest.mark.parametrize("path", ["a", "..%2Fdocuments%2Fa", "%00", "x" * 60, "a/poses/b", f"{'0' * 32}/poses/b"])
+@pytest.mark.parametrize(
+    "path",
+    ["a", "..%2Fdocuments%2Fa", "%00", "x" * 60, "a/poses/b", f"{'0' * 32}/poses/b", f"{'0' * 32}/joint_map"],
+)
 def test_what_is_no_character_is_not_found(client, path):
     assert client.get(f"/api/characters/{path}").status_code == 404
 
@@ -267,6 +272,120 @@ def test_the_page_is_told_which_files_are_characters_and_a_document_may_name_one
     content = {"document": {"figure": {"character": {"id": "a", "name": "A"}, "materials": "own"}}}
     assert client.put("/api/documents/worn", json={"base": 0, "content": content}).status_code == 200
     assert client.get("/api/documents/worn").json()["content"] == content
+
+
+# Joint maps
+
+
+LANKY = figures.glb(figures.lanky(), seed=3)
+ELBOW = {"left_elbow": "DEF-upper_arm.L.001", "left_foot": None}
+
+
+def put(client: TestClient, name: str, joint_map):
+    return client.put(f"/api/characters/{name}/joint_map", json={"joint_map": joint_map})
+
+
+def test_a_joint_map_is_stored_with_the_character_and_poses_and_exports_follow_it(client, walk):
+    name = told(added(client, LANKY, "lanky.glb"))["id"]
+    path, settings = f"/api/characters/{name}", {"character": json.dumps(name)}
+    found = client.get(f"{path}/joint_map").json()
+    assert found["joint_map"]["left_elbow"] == "DEF-forearm.L" and found["corrections"] == {}
+    assert set(found["joint_map"]) <= set(found["joints"]) and set(figures.lanky().names) <= set(found["names"])
+    before = [client.get(address, params=settings).content for address in (
+        f"{path}/poses/{walk}", f"/api/motions/{walk}.glb")]  # fmt: skip
+    answer = put(client, name, ELBOW)
+    assert answer.status_code == 200 and answer.json()["joint_map"]["left_elbow"] == "DEF-upper_arm.L.001"
+    assert "left_foot" not in answer.json()["joint_map"] and answer.json()["found_by"].endswith("joint map")
+    assert client.get(f"{path}/joint_map").json() == answer.json()
+    assert (
+        next(each for each in client.get("/api/characters").json()["characters"] if each["id"] == name)["corrections"]
+        == ELBOW
+    )
+    after = [client.get(address, params=settings).content for address in (
+        f"{path}/poses/{walk}", f"/api/motions/{walk}.glb")]  # fmt: skip
+    assert all(one != other for one, other in zip(before, after, strict=True))
+    assert told(added(client, LANKY, "again.glb"))["corrections"] == ELBOW, "adding the file again keeps its map"
+    assert put(client, name, {}).json() == found
+    assert client.get(f"{path}/poses/{walk}").content == before[0]
+
+
+def test_a_joint_map_outlives_the_server_goes_with_its_character_and_leaves_the_list_in_order(tmp_path):
+    characters = Characters(tmp_path)
+    name, other = characters.receive(LANKY, "lanky.glb"), characters.receive(HERO, "hero.glb")
+    os.utime(tmp_path / f"{name}.glb", (1, 1))
+    characters.correct(name, ELBOW)
+    again = Characters(tmp_path)
+    assert again.get(name).joint_map["left_elbow"] == ELBOW["left_elbow"]
+    assert [each["id"] for each in again.all()] == [other, name], "a correction adds no character"
+    assert (tmp_path / f"{name}.json").stat().st_mode & 0o077 == 0
+    again.delete(name)
+    assert again.describe(again.receive(LANKY, "lanky.glb"))["corrections"] == {}
+
+
+def test_a_record_of_before_has_no_joint_map_and_a_damaged_map_is_no_record(tmp_path):
+    characters = Characters(tmp_path)
+    name = characters.receive(HERO, "hero.glb")
+    record = json.loads((tmp_path / f"{name}.json").read_text())
+    for joint_map, stored in ((None, True), ([], False), ({"head": 7}, False)):
+        damaged = {key: each for key, each in record.items() if key != "joint_map"}
+        damaged |= {} if joint_map is None else {"joint_map": joint_map}
+        (tmp_path / f"{name}.json").write_text(json.dumps(damaged))
+        assert [each["corrections"] for each in characters.all()] == ([{}] if stored else [])
+
+
+@pytest.mark.parametrize(
+    ("joint_map", "message"),
+    [
+        ({"left_knee": "nobody"}, "the file: joint map: left_knee is 'nobody', but the file's joints are "),
+        ({"tail\n": "DEF-hips"}, "joint map: 'tail\\n' is not a joint of SMPL; choose from pelvis"),
+        ({"x" * 9000: None}, "is not a joint of SMPL"),
+        ({"x\n" * 9000: 7}, "a joint, or null, needed"),
+        ({"left_knee": 7}, "joint_map: left_knee=7: the name of a joint, or null, needed"),
+        ({"left_knee": None}, "no joint was found for left_knee; name them in a joint map"),
+        ({"left_knee": "DEF-shin.R"}, "'DEF-shin.R' cannot be both"),
+        ({"left_knee": "DEF-f_index.L"}, "does not hang from 'DEF-thigh.L' (left_hip)"),
+        ({"head": "DEF-toe.L"}, "the file: "),
+        ([], "joint_map"),
+        ("left_knee: DEF-shin.L", "joint_map"),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_a_joint_map_that_does_not_fit_is_refused_as_read_character_does_and_not_stored(
+    client, tmp_path, joint_map, message
+):
+    name = told(added(client, LANKY, "lanky.glb"))["id"]
+    answer = put(client, name, joint_map)
+    assert answer.status_code == 422
+    error = answer.json()["error"]
+    assert message in error and "/tmp" not in error and "\n" not in error and len(error) < 500
+    assert client.get(f"/api/characters/{name}/joint_map").json()["corrections"] == {}
+    if error.startswith("the file: "):
+        path = tmp_path / "lanky.glb"
+        path.write_bytes(LANKY)
+        with pytest.raises(stmc.formats.characters.CharacterError) as caught:
+            stmc.read_character(path, joint_map)
+        assert str(caught.value) == error.replace("the file", str(path), 1)
+
+
+def test_names_that_are_too_long_to_be_stored_are_refused(client):
+    document, binary = figures.document(figures.stocky())
+    document["nodes"][2]["name"] = "é" * 9000
+    name = told(added(client, figures.packed(document, binary)))["id"]
+    answer = put(client, name, {"head": "é" * 9000})
+    assert answer.status_code == 422 and "too long to be stored" in answer.json()["error"]
+    assert client.get(f"/api/characters/{name}").status_code == 200
+
+
+def test_random_joint_maps_are_stored_and_move_or_are_refused_in_a_sentence(client, walk):
+    name, chance = told(added(client, LANKY, "lanky.glb"))["id"], random.Random(2)
+    found, statuses = client.get(f"/api/characters/{name}/joint_map").json(), set()
+    for number in range(20):
+        joints = chance.sample(found["joints"], 1 + number % 3)
+        answer = put(client, name, {joint: chance.choice([None, *found["names"]]) for joint in joints})
+        assert answer.status_code in (200, 422) and ("error" in answer.json()) == (answer.status_code == 422)
+        statuses.add(answer.status_code)
+        assert client.get(f"/api/characters/{name}/poses/{walk}").status_code == 200, "what is stored can be moved"
+    assert statuses == {200, 422}
 
 
 @pytest.mark.parametrize("name", ["male", "female", "zombie", "CesiumMan"])

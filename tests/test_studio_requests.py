@@ -152,6 +152,7 @@ class Draw:
             ("POST", "/api/map", {"skeleton": SKELETON, "joint_map": {}}),
             ("POST", "/api/retarget", {"skeleton": SKELETON, "motion": self.chance.choice(self.motions), "fps": 30}),
             ("PUT", "/api/documents/fuzz", {"base": 0, "content": WALK}), ("POST", "/api/session", {"token": "x"}),
+            ("PUT", "/api/characters/none/joint_map", {"joint_map": {"left_foot": None}}),
         ])  # fmt: skip
 
     def request(self) -> tuple[str, str, bytes]:

@@ -29,12 +29,11 @@ from stmc.io.files import write_whole
 from stmc.io.untrusted import quote, read_text, truncate
 from stmc.motion.motion import Motion
 from stmc.motion.retargeting import Rig, RigMotion, transfer
-from stmc.motion.retargeting.rig import NEEDED, OPTIONAL
+from stmc.motion.retargeting.rig import MAPPED
 
 _MOST_BVH, _MOST_MAP = 2**26, 2**16
 """Bytes of a BVH file, and of a joint map."""
 _Corrections = Mapping[str, str | None]
-_JOINTS = (*OPTIONAL[:1], *NEEDED, *OPTIONAL[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,7 @@ class Character:
             >>> stmc.read_character("hero.bvh").joint_map["head"]
             'head'
         """
-        return {joint: self.rig.names[self.rig.joints[joint]] for joint in _JOINTS if joint in self.rig.joints}
+        return {joint: self.rig.names[self.rig.joints[joint]] for joint in MAPPED if joint in self.rig.joints}
 
     @property
     def formats(self) -> tuple[str, ...]:
@@ -272,8 +271,8 @@ def _character(
 def _corrected(joints: Mapping[str, int], names: tuple[str, ...], corrections: _Corrections) -> dict[str, int]:
     corrected = dict(joints)
     for joint, name in corrections.items():
-        if joint not in _JOINTS:
-            raise CharacterError(f"joint map: {quote(joint)} is not a joint of SMPL; choose from {', '.join(_JOINTS)}")
+        if joint not in MAPPED:
+            raise CharacterError(f"joint map: {quote(joint)} is not a joint of SMPL; choose from {', '.join(MAPPED)}")
         if name is None:
             corrected.pop(joint, None)
         elif name in names:

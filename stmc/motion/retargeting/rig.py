@@ -25,6 +25,8 @@ NEEDED = ("head", *(f"{side}_{joint}" for limb in LIMBS for joint in limb for si
 """Joints that every rig has. The pelvis, the spine and the necks follow from the tree."""
 OPTIONAL = ("pelvis", *(f"{side}_{joint}" for joint in ("collar", "foot") for side in SIDES))
 """Joints that a rig may have: `foot` is where the toes begin, as in SMPL."""
+MAPPED = (*OPTIONAL[:1], *NEEDED, *OPTIONAL[1:])
+"""Joints that a joint map may name."""
 _SHORTEST = 1e-3
 """The length of a limb's bone, as a share of the leg, below which it has no direction."""
 

@@ -146,6 +146,15 @@ class DocumentBody:
 
 
 @dataclass(frozen=True, kw_only=True)
+class JointMapBody:
+    """Corrections of the map of a character's joints."""
+
+    joint_map: JointMap = setting(
+        MISSING, "names in the file by names of ours; null: it has none; it replaces the map that was stored"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class SkeletonBody:
     """A skeleton, and corrections of the map of its joints."""
 

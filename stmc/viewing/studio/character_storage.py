@@ -27,7 +27,8 @@ from stmc.motion.motion import Motion
 from stmc.viewing.exports import exports_of
 from stmc.viewing.studio.bodies import RECEIVED
 from stmc.viewing.studio.request_errors import RequestError
-from stmc.viewing.studio.responses import CharacterEntry
+from stmc.viewing.studio.responses import CharacterEntry, CharacterJoints
+from stmc.viewing.studio.skeletons_json import JointMap, describe_joints, joint_map_of
 from stmc.viewing.studio.storage import ID, check_poses, own_folder
 
 MOST_CHARACTERS, MOST_CHARACTER_BYTES = 40, 2**30
@@ -42,8 +43,10 @@ _ROBOTS = (".urdf", ".xml")
 _FASTEST = 60
 """Frames per second that a stage shows."""
 
-_RECORD = 2**16
-"""Maximum bytes of a record beside a character."""
+_RECORD, _MAP = 2**16, 2**15
+"""Maximum bytes of a record beside a character, and of the joint map in it."""
+
+_RECORD_KEYS = {"title", "suffix", "formats", "joint_map"}
 
 Value = TypeVar("Value")
 
@@ -79,7 +82,7 @@ class _Recent(Generic[Value]):
 class Characters:
     """Characters of users, each under a name that follows from its bytes, so that the same file is stored once.
 
-    A character is stored if its record, a `.json` file with its title and formats, is there beside its file.
+    A character is stored if its record, a `.json` file with its title, formats and joint map, is there beside its file.
 
     Examples:
         >>> characters = stmc.viewing.studio.Characters("characters")
@@ -105,28 +108,28 @@ class Characters:
     def receive(self, content: bytes, filename: str) -> str:
         """Store the character of an uploaded file and return its name.
 
-        Raises `RequestError` for a file that is no character, and if there are too many.
+        A character that was stored before keeps its joint map. Raises `RequestError` for a file that is no character,
+        and if there are too many.
         """
         suffix = Path(filename).suffix.lower()
         if suffix not in RECEIVED:
             raise RequestError(422, _refusal(filename, suffix))
         name = hashlib.sha256(content + suffix.encode()).hexdigest()[:32]
         with self._heavy:
-            character = _read_content(content, suffix)
+            character = _read_content(content, suffix, {})
             _try_out(character)
         record = {"title": _title(filename), "suffix": suffix, "formats": list(character.formats)}
         with self._lock:
             self._check_quota(name, len(content))
             path = self._folder / f"{name}{suffix}"
             write_whole(path, lambda temporary: temporary.write_bytes(content))
-            write_text(self._record_path(name), json.dumps(record))
+            self._write_record(name, record | {"joint_map": self._stored_map(name)})
             path.chmod(0o600)
-            self._record_path(name).chmod(0o600)
         return name
 
     def all(self) -> list[CharacterEntry]:
         """Describe all characters for the page, the last added first."""
-        paths = sorted(self._folder.glob("*.json"), key=_modified, reverse=True)
+        paths = sorted(self._files(), key=_modified, reverse=True)
         found = []
         for path in paths:
             try:
@@ -140,7 +143,7 @@ class Characters:
         record = self._record(name)
         own = record["formats"]
         formats = [each.describe() | {"character": each.suffix in own} for each in exports_of(own)]
-        return {"id": name, "name": record["title"], "formats": formats}
+        return {"id": name, "name": record["title"], "formats": formats, "corrections": record["joint_map"]}
 
     def content(self, name: str) -> bytes:
         """Return the bytes of a character's file. Raises `RequestError` if there is no such character."""
@@ -151,8 +154,28 @@ class Characters:
 
     def get(self, name: str) -> Character:
         """Return the character with this name. Raises `RequestError` if it is missing or damaged."""
-        suffix = self._record(name)["suffix"]
-        return self._read.get(name, lambda: _read_content(self.content(name), suffix))
+        return self._character(name, self._record(name))
+
+    def joints(self, name: str) -> CharacterJoints:
+        """Describe the joint map of a character. Raises `RequestError` if the character is missing or damaged."""
+        record = self._record(name)
+        return describe_joints(self._character(name, record), record["joint_map"])
+
+    def correct(self, name: str, joint_map: JointMap) -> CharacterJoints:
+        """Store corrections of a character's joint map in place of earlier ones, and describe the map.
+
+        Raises `RequestError` if the character is missing, or if it cannot be moved with this map, which is not stored
+        then.
+        """
+        record = self._record(name) | {"joint_map": joint_map}
+        with self._heavy:
+            character = self._character(name, record)
+            _try_out(character)
+        if len(json.dumps(joint_map)) > _MAP:
+            raise RequestError(422, "joint map: the names of these joints are too long to be stored")
+        with self._lock:
+            self._write_record(name, self._record(name) | {"joint_map": joint_map})
+        return describe_joints(character, joint_map)
 
     def poses(self, name: str, motion_name: str, motion: Motion) -> bytes:
         """Return a character's poses in a motion, as `stage_poses` writes them.
@@ -171,8 +194,9 @@ class Characters:
             with self._heavy:
                 return _posed(shown, character)
 
-        character = self.get(name)
-        return self._poses.get(f"{name}/{motion_name}", make)
+        record = self._record(name)
+        character = self._character(name, record)
+        return self._poses.get(f"{_key(name, record)}/{motion_name}", make)
 
     def delete(self, name: str) -> None:
         """Delete a character, if it exists."""
@@ -183,6 +207,23 @@ class Characters:
                 path.with_suffix(suffix).unlink(missing_ok=True)
         self._read.forget(name)
         self._poses.forget(name)
+
+    def _character(self, name: str, record: dict[str, Any]) -> Character:
+        def make() -> Character:
+            return _read_content(self.content(name), record["suffix"], record["joint_map"])
+
+        return self._read.get(_key(name, record), make)
+
+    def _stored_map(self, name: str) -> JointMap:
+        try:
+            return self._record(name)["joint_map"]
+        except RequestError:
+            return {}
+
+    def _write_record(self, name: str, record: dict[str, Any]) -> None:
+        path = self._record_path(name)
+        write_text(path, json.dumps(record))
+        path.chmod(0o600)
 
     def _check_quota(self, name: str, size: int) -> None:
         """Raise `RequestError` if another character does not fit."""
@@ -203,10 +244,16 @@ class Characters:
             record = load_json(read_text(self._record_path(name), _RECORD))
         except (FileNotFoundError, UnreadableError):
             raise _missing() from None
-        shape = isinstance(record, dict) and record.keys() == {"title", "suffix", "formats"}
+        shape = isinstance(record, dict) and record.keys() | {"joint_map"} == _RECORD_KEYS
         if not shape or record["suffix"] not in RECEIVED or not isinstance(record["formats"], list):
             raise _missing()
-        return record
+        joint_map = record.get("joint_map", {})  # records of before have none
+        if not isinstance(joint_map, dict):
+            raise _missing()
+        try:
+            return record | {"joint_map": joint_map_of(joint_map)}
+        except RequestError:
+            raise _missing() from None
 
     def _record_path(self, name: str) -> Path:
         if not ID.fullmatch(name):
@@ -228,13 +275,18 @@ def _missing() -> RequestError:
     return RequestError(404, "that character is no longer stored; add its file again")
 
 
-def _read_content(content: bytes, suffix: str) -> Character:
-    """Read a character. Raises `RequestError` with a sentence about the file."""
+def _key(name: str, record: dict[str, Any]) -> str:
+    """Return the key of what is computed for a character with its joint map."""
+    return f"{name}/{json.dumps(record['joint_map'], sort_keys=True)}"
+
+
+def _read_content(content: bytes, suffix: str, joint_map: JointMap) -> Character:
+    """Read a character. Raises `RequestError` with a sentence about the file or the joint map."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"character{suffix}"
         path.write_bytes(content)
         try:
-            return read_character(path)
+            return read_character(path, joint_map)
         except CharacterError as error:
             raise RequestError(422, str(error).replace(str(path), "the file")) from None
 

@@ -211,6 +211,19 @@ OPERATIONS: tuple[Operation, ...] = (
         gives=FileOutput((GLTF,)), refusals=_NO_CHARACTER,
     ),
     Operation(
+        method="GET", path="/api/characters/{name}/joint_map", handler="read_joint_map", topic="Characters",
+        summary="Read which joint of a character is which",
+        gives=JsonOutput(responses.CharacterJoints), refusals=_NO_CHARACTER,
+    ),
+    Operation(
+        method="PUT", path="/api/characters/{name}/joint_map", handler="write_joint_map", topic="Characters",
+        summary="Correct which joint of a character is which",
+        about="As `joint_map` in Python: joints that it does not name are as found in the file. Poses and exports "
+        "follow the stored map; one that does not fit is refused, and the map of before stays.",
+        takes=JsonBody(bodies.JointMapBody, {"joint_map": {"left_foot": None}}),
+        gives=JsonOutput(responses.CharacterJoints), refusals=_NO_CHARACTER,
+    ),
+    Operation(
         method="GET", path="/api/characters/{name}/poses/{motion}", handler="pose_character", topic="Characters",
         summary="Move a character as a stored motion",
         about="A `.glb` file without a mesh, for players that hold the character's file: a node `n12` turns as the "

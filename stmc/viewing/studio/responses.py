@@ -208,6 +208,14 @@ class MappedSkeleton(TypedDict):
     found_by: Annotated[str, "the way in which they were found"]
 
 
+class CharacterJoints(MappedSkeleton):
+    """Which joint of a character is which of ours, and what can be chosen."""
+
+    corrections: Annotated[dict[str, str | None], "the stored joint map; null: the character has no such joint"]
+    joints: Annotated[list[str], "our joints that a joint map may name"]
+    names: Annotated[list[str], "joints of the file"]
+
+
 class SkeletonMotion(MappedSkeleton):
     """A motion of a skeleton, in its own axes and unit."""
 
@@ -253,6 +261,7 @@ class CharacterEntry(TypedDict):
     id: Annotated[str, "its name for other requests"]
     name: Annotated[str, "its file's name, without the suffix"]
     formats: Annotated[list[FormatEntry], "formats of exported motions with the character"]
+    corrections: Annotated[dict[str, str | None], "its stored joint map; empty: all joints are as found"]
 
 
 class StoredCharacter(TypedDict):

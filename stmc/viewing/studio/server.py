@@ -41,6 +41,7 @@ from stmc.viewing.studio.bodies import (
     ExportQuery,
     FilmBody,
     JobBody,
+    JointMapBody,
     ReadBody,
     ReadStreamBody,
     RetargetBody,
@@ -261,6 +262,14 @@ class Answers:
     async def send_character(self, name: str) -> Response:
         """Send a character's file as it was uploaded."""
         return Response(await run_in_threadpool(self.characters.content, name), media_type=GLTF)
+
+    async def read_joint_map(self, name: str) -> Response:
+        """Describe the joint map of a character."""
+        return JSONResponse(await run_in_threadpool(self.characters.joints, name))
+
+    async def write_joint_map(self, body: JointMapBody, name: str) -> Response:
+        """Correct the joint map of a character."""
+        return JSONResponse(await run_in_threadpool(self.characters.correct, name, body.joint_map))
 
     async def pose_character(self, name: str, motion: str) -> Response:
         """Send a character's poses in a motion, without its mesh."""

@@ -11,11 +11,11 @@ from typing import Any, get_args
 from stmc.formats.characters import Character, CharacterError, CharacterMotion, RestSkeleton, skeleton_keys
 from stmc.formats.characters.gltf_file import MOST_JOINTS, MOST_METRES
 from stmc.formats.characters.rest_skeletons import RestJoint, Up
-from stmc.io.untrusted import quote
-from stmc.motion.retargeting.rig import NEEDED, OPTIONAL
+from stmc.io.untrusted import quote, truncate
+from stmc.motion.retargeting.rig import MAPPED
 from stmc.viewing.studio.json_schemas import Schema
 from stmc.viewing.studio.request_errors import RequestError, take
-from stmc.viewing.studio.responses import MappedSkeleton, SkeletonMotion
+from stmc.viewing.studio.responses import CharacterJoints, MappedSkeleton, SkeletonMotion
 
 JointMap = dict[str, str | None]
 """Names of a skeleton's joints by the names of ours; None: it has no such joint."""
@@ -63,7 +63,7 @@ SKELETON: Schema = {
 
 JOINT_MAP: Schema = {
     "type": "object",
-    "propertyNames": {"enum": [*NEEDED, *OPTIONAL]},
+    "propertyNames": {"enum": list(MAPPED)},
     "additionalProperties": {"type": ["string", "null"]},
 }
 """JSON Schema of the objects that `joint_map_of` reads."""
@@ -98,7 +98,7 @@ def joint_map_of(data: Mapping[str, Any]) -> JointMap:
     """Read a joint map from JSON. Raises `RequestError`."""
     for joint, name in data.items():
         if name is not None and not isinstance(name, str):
-            raise RequestError(422, f"joint_map: {joint}={quote(name)}: the name of a joint, or null, needed")
+            raise RequestError(422, f"joint_map: {truncate(joint)}={quote(name)}: the name of a joint, or null, needed")
     return dict(data)
 
 
@@ -113,6 +113,12 @@ def character_of(skeleton: RestSkeleton, joint_map: JointMap) -> Character:
 def describe_map(character: Character) -> MappedSkeleton:
     """Return the joint map of a character as JSON."""
     return {"joint_map": character.joint_map, "found_by": character.found_by}
+
+
+def describe_joints(character: Character, corrections: JointMap) -> CharacterJoints:
+    """Return the joint map of a character as JSON, with what can be chosen and what was corrected."""
+    names = list(dict.fromkeys(character.rig.names))
+    return {**describe_map(character), "corrections": corrections, "joints": list(MAPPED), "names": names}
 
 
 def describe_keys(moved: CharacterMotion, skeleton: RestSkeleton) -> SkeletonMotion:
