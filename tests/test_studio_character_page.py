@@ -28,6 +28,7 @@ from test_studio_page import (
 )
 
 from stmc.motion.body import JOINTS
+from stmc.motion.retargeting.rig import MAPPED
 
 pytestmark = [
     pytest.mark.browser,
@@ -174,6 +175,85 @@ def test_a_character_is_dropped_sampled_switched_exported_and_there_again_after_
     message(tab, "My hero cannot be shown: That character is no longer stored; add its file again.")
     drop(tab, "My hero.glb", figures.glb(figures.stocky()))
     assert figure(tab, "mannequin") == hero, "the same file is the same character"
+
+
+def choose(tab: browser.Tab, joint: str, name: str) -> None:
+    """Choose the character's joint for one of ours, in the open menu; "": not driven."""
+    selector = json.dumps(f"[data-key=joint-{joint}]")
+    tab.wait(f"document.querySelector({selector}) !== null")
+    tab.ask(f"(() => {{ const select = document.querySelector({selector}); select.value = {json.dumps(name)};"
+            " select.dispatchEvent(new Event('change')); })()")  # fmt: skip
+
+
+def corrections(tab: browser.Tab, name: str) -> dict:
+    """The joint map that the server has stored."""
+    address = f"/api/characters/{name}/joint_map"
+    tab.ask(f"window.told = null, fetch('{address}', {KEY}).then(async (answer) => {{ told = await answer.json(); }})")
+    tab.wait("told !== null")
+    return tab.ask("told")["corrections"]
+
+
+def test_a_joint_is_corrected_in_the_menu_the_stage_follows_and_a_reload_keeps_it(tab):
+    write(tab, "walk")
+    shown(tab)
+    drop(tab, "lanky.glb", figures.glb(figures.lanky(), seed=3))
+    lanky = figure(tab, "mannequin")
+    value = "document.querySelector('[data-key=joint-{}]')?.value"
+    refusal = "document.getElementById('joint-refusal')"
+    posed = "performance.getEntriesByType('resource').filter(({ name }) => name.includes('/poses/')).length"
+
+    def opened_menu() -> None:
+        click(tab, "#character")
+        tab.wait("document.getElementById('character').ariaExpanded === 'true'")
+
+    def stage() -> np.ndarray:
+        press(tab, "Escape")
+        tab.wait("document.getElementById('character').ariaExpanded === 'false'")
+        tab.wait("document.getElementById('stage').ariaBusy === 'false'")
+        return colours(tab)
+
+    before = stage()
+    opened_menu()
+    click(tab, "#joint-map summary")
+    tab.wait(f"{value.format('left_elbow')} === 'DEF-forearm.L'")
+    assert tab.ask("document.querySelectorAll('#joint-list select').length") == len(MAPPED)
+    assert tab.ask("document.getElementById('joint-about').textContent") == "Found by the joints' names."
+    assert nameless(tab) == [] and tab.ask("document.getElementById('joint-reset').disabled")
+    count = tab.ask(posed)
+    choose(tab, "left_knee", "DEF-shin.R")
+    tab.wait(f"!{refusal}.hidden")
+    assert "'DEF-shin.R' cannot be both" in tab.ask(f"{refusal}.textContent")
+    picture(tab, "25_joint_refused")
+    assert corrections(tab, lanky) == {} and tab.ask(posed) == count, "what is refused moves nobody"
+    for joint in ("hip", "ankle", "foot", "knee"):  # fit only together
+        for side, other in (("left", "R"), ("right", "L")):
+            bone = {"hip": "thigh", "knee": "shin", "ankle": "foot", "foot": "toe"}[joint]
+            choose(tab, f"{side}_{joint}", f"DEF-{bone}.{other}")
+    tab.wait(f"{refusal}.hidden")
+    tab.wait(f"{posed} === {count + 1}")
+    assert len(corrections(tab, lanky)) == 8
+    picture(tab, "26_joints_corrected")
+    crossed = stage()
+    assert np.abs(crossed - before).max() > 50, "the figure moves by the corrected map"
+    opened_menu()
+    tab.wait("!document.getElementById('joint-reset').disabled")
+    click(tab, "#joint-reset")
+    tab.wait(f"{value.format('left_knee')} === 'DEF-shin.L'")
+    assert corrections(tab, lanky) == {}
+    assert np.abs(stage() - before).max() < 50
+    opened_menu()
+    choose(tab, "left_foot", "")
+    tab.wait("!document.getElementById('joint-reset').disabled")
+    tab.wait("document.getElementById('joint-about').textContent.includes('corrected')")
+    tab.ask("location.reload()")
+    time.sleep(0.5)
+    ready(tab)
+    assert figure(tab, "") == lanky and corrections(tab, lanky) == {"left_foot": None}
+    opened_menu()
+    click(tab, "#joint-map summary")
+    tab.wait(f"{value.format('left_foot')} === ''")
+    click(tab, "[data-key=wear-mannequin]")
+    tab.wait("document.getElementById('joint-map').hidden")
 
 
 def test_files_that_are_no_characters_are_refused_in_a_sentence_and_one_that_cannot_be_shown_falls_back(tab):

@@ -1,7 +1,9 @@
-// Who moves: the mannequin or a character of the user's own. Adds files, switches, deletes; `preview.js` shows.
+// Who moves: the mannequin or a character of the user's own. Adds files, switches, deletes; `joint_panel.js` corrects its
+// joints, `preview.js` shows it.
 
 import * as server from "./server.js";
 import { button, fill, find, make, say, watch } from "./dom.js";
+import { createJointPanel } from "./joint_panel.js";
 
 const MIB = 2 ** 20;
 
@@ -75,6 +77,7 @@ export function createCharacterMenu(studio) {
   };
   materials.onclick = () => wear({ materials: studio.present().figure.materials === "own" ? "prompts" : "own" });
   watch(store, ({ characters, model, history }) => [characters, model, history.present.figure], paint);
+  createJointPanel(studio, refresh);
   return { add, isOne, refresh };
 }
 

@@ -10,13 +10,16 @@ const MOST_KEPT = 24; // figures' files, in memory
 
 export function createPreview(studio, stage) {
   const { store } = studio;
-  const files = new Map(); // motion id, with a character's id before it where it moves one → bytes
+  const files = new Map(); // motion id, with a character's look before it where it moves one → bytes
   let figures = new Map(); // motion id → figure, of those on the stage
   let asked = 0;
-  let dressed = null; // the id of the character that the figures show
-  let character = null; // {id, file: a promise of the character}, the last that was shown
-  let known = new Set(); // ids of the server's characters
+  let dressed = null; // the look of the character that the figures show
+  let character = null; // {look, file: a promise of the character}, the last that was shown
+  let known = new Set(); // looks of the server's characters
   const broken = new Set(); // ids of characters that cannot be shown
+
+  // A character with its joint map: by both its poses are made, and its vertices told to body parts.
+  const lookOf = ({ id, corrections = {} }) => `${id} ${JSON.stringify(corrections)}`;
 
   async function bytesOf(id, read) {
     const known = files.get(id);
@@ -30,10 +33,10 @@ export function createPreview(studio, stage) {
   const mannequin = async (motion) =>
     figureOf(await bytesOf(motion.id, async () => (await server.motionFile(motion.id, "glb")).arrayBuffer()));
 
-  function characterFor(id) {
-    if (character?.id === id) return character.file;
+  function characterFor({ id }, look) {
+    if (character?.look === look) return character.file;
     character?.file.then((old) => old.dispose(), () => {});
-    character = { id, file: server.characterFile(id).then(characterOf) };
+    character = { look, file: server.characterFile(id).then(characterOf) };
     return character.file;
   }
 
@@ -41,8 +44,9 @@ export function createPreview(studio, stage) {
   async function figureFor(motion, worn) {
     if (!worn || broken.has(worn.id)) return mannequin(motion);
     try {
-      const file = await characterFor(worn.id);
-      return await file.figure(await bytesOf(`${worn.id}/${motion.id}`, () => server.posesFile(worn.id, motion.id)));
+      const look = lookOf(worn);
+      const file = await characterFor(worn, look);
+      return await file.figure(await bytesOf(`${look}/${motion.id}`, () => server.posesFile(worn.id, motion.id)));
     } catch (error) {
       if (error.status === 0) throw error; // the server is away
       broken.add(worn.id);
@@ -55,8 +59,8 @@ export function createPreview(studio, stage) {
   async function show({ samples, chosen, history }) {
     const number = ++asked;
     const next = new Map();
-    const worn = history.present.figure.character;
-    const shown = () => (worn && !broken.has(worn.id) ? worn.id : null);
+    const worn = studio.worn();
+    const shown = () => (worn && !broken.has(worn.id) ? lookOf(worn) : null);
     const [wanted, same] = [shown(), dressed === shown()];
     find("stage").setAttribute("aria-busy", "true");
     for (const { motion } of samples) {
@@ -80,7 +84,7 @@ export function createPreview(studio, stage) {
     label();
     find("stage").setAttribute("aria-busy", "false");
     document.body.dataset.shown = samples.map(({ motion }) => motion.id).join(" ");
-    document.body.dataset.figure = dressed ?? "mannequin";
+    document.body.dataset.figure = dressed ? worn.id : "mannequin";
   }
 
   function wear({ materials }) {
@@ -128,8 +132,8 @@ export function createPreview(studio, stage) {
   }
 
   watch(store, ({ samples, chosen, characters, history, live }) => [samples, chosen, characters, history.present.figure.character, live !== null], (state) => {
-    for (const { id } of state.characters) if (!known.has(id)) broken.delete(id); // its file was added again
-    known = new Set(state.characters.map(({ id }) => id));
+    for (const each of state.characters) if (!known.has(lookOf(each))) broken.delete(each.id); // added again, or corrected
+    known = new Set(state.characters.map(lookOf));
     if (!state.live) return show(state);
     asked++; // what is on its way does not come: a stream has the stage
     find("stage").setAttribute("aria-busy", "false");

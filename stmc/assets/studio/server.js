@@ -72,6 +72,8 @@ export const listCharacters = async () => (await json("/api/characters")).charac
 export const addCharacter = async (file) =>
   (await json("/api/characters", { method: "POST", headers: { "X-Filename": encodeURIComponent(file.name) }, body: file })).character;
 export const deleteCharacter = (id) => answered(`/api/characters/${encodeURIComponent(id)}`, unsafe("DELETE"));
+export const jointMap = (id) => json(`/api/characters/${encodeURIComponent(id)}/joint_map`);
+export const correctJoints = (id, joint_map) => json(`/api/characters/${encodeURIComponent(id)}/joint_map`, unsafe("PUT", { joint_map }));
 const bytes = async (path) => (await answered(path)).arrayBuffer();
 export const characterFile = (id) => bytes(`/api/characters/${encodeURIComponent(id)}`);
 export const posesFile = (id, motion) => bytes(`/api/characters/${encodeURIComponent(id)}/poses/${encodeURIComponent(motion)}`);

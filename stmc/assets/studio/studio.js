@@ -23,7 +23,7 @@ export function createStore(initial) {
 
 export const INITIAL = {
   model: null,
-  characters: [], // that the server has: [{id, name, formats}]
+  characters: [], // that the server has: [{id, name, formats, corrections}]
   id: null, // of the document
   history: historyOf(emptyDocument()),
   check: null, // what the server says of the timeline, by the prompts' ids
