@@ -104,9 +104,10 @@ def phones(motion: Motion) -> bool:
 
 
 def eats(motion: Motion) -> bool:
-    """Return whether the hand visits the mouth two to five times, and goes well away in between."""
+    """Return whether the hand visits the mouth two to five times, briefly, and goes well away in between."""
     away = wrist(motion, "left", "head")[:, 1]
-    return 2 <= len(_seconds(motion, _is_near(motion, _MOUTH, 0.07))) <= 5 and count_swings(away, 0.15) >= 4
+    stays = _seconds(motion, _is_near(motion, _MOUTH, 0.07))
+    return 2 <= len(stays) <= 5 and max(stays) < 1 and count_swings(away, 0.15) >= 4
 
 
 def drinks(motion: Motion) -> bool:
