@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ from stmc.motion.body_model import Body
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
 from stmc.viewing.colours import ink, palette, part_colours, transition_seconds
-from stmc.viewing.exports import FILMS
 from stmc.viewing.strip import Stage
 
 _SIZE, _DPI = (4.8, 5.6), 100
@@ -60,8 +60,9 @@ def render_film(
         >>> stmc.render_film(motion, "walk.webp", fps=5)
     """
     path = Path(path)
-    if path.suffix.lower() not in FILMS:
-        raise ValueError(f"{path}: cannot film as {path.suffix!r}; choose from {', '.join(FILMS)}")
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ValueError(f"{path}: cannot film as {path.suffix!r}; choose from {', '.join(_WRITERS)}")
     motion = motion if fps is None else motion.resampled(fps)
     overlap = transition_seconds(motion, overlap)
     colours = part_colours(timeline, motion.fps, motion.frames, overlap)
@@ -69,7 +70,7 @@ def render_film(
     pictures: Iterable[np.ndarray] = _pictures(Stage.of(motion, body, colours, shown), timeline)
     if progress is not None:
         pictures = progress(pictures, total=motion.frames)
-    write_whole(path, _video(motion, pictures) if path.suffix.lower() == ".mp4" else _animation(motion, pictures, path))
+    write_whole(path, writer(motion, pictures))
 
 
 def _pictures(stage: Stage, timeline: Timeline | None) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
@@ -107,15 +108,14 @@ def _texts(figure: Figure, timeline: Timeline | None, time: float) -> None:
         figure.text(0.5, (line + 0.6) * _LINE, label, ha="center", va="center", **style)
 
 
-def _animation(motion: Motion, pictures: Iterable[np.ndarray], path: Path) -> Callable[[Path], None]:
-    """Return a writer of animations; durations, in whole ms (`.gif`: 10 ms), add up to that of the motion."""
-    unit = 10 if path.suffix.lower() == ".gif" else 1
+def _animation(kind: str, unit: int, motion: Motion, pictures: Iterable[np.ndarray]) -> Callable[[Path], None]:
+    """Return a writer of animations; durations, in whole units of milliseconds, add up to that of the motion."""
     ends = np.round(np.arange(motion.frames + 1) * 1000 / motion.fps / unit).astype(int) * unit
 
     def fill(temporary: Path) -> None:
         first, *others = (Image.fromarray(picture) for picture in pictures)
-        kind, durations = path.suffix[1:].upper(), np.diff(ends).tolist()
-        first.save(temporary, kind, save_all=True, append_images=others, duration=durations, loop=0, quality=80)
+        times = np.diff(ends).tolist()
+        first.save(temporary, kind, save_all=True, append_images=others, duration=times, loop=0, quality=80)
 
     return fill
 
@@ -137,3 +137,10 @@ def _video(motion: Motion, pictures: Iterable[np.ndarray]) -> Callable[[Path], N
             writer.close()
 
     return fill
+
+
+_WRITERS: Mapping[str, Callable[[Motion, Iterable[np.ndarray]], Callable[[Path], None]]] = {
+    ".webp": partial(_animation, "WEBP", 1),
+    ".gif": partial(_animation, "GIF", 10),
+    ".mp4": _video,
+}
