@@ -265,7 +265,7 @@ def test_files_that_are_no_characters_are_refused_in_a_sentence_and_one_that_can
     drop(tab, "large.glb", hero, beyond=33 * 2**20 - len(hero))
     message(tab, "large.glb has 33 MiB; a character has 32 at most.")
     drop(tab, "robot.urdf", b"<robot name='r'/>")
-    message(tab, "`stmc sample timeline.json outputs/ character=robot.urdf formats=csv`")
+    message(tab, "`stmc sample timeline.json outputs/ character=robot.urdf`")
     made, binary = figures.document(figures.stocky())
     made["accessors"][1]["bufferView"] = 99
     drop(tab, "odd.glb", figures.packed(made, binary))

@@ -129,9 +129,9 @@ def _changed(change) -> bytes:
         (HERO, "hero.exe", "must be a .glb, a .gltf or a .vrm file"),
         (HERO, "", "must be a .glb"),
         (HERO, "..%2F..%2Fetc%00.bvh", "the studio shows no skeletons"),
-        (b"HIERARCHY", "hero.bvh", "`stmc sample timeline.json outputs/ character=hero.bvh formats=bvh`"),
-        (b"<robot/>", "G1%20%60rm%60.URDF", "outputs/ character='G1 `rm`.URDF' formats=csv`"),
-        (b"<mujoco/>", "robot.xml", "`stmc sample timeline.json outputs/ character=robot.xml formats=csv`"),
+        (b"HIERARCHY", "hero.bvh", "`stmc sample timeline.json outputs/ character=hero.bvh`"),
+        (b"<robot/>", "G1%20%60rm%60.URDF", "outputs/ character='G1 `rm`.URDF'`"),
+        (b"<mujoco/>", "robot.xml", "`stmc sample timeline.json outputs/ character=robot.xml`"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

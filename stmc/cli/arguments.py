@@ -111,7 +111,8 @@ def _as_override(sign: str, key: str, value: str, hints: Mapping[str, Any], mult
         return plain
     if hint is not None and str in setting_types(hint) and value != "null":
         return f"{sign}{key}={quote_override(value)}"
-    if get_origin(hint) is tuple and value != "null" and _parses(f"{key}=[{value}]") and not value.startswith("["):
+    listed = any(get_origin(kind) is tuple for kind in setting_types(hint))
+    if listed and value != "null" and _parses(f"{key}=[{value}]") and not value.startswith("["):
         return f"{sign}{key}=[{value}]"
     return plain if _parses(plain) else f"{sign}{key}={quote_override(value)}"
 

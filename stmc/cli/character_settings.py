@@ -14,14 +14,14 @@ _REASONS = {"vrm": "has no humanoid map of VRM", "vrma": "is a robot, whose moti
 
 
 def read_settings_character(
-    path: str | None, joint_map: str | None, formats: Sequence[str], console: Console
+    path: str | None, joint_map: str | None, formats: Sequence[str] | None, console: Console
 ) -> stmc.Character | None:
     """Read the character of the settings and print its joint map.
 
     Args:
         path: File of the character; None: no character.
         joint_map: File that corrects the joint map; None: the map that is found.
-        formats: Formats of the motions.
+        formats: Formats of the motions; None: those that suit the character.
         console: Console to print to.
 
     Returns:
@@ -32,15 +32,15 @@ def read_settings_character(
             there is none.
     """
     if path is None:
-        if {"vrm", "vrma"} & set(formats) or joint_map is not None:
+        if {"vrm", "vrma"} & set(formats or ()) or joint_map is not None:
             raise SettingError("formats=vrm, formats=vrma and joint_map need a character: character=hero.vrm")
         return None
     character = stmc.read_character(path, joint_map)
     kinds = [suffix[1:] for suffix in character.formats]
-    if not set(kinds) & set(formats):
+    if formats is not None and not set(kinds) & set(formats):
         raise SettingError(f"character={path}: none of these formats shows it; add one of {', '.join(kinds)}")
     for kind, reason in _REASONS.items():
-        if kind in formats and kind not in kinds:
+        if kind in (formats or ()) and kind not in kinds:
             raise SettingError(f"formats={kind}: {path} {reason}; choose from {', '.join(kinds)}")
     console.print(f"{path}: joints found by {character.found_by}", markup=False)
     for joint, name in character.joint_map.items():

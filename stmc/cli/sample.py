@@ -35,7 +35,7 @@ from rich.progress import (
 import stmc
 from stmc.cli.character_settings import read_settings_character
 from stmc.cli.commands import command
-from stmc.cli.sample_folder import CHOICES, FORMATS, Job, MotionFolder
+from stmc.cli.sample_folder import CHOICES, FORMATS, Job, MotionFolder, default_formats
 from stmc.cli.shared_settings import OnModel, Sharded
 from stmc.composing import find_method
 from stmc.composing.sampling import Sampling
@@ -73,10 +73,14 @@ class Settings(Sampling, OnModel, Sharded):
     constraints: str | None = as_in(GenerateRequest, "constraints", None)
     samples: int = setting(1, "motions of each timeline; their seeds count up from `seed`", at_least=1, at_most=100_000)
     seed: int = as_in(GenerateRequest, "seeds", 0)
-    formats: tuple[str, ...] = setting(FORMATS, "files of each motion", choices=CHOICES)
+    formats: tuple[str, ...] | None = setting(
+        None,
+        "files of each motion; null: npz, bvh and html, or npz, html and the character's own: glb, vrm, bvh or csv",
+        choices=CHOICES,
+    )
     character: str | None = setting(
         None,
-        "your .glb, .gltf, .vrm or .bvh, or a robot's .xml (MJCF) or .urdf: it moves in formats=glb, vrm, bvh, csv",
+        "your .glb, .gltf, .vrm or .bvh, or a robot's .xml (MJCF) or .urdf: files of glb, vrm, bvh and csv show it",
     )
     joint_map: str | None = setting(None, ".yaml that corrects which joint of the character is which")
     clean_feet: bool = as_in(GenerateRequest, "clean_feet")
@@ -160,11 +164,11 @@ def name_shard(shard: Shard) -> str:
 
 def check(settings: Settings) -> None:
     """Raise `SettingError` for formats whose packages are missing, and for devices that this machine lacks."""
-    if not settings.formats:
+    if settings.formats == ():
         raise SettingError(f"formats=[]: choose from {', '.join(CHOICES)}")
     resolve_device(settings.device)
     for each in EXPORTS:
-        if each.name in settings.formats and each.check is not None:
+        if each.name in (settings.formats or FORMATS) and each.check is not None:
             try:
                 each.check()
             except ModuleNotFoundError as error:
@@ -176,7 +180,8 @@ def open_folder(settings: Settings, character: stmc.Character | None = None) -> 
     made_by = {"model": fingerprint(settings.model), "precision": settings.precision}
     files = {name: getattr(settings, name) for name in ("character", "joint_map")}
     made_by |= {name: sha256(Path(path).expanduser())[:16] for name, path in files.items() if path is not None}
-    return MotionFolder(Path(settings.output).expanduser(), settings.formats, settings.fps, made_by, character)
+    formats = default_formats(character) if settings.formats is None else settings.formats
+    return MotionFolder(Path(settings.output).expanduser(), formats, settings.fps, made_by, character)
 
 
 def read_jobs(settings: Settings, folder: MotionFolder, console: Console) -> list[Job]:

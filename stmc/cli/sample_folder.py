@@ -20,8 +20,13 @@ from stmc.timeline import Timeline
 from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS, export
 
 FORMATS = ("npz", "bvh", "html")
-"""Default formats."""
+"""Default formats without a character."""
 CHOICES = tuple(dict.fromkeys((*FORMATS, *(each.name for each in (*EXPORTS, *CHARACTER_EXPORTS)))))
+
+
+def default_formats(character: stmc.Character | None) -> tuple[str, ...]:
+    """Return the formats of a motion for which none are asked: a character's own takes the place of `.bvh`."""
+    return FORMATS if character is None else ("npz", character.formats[0][1:], "html")
 
 
 class Job(NamedTuple):

@@ -35,7 +35,7 @@ class BvhRig:
     ends: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     """Offsets of the tips of joints without children."""
 
-    formats = (".vrma", ".bvh")
+    formats = (".bvh", ".vrma")
     fps = None
 
     @classmethod

@@ -71,13 +71,13 @@ class Character:
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """File suffixes that the character can be written as.
+        """File suffixes that the character can be written as, its own first.
 
         Examples:
             >>> [motion] = stmc.load().generate("walk # 0 # 1", steps=1)
             >>> stmc.write(motion, "hero.bvh")
             >>> stmc.read_character("hero.bvh").formats
-            ('.vrma', '.bvh')
+            ('.bvh', '.vrma')
         """
         return self.body.formats
 

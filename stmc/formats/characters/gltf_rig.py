@@ -94,8 +94,8 @@ class GltfRig:
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """The endings of the files that it can be written as."""
-        return (".glb", *((".vrm",) if self.is_vrm else ()), ".vrma", ".bvh")
+        """File suffixes that the rig can be written as, its own first."""
+        return (*((".vrm",) if self.is_vrm else ()), ".glb", ".vrma", ".bvh")
 
     fps = None
 

@@ -265,9 +265,9 @@ def _refusal(filename: str, suffix: str) -> str:
     """Return a sentence about a file that has no mesh to show, with the command that moves it if there is one."""
     if suffix not in (*_ROBOTS, ".bvh"):
         return f"a character must be a {', a '.join(RECEIVED[:-1])} or a {RECEIVED[-1]} file"
-    kinds, format_name = ("robots", "csv") if suffix in _ROBOTS else ("skeletons", "bvh")
+    kinds = "robots" if suffix in _ROBOTS else "skeletons"
     name = shlex.quote(_title(filename) + Path(filename).suffix)
-    command = f"stmc sample timeline.json outputs/ character={name} formats={format_name}"
+    command = f"stmc sample timeline.json outputs/ character={name}"
     return f"the studio shows no {kinds}; to move this one, export the timeline and run `{command}`"
 
 
