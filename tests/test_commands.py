@@ -162,7 +162,7 @@ REFUSED = {
     "seed=x": "seed='x': must be a whole number",
     "seed=1.5": "seed=1.5: must be a whole number",
     "seed=null": "seed=null: must be a whole number",
-    "formats=null": "formats=null: must be a list, one of npz, bvh, html",
+    "formats=3": "formats=[3]: must be a list or null, one of npz, bvh, html",
     "formats=[fbx]": "formats='fbx': choose from npz, bvh, html",
     "method=magic": "method='magic': choose from one_text, single_track",
     "output=": "output='': must not be empty",

@@ -841,7 +841,7 @@ def test_progress_and_errors_are_read_out_once_each_and_not_at_every_step(tab):
     tab.wait("said.length === 3")
     assert tab.ask("said") == ["Sampling: Preview.", "Sampling: Full quality.", "Ready: 1 sample of 3.00 s."]
     live = "[...document.querySelectorAll('[role=status], [role=alert], [aria-live], output')].map((each) => each.id)"
-    assert sorted(tab.ask(live)) == ["export-told", "message", "told"]
+    assert sorted(tab.ask(live)) == ["export-told", "joint-refusal", "message", "told"]
     field(tab, "[data-key^=end-]", "400")
     tab.wait("said.length === 4 && said[3].includes('300 at most')")
     tab.wait("document.querySelector('.bar').getAttribute('aria-label').includes('300 at most')")
