@@ -19,19 +19,20 @@ import stmc
 from stmc.data.sources.cmu import catalogue
 from stmc.formats.characters.characters import character_of_joints
 from stmc.motion.body import JOINTS, PARENTS
-from stmc.motion.kinematics import CONTACT_HEIGHT
+from stmc.motion.kinematics import contact_weights
 from stmc.motion.retargeting.performer import Performer
+from stmc.motion.retargeting.rig import LIMBS, SIDES
+
+LEG, ARM = LIMBS
 
 MOTIONS = (
-    ("walk: legs", "leg", "02_01", 0.0, 2.8),
-    ("sit down: legs", "leg", "14_31", 4.5, 8.0),
-    ("wave: arms", "arm", "14_24", 12.0, 15.5),
-    ("hand on chin: arms", "arm", "14_30", 17.0, 20.5),
-    ("kick: legs", "leg", "135_04", 5.0, 8.5),
+    ("walk: legs", LEG, "02_01", 0.0, 2.8),
+    ("sit down: legs", LEG, "14_31", 4.5, 8.0),
+    ("wave: arms", ARM, "14_24", 12.0, 15.5),
+    ("hand on chin: arms", ARM, "14_30", 17.0, 20.5),
+    ("kick: legs", LEG, "135_04", 5.0, 8.5),
 )
 """Column, limb, recording of CMU, and the seconds that are measured."""
-LIMBS = {"leg": ("hip", "knee", "ankle"), "arm": ("shoulder", "elbow", "wrist")}
-SIDES = ("left", "right")
 FPS = 20
 
 
@@ -70,11 +71,11 @@ def places(moved: stmc.CharacterMotion, joint: str) -> Float[Tensor, "frames 3"]
     return moved.motion.places[:, moved.motion.rig.place(joint)]
 
 
-def angles(ours: stmc.CharacterMotion, moved: stmc.CharacterMotion, limb: str) -> Float[Tensor, " values"]:
+def angles(ours: stmc.CharacterMotion, moved: stmc.CharacterMotion, limb: tuple[str, ...]) -> Float[Tensor, " values"]:
     """Measure the degrees between our bones of both legs or arms and the character's, in all frames."""
     found = []
     for side in SIDES:
-        for above, below in pairwise(f"{side}_{joint}" for joint in LIMBS[limb]):
+        for above, below in pairwise(f"{side}_{joint}" for joint in limb):
             first, second = (normalize(places(each, below) - places(each, above), dim=-1) for each in (ours, moved))
             turned = torch.atan2(torch.linalg.cross(first, second).norm(dim=-1), (first * second).sum(dim=-1))
             found.append(torch.rad2deg(turned))
@@ -86,7 +87,7 @@ def hand_error(ours: stmc.CharacterMotion, moved: stmc.CharacterMotion) -> float
     errors = []
     for side in SIDES:
         first, second = (
-            (places(each, f"{side}_wrist") - places(each, "head")).norm(dim=-1) / each.motion.rig.length(LIMBS["arm"])
+            (places(each, f"{side}_wrist") - places(each, "head")).norm(dim=-1) / each.motion.rig.length(ARM)
             for each in (ours, moved)
         )
         errors.append((second - first).abs()[first < 0.5])
@@ -94,10 +95,8 @@ def hand_error(ours: stmc.CharacterMotion, moved: stmc.CharacterMotion) -> float
 
 
 def sliding(moved: stmc.CharacterMotion, ours: stmc.CharacterMotion) -> tuple[float, float]:
-    """Measure the mean speeds of toes and of heels, in mm/s on our scale, weighted by our contacts (`foot_sliding`)."""
-    height = soles(ours)[..., 2]
-    height = torch.maximum(height[1:], height[:-1]).clamp(min=0)
-    weight = (2 - 2 ** (height / CONTACT_HEIGHT)).clamp(min=0)
+    """Measure the mean speeds of toes and of heels, in mm/s on our scale, weighted by our `contact_weights`."""
+    weight = contact_weights(soles(ours)[..., 2])
     speeds = 1000 * soles(moved)[..., :2].diff(dim=0).norm(dim=-1) * moved.motion.fps / moved.motion.scale
     heels, toes = ((speeds * weight).sum(dim=(0, 1)) / weight.sum(dim=(0, 1))).tolist()
     return toes, heels

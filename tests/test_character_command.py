@@ -49,10 +49,8 @@ def test_files_show_the_character_and_a_change_of_its_file_makes_them_again(run,
 def test_files_without_formats_are_the_characters_own_and_a_page(run, hero, robot, tmp_path):
     for character, suffix in ((hero, ".glb"), (robot, ".csv")):
         folder = tmp_path / suffix
-        assert (
-            loaded("sample").main(["nod # 0 # 0.4", str(folder), f"model={run}", "steps=1", f"character={character}"])
-            == 0
-        )
+        arguments = ["nod # 0 # 0.4", str(folder), f"model={run}", "steps=1", f"character={character}"]
+        assert loaded("sample").main(arguments) == 0
         assert {path.suffix for path in folder.iterdir()} == {".npz", suffix, ".html", ".json"}
 
 

@@ -37,10 +37,11 @@ def read_settings_character(
         return None
     character = stmc.read_character(path, joint_map)
     kinds = [suffix[1:] for suffix in character.formats]
-    if formats is not None and not set(kinds) & set(formats):
+    asked = kinds if formats is None else formats
+    if not set(kinds) & set(asked):
         raise SettingError(f"character={path}: none of these formats shows it; add one of {', '.join(kinds)}")
     for kind, reason in _REASONS.items():
-        if kind in (formats or ()) and kind not in kinds:
+        if kind in asked and kind not in kinds:
             raise SettingError(f"formats={kind}: {path} {reason}; choose from {', '.join(kinds)}")
     console.print(f"{path}: joints found by {character.found_by}", markup=False)
     for joint, name in character.joint_map.items():

@@ -91,16 +91,26 @@ def hand_step(motion: Motion) -> float:
 def foot_sliding(motion: Motion, floor: float | int = 0.0) -> float:
     """Return the mean horizontal distance, in metres, that a toe moves per frame of contact with the floor.
 
-    The weight of a contact falls from 1 on the `floor` (its height in metres) to 0 at H = `CONTACT_HEIGHT` above it, as
-    2 - 2^(h / H) (the foot skating of MANN, Zhang et al. 2018); h is the toe's height in this frame or in the next,
-    whichever is higher. Feet that swing just above the floor, at two metres a second, therefore hardly count. NaN if no
-    toe ever touches the floor.
+    Frames count by their `contact_weights` above the `floor` (its height in metres). Feet that swing just above the
+    floor, at two metres a second, therefore hardly count. NaN if no toe ever touches the floor.
     """
     feet = torch.stack([joint(motion, "left_foot"), joint(motion, "right_foot")], dim=1)
-    height = (torch.maximum(feet[1:, :, 2], feet[:-1, :, 2]) - floor).clamp(min=0)
-    contact = (2 - 2 ** (height / CONTACT_HEIGHT)).clamp(min=0)
+    contact = contact_weights(feet[..., 2] - floor)
     distance = feet[..., :2].diff(dim=0).norm(dim=-1)
     return float((distance * contact).sum() / contact.sum())
+
+
+def contact_weights(height: Float[Tensor, "frames ..."]) -> Float[Tensor, "steps ..."]:
+    """Return the weight of the contact with the floor in each step between consecutive frames.
+
+    It falls from 1 on the floor to 0 at H = `CONTACT_HEIGHT` above it, as 2 - 2^(h / H) (the foot skating of MANN,
+    Zhang et al. 2018); h is the height in this frame or in the next, whichever is higher.
+
+    Args:
+        height: Heights above the floor in metres.
+    """
+    height = torch.maximum(height[1:], height[:-1]).clamp(min=0)
+    return (2 - 2 ** (height / CONTACT_HEIGHT)).clamp(min=0)
 
 
 def floor_penetration(motion: Motion, floor: float | int = 0.0) -> float:

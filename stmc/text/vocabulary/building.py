@@ -23,8 +23,9 @@ COVERED = 0.7
 SAME = 0.75
 """Cosine from which an everyday action counts as in the vocabulary."""
 
-CONSIDERED, KEPT = 20_000, 2_000
-"""Limits of the number of sentences to select from, and of the selected sentences (0.8 MB)."""
+CONSIDERED, KEPT = 20_000, 2_200
+"""Limits of the number of sentences to select from, and of the selected sentences (0.9 MB): 18 for each of 119 actions.
+With 16 of today's sentences, 8.2 % of the held-out ones are unknown; with 18, 6.8 %."""
 
 
 def build_vocabulary(weights: Mapping[Sentence, float], encoder: TextEncoder) -> Vocabulary:
