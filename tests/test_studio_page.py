@@ -879,6 +879,18 @@ def test_live_plays_what_is_typed_and_leaves_it_in_the_timeline_as_one_step(tab)
     tab.wait(f"{BARS}.length === 1")
 
 
+def test_a_timeline_without_a_motion_is_generated_after_live(tab):
+    automatic(tab, False)
+    write(tab, "walk")
+    click(tab, "#live")
+    tab.wait(f"{LIVE}.seconds > 0")
+    automatic(tab, True)
+    assert tab.ask("document.body.dataset.shown || ''") == ""
+    click(tab, "#live")
+    tab.wait("!document.body.dataset.live")
+    assert shown(tab)
+
+
 def test_live_takes_back_an_edit_of_what_has_played_and_says_why(tab):
     automatic(tab, False)
     write(tab, "walk")

@@ -79,11 +79,12 @@ export function createLive(studio, player, stage, work) {
     player.waits = false;
     stage.show([], null);
     close(mine);
-    const { id, auto, history } = store.get();
+    const { id, auto, quality } = store.get();
     if (id !== mine.document) return;
     studio.collapse(mine.before);
     player.seek(Math.min(player.time(), studio.duration()));
-    if (auto && history.present !== mine.before.present) work.generate();
+    const document = studio.present();
+    if (auto && document.prompts.length && !studio.knows(document, quality)) work.generate();
   }
 
   function close({ name, figure }) {
