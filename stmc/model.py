@@ -325,13 +325,15 @@ class Model:
         Args:
             timeline: Timeline to begin with, or its text.
             seed: Seed of the stream.
-            **settings: `method`, `clean_feet` and fields of `Sampling`, as in `generate`; by default 10 steps of DDIM.
+            **settings: `method`, `clean_feet` and fields of `Sampling`, as in `generate`; by default 10 steps of DDIM, or
+                the model's own few.
 
         Examples:
             >>> stmc.load().stream("walk # 0 # 4", steps=1).take(30)
             Motion(30 frames at 20 fps, 1.50 s)
         """
-        request = GenerateRequest.read({**STREAMED, **settings, "timelines": timeline, "seeds": seed})
+        defaults = STREAMED if self.sampling.steps is None else {}
+        request = GenerateRequest.read({**defaults, **settings, "timelines": timeline, "seeds": seed})
         model = replace(self, text_encoder=Remembered(self.text_encoder))
         run = model._run((), request.seeds, self.check(request), lambda steps, total: steps)
         return MotionStream(run, request, self.skeleton, self.representation, self._one_shot_texts)

@@ -184,6 +184,12 @@ def test_an_edit_of_what_no_frame_needs_yet_leaves_the_block_as_it_is(tall):
     assert torch.equal(joints(block - 3, opened), tall.joints[3:block])
 
 
+def test_a_model_of_few_steps_streams_in_its_own():
+    few = dataclasses.replace(tiny(), sampling=stmc.Sampling(steps=2, sampler="ddim"))
+    assert torch.equal(joints(50, few.stream(WALK)), joints(50, stream(steps=2, sampler="ddim")))
+    assert torch.equal(joints(50, tiny().stream(WALK)), joints(50, stream(steps=10, sampler="ddim")))
+
+
 def test_frames_are_numbered_and_a_motion_holds_their_poses():
     opened, same = stream(), stream()
     frames = [next(opened) for _ in range(45)]
