@@ -25,7 +25,7 @@ from stmc.diffusion.statistics import Statistics
 from stmc.editing.conditions import Conditions, clean_motions, prepare_kept
 from stmc.editing.constraints import Constraint
 from stmc.editing.generate_request import Changes, GenerateRequest
-from stmc.editing.streaming import EMPTY, STREAMED, MotionStream
+from stmc.editing.streaming import EMPTY, MotionStream, stream_defaults
 from stmc.motion.body_model import Skeleton
 from stmc.motion.motion import Motion
 from stmc.motion.representation import JointsFrom, Representation
@@ -325,15 +325,13 @@ class Model:
         Args:
             timeline: Timeline to begin with, or its text.
             seed: Seed of the stream.
-            **settings: `method`, `clean_feet` and fields of `Sampling`, as in `generate`; by default 10 steps of DDIM, or
-                the model's own few.
+            **settings: `method`, `clean_feet` and fields of `Sampling`, as in `generate`; by default `stream_defaults`.
 
         Examples:
             >>> stmc.load().stream("walk # 0 # 4", steps=1).take(30)
             Motion(30 frames at 20 fps, 1.50 s)
         """
-        defaults = STREAMED if self.sampling.steps is None else {}
-        request = GenerateRequest.read({**defaults, **settings, "timelines": timeline, "seeds": seed})
+        request = GenerateRequest.read(stream_defaults(self.sampling) | settings | dict(timelines=timeline, seeds=seed))
         model = replace(self, text_encoder=Remembered(self.text_encoder))
         run = model._run((), request.seeds, self.check(request), lambda steps, total: steps)
         return MotionStream(run, request, self.skeleton, self.representation, self._one_shot_texts)

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from stmc.composing import Observed, Run
+from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.body_model import Skeleton
 from stmc.motion.feet import clean_feet
@@ -25,8 +26,6 @@ from stmc.settings.records import SettingError
 from stmc.timeline import LiveTimeline, Prompt, Timeline
 from stmc.timeline.planning import Plan, Span, plan, transition_spans
 
-STREAMED = {"steps": 10, "sampler": "ddim"}
-"""Settings of a stream that are not the model's."""
 EMPTY = Timeline([Prompt("rest", 14_399, 14_400)])
 """Stands for a timeline without prompts: the body rests."""
 BLOCK_SECONDS = 2.0
@@ -309,6 +308,15 @@ class MotionStream(Iterator[Frame]):
 
     def _frames(self, seconds: float) -> int:
         return max(1, round(seconds * self.fps))
+
+
+def stream_defaults(own: Sampling) -> dict[str, Any]:
+    """Return the default settings of a stream: 10 steps of DDIM, unless the model has its own number of steps.
+
+    Args:
+        own: The model's sampling settings. A model distilled to few steps is not trained for the noise levels between.
+    """
+    return {"steps": 10, "sampler": "ddim"} if own.steps is None else {}
 
 
 def _concatenate(first: Motion, second: Motion) -> Motion:
