@@ -12,8 +12,8 @@ from omegaconf import OmegaConf
 from rich.console import Console
 
 import stmc
-from stmc.cli.action_plausibility import measure_rest, split_rest
-from stmc.cli.action_reports import print_report
+from stmc.cli.action_plausibility import FROZEN, find_frozen, measure_rest, split_rest
+from stmc.cli.action_reports import print_by_distance, print_report
 from stmc.data.cache import Cache, Clip
 from stmc.data.sources.contents import CONTENTS, describe
 from stmc.evaluators import Evaluator
@@ -85,9 +85,8 @@ def test_a_content_is_found_where_the_evaluator_has_it_among_its_best_three():
             return torch.stack(features)
 
     nearest = [torch.arange(len(texts)).float().roll(place + 1 + best) for best in (0, 2, 3)]
-    assert loaded("actions").Finder(OneHot(), CONTENTS).recall(
-        "squat", list(map(standing_still, (1, 2, 3)))
-    ) == pytest.approx(2 / 3)
+    finder = loaded("actions").Finder(OneHot(), CONTENTS)
+    assert finder.finds("squat", list(map(standing_still, (1, 2, 3)))) == [True, True, False]
 
 
 def test_a_content_is_looked_for_among_those_that_the_data_show():
@@ -116,15 +115,14 @@ def test_the_settings_of_sampling_reach_the_model(monkeypatch):
     assert requests == [([2.0, 2.0], sampling)]
 
 
+def moving(speed):
+    """Three seconds along x at a speed in m/s."""
+    still, path = standing_still(60), torch.zeros(60, 3, dtype=torch.float64)
+    path[:, 0] = speed * torch.arange(60) / 20
+    return dataclasses.replace(still, translation=still.translation + path, joints=still.joints + path[:, None])
+
+
 def test_the_seconds_after_an_action_are_judged_apart_and_beside_people_who_stand():
-    frames = torch.arange(60)
-
-    def moving(speed):
-        still = standing_still(60)
-        path = torch.zeros(60, 3, dtype=torch.float64)
-        path[:, 0] = speed * frames / 20
-        return dataclasses.replace(still, translation=still.translation + path, joints=still.joints + path[:, None])
-
     actions, rests = split_rest({"jump": [moving(0.1)]}, 1.0)
     assert [motion.frames for motion in (*actions["jump"], *rests)] == [40, 20]
     assert measure_rest(rests, {"stand": [moving(0.2)], "run": [moving(4.0)]})["after"] == pytest.approx(0.25)
@@ -152,3 +150,14 @@ def test_actions_beyond_a_factor_of_two_and_bodies_that_float_are_named(capsys):
 def test_sentences_of_the_training_are_asked_where_wanted():
     config = OmegaConf.create({"seen": True, "sentences": 2})
     assert loaded("actions").sentences(config, "sit") == CONTENTS["sit"].sentences[:2]
+
+
+def test_a_motion_has_frozen_if_it_has_less_than_a_tenth_of_the_energy_of_recordings():
+    recorded = [moving(1.0), moving(2.0), moving(9.0)]
+    slow = 2.0 * FROZEN**0.5
+    assert find_frozen([moving(0.0), moving(0.99 * slow), moving(1.01 * slow)], recorded) == [True, True, False]
+
+
+def test_contents_that_geometry_cannot_recognise_have_no_table_by_distance(capsys):
+    print_by_distance({"salsa": {"sentences": {}}}, Console())
+    assert capsys.readouterr().out == ""

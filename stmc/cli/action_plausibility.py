@@ -12,6 +12,14 @@ from stmc.motion.motion import Motion
 
 STANDING = ("stand", "idle")
 """Contents whose recordings are the reference of samples that have finished a one-shot action."""
+FROZEN = 0.1
+"""Share of the recordings' median energy below which a sample has frozen: less than a third of their speed."""
+
+
+def find_frozen(motions: Sequence[Motion], recorded: Sequence[Motion]) -> list[bool]:
+    """Tell which motions have frozen beside recordings of their action; the evaluator may still find a pose of it."""
+    least = FROZEN * median(map(motion_energy, recorded))
+    return [motion_energy(motion) < least for motion in motions]
 
 
 def measure_plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:

@@ -75,6 +75,8 @@ def format_percent(share: float | None) -> str:
 def print_by_distance(results: dict, console: Console) -> None:
     """Print success by the distance of a sentence to the nearest training sentence on the same contents."""
     shares = {text: share for row in results.values() for text, share in row["sentences"].items()}
+    if not shares:
+        return  # none of the contents has a geometric check
     training = [text for name in results for text in CONTENTS[name].sentences]
     table = Table("cosine to the nearest training sentence", "sentences", "success")
     for name, count, success in success_by_distance(shares, training, MiniLM()):

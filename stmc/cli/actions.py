@@ -12,6 +12,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
+from itertools import chain
+from operator import and_
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, get_args
@@ -23,7 +25,7 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
-from stmc.cli.action_plausibility import measure_plausibility, measure_rest, split_rest
+from stmc.cli.action_plausibility import find_frozen, measure_plausibility, measure_rest, split_rest
 from stmc.cli.action_reports import CONFUSED, print_by_distance, print_report, print_texts
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel
@@ -117,11 +119,13 @@ def main(config: DictConfig) -> None:
         answers = check_geometry(name, motions, real) | measure_rest(rests, real)
         sampled = [motion for several in motions.values() for motion in several]
         plausible = {"sampled": measure_plausibility(sampled), "real": measure_plausibility(real[name])}
-        found = {text: finder.recall(name, several) for text, several in motions.items()}
-        retrieval = {"found": fmean(found.values()), "real_found": finder.recall(name, real[name])}
+        found = {text: finder.finds(name, several) for text, several in motions.items()}
+        retrieval = {"found": fmean(chain(*found.values())), "real_found": fmean(finder.finds(name, real[name]))}
         results[name] = answers | retrieval | plausible
         for text, several in motions.items():
-            trials[text] = make_trial(config, model, name, several, answers["sentences"].get(text), found[text])
+            moving = [not still for still in find_frozen(several, real[name])]
+            alive = fmean(map(and_, found[text], moving))
+            trials[text] = make_trial(config, model, name, several, answers["sentences"].get(text), alive)
         draw(folder / f"{name}.png", {f"{name}, recorded": real[name][0]} | {t: m[0] for t, m in motions.items()})
         write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
     print_report(results, console)
@@ -210,12 +214,12 @@ class Finder:
         self.texts = list(dict.fromkeys(shown))
         self.latents = evaluator.texts(self.texts)
 
-    def recall(self, name: str, motions: Sequence[Motion]) -> float:
-        """Return the share of motions of the content `name` for which the evaluator finds it."""
+    def finds(self, name: str, motions: Sequence[Motion]) -> list[bool]:
+        """Tell of which motions the evaluator finds the content `name`."""
         features = [self.evaluator.features(motion) for motion in motions]
         scores = cosines(self.evaluator.motions(features), self.latents)
         own = torch.tensor([text == CONTENTS[name].sentences[0] for text in self.texts])
-        return float((ranks(scores, own.expand(len(motions), -1)) < RANKED_BEST).float().mean())
+        return (ranks(scores, own.expand(len(motions), -1)) < RANKED_BEST).tolist()
 
 
 def draw(path: Path, motions: Mapping[str, Motion]) -> None:
