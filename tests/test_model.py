@@ -3,6 +3,7 @@
 import dataclasses
 import subprocess
 import sys
+import warnings
 from functools import partial
 
 import pytest
@@ -18,6 +19,7 @@ from stmc.diffusion import Noise, ddim, ddpm, dpm_solver
 from stmc.model import Model
 from stmc.motion.body import JOINTS, BodyPart
 from stmc.motion.motion import Motion
+from stmc.run.precision import advise_precision
 from stmc.timeline import Timeline
 from stmc.timeline.planning import cross_fade
 
@@ -354,3 +356,31 @@ def test_the_last_step_of_bf16_is_fp32_so_that_nothing_trembles_by_rounding():
     assert [answer.dtype for *_, answer in seen] == [torch.bfloat16] * 3 + [torch.float32]
     [expected] = model.decode(seen[-1][-1], [40])
     assert apart(motion, expected) == 0
+
+
+@pytest.mark.parametrize(
+    ("capability", "machine", "precision", "device", "warned"),
+    [
+        ("AVX2", "x86_64", "bf16", "cpu", True),
+        ("DEFAULT", "AMD64", "bf16", "cpu", True),
+        ("AVX512", "x86_64", "bf16", "cpu", False),
+        ("DEFAULT", "arm64", "bf16", "cpu", False),
+        ("AVX2", "x86_64", "fp32", "cpu", False),
+        ("AVX2", "x86_64", "bf16", "cuda:0", False),
+    ],
+)
+def test_bf16_warns_where_the_processor_imitates_it(capability, machine, precision, device, warned, monkeypatch):
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        advise_precision(precision, device)
+    assert [str(each.message).startswith("precision=bf16 is very slow") for each in caught] == [True] * warned
+    assert all(each.filename == __file__ for each in caught)
+
+
+def test_loading_a_model_for_bf16_warns_of_a_processor_that_imitates_it(monkeypatch):
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX2")
+    monkeypatch.setattr("platform.machine", lambda: "x86_64")
+    with pytest.warns(UserWarning, match="precision=bf16 is very slow on this processor"):
+        stmc.load("mdm_smpl_cmu", precision="bf16")

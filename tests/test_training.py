@@ -639,3 +639,10 @@ def test_two_processes_share_a_step(tmp_path):
     assert first["drawn"] != second["drawn"]
     drawn = first["drawn"] + second["drawn"]
     assert sum(int(float(row["frames"])) for row in rows(tmp_path / "frames.csv")) == sum(drawn)
+
+
+def test_training_in_bf16_warns_of_a_processor_that_imitates_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX2")
+    monkeypatch.setattr("platform.machine", lambda: "x86_64")
+    with pytest.warns(UserWarning, match="precision=bf16 is very slow on this processor"):
+        trainer(tmp_path, precision="bf16")

@@ -36,6 +36,7 @@ from stmc.run.model_vocabulary import (
     write_model_vocabulary,
 )
 from stmc.run.parts import EVALUATOR_PARTS, PARTS, build, build_fitting, check_widths, sketch_fitting
+from stmc.run.precision import advise_precision
 from stmc.run.run_record import EvaluatorSettings, ModelSettings, settings_of
 from stmc.run.weights import misfit, read_specs, specs_of
 from stmc.settings.records import quote
@@ -86,7 +87,7 @@ def load(
 ) -> Model:
     """Load a model from a run directory, or a bundled model by its name.
 
-    Bundled models are "mdm_smpl_wide", the default; "mdm_smpl_wide_fast", a distilled version that takes half the time;
+    Bundled models are "mdm_smpl_wide", the default; "mdm_smpl_wide_fast", distilled to four steps;
     "mdm_smpl_cmu", a smaller model trained on data that is free for all uses; and "flow_mdm_wide", a FlowMDM for
     `method="flow_mdm"`.
 
@@ -111,6 +112,7 @@ def load(
     if precision not in get_args(Precision):
         raise ValueError(f"unknown precision {quote(precision)}; choose from {', '.join(get_args(Precision))}")
     resolved_device = resolve_device(device)
+    advise_precision(precision, resolved_device)
     folder = _run_directory(folder)
     config = _config(folder, PARTS)
     settings = settings_of(ModelSettings, config, folder / CONFIG)

@@ -18,6 +18,7 @@ from accelerate import Accelerator
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch import Tensor, nn
 
+from stmc.run.precision import advise_precision
 from stmc.settings.renamed import with_new_paths
 from stmc.training.checkpoint import CheckpointError, Checkpoints
 from stmc.training.ema import Ema
@@ -157,6 +158,7 @@ class Trainer:
         self.folder, self.validation, self.callbacks = Path(folder), validation, callbacks
         self.accelerator = accelerator or Accelerator()
         self.device = self.accelerator.device
+        advise_precision(settings.precision, self.device)
         if self.device.type == "cpu":
             quicken_dropout(network)
         network.to(self.device).train()
