@@ -78,3 +78,10 @@ def test_a_film_whose_drawing_is_interrupted_leaves_the_file_of_before_and_nothi
 def test_another_suffix_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"'\.avi'; choose from \.webp"):
         render_film(WALK, tmp_path / "walk.avi")
+
+
+@pytest.mark.parametrize("kind", ["webp", "gif"])
+def test_an_animation_of_too_many_pictures_is_refused_before_one_is_drawn(kind, tmp_path):
+    with pytest.raises(ValueError, match=rf"a \.{kind} film has at most 1,200 pictures, not 1,201; film as \.mp4"):
+        render_film(walking(seconds=60.05), tmp_path / f"walk.{kind}")
+    assert list(tmp_path.iterdir()) == []

@@ -71,8 +71,14 @@ EXPORTS: tuple[Format, ...] = (
         media_type="text/html",
         options=("title", "unknown", "constraints"),
     ),
-    _film(".webp", "a film", "slides, chats, web pages", "a film: `stmc.render_film`", media_type="image/webp"),
-    _film(".gif", "a film", "slides, chats", "a film in 256 colours", media_type="image/gif"),
+    _film(
+        ".webp",
+        "a film",
+        "slides, chats, web pages",
+        "a film of at most 1,200 pictures (a minute at 20 fps): `stmc.render_film`",
+        media_type="image/webp",
+    ),
+    _film(".gif", "a film", "slides, chats", "the same in 256 colours", media_type="image/gif"),
     _film(
         ".mp4",
         "a video",

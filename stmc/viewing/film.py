@@ -26,6 +26,8 @@ _SIZE, _DPI = (4.8, 5.6), 100
 """Inches, and pixels per inch; both sides are even numbers of pixels, as videos require."""
 _LINE = 0.052
 """Height of a line of text, as a fraction of the picture."""
+_MOST_PICTURES = 1200
+"""Maximum number of pictures of an animation: one a frame for a minute. Pillow keeps them in memory, 0.8 MB each."""
 _BOUNDS = 24
 """Number of frames that determine the bounds of the picture."""
 
@@ -41,9 +43,10 @@ def render_film(
 ) -> None:
     """Write a motion as a film of 480 by 560 pixels.
 
-    `.webp` and `.gif` files are small, play anywhere and loop; `.mp4` plays once and needs `pip install 'stmc[film]'`.
-    Figure, floor and colours are those of `film_strip`, with the current texts below. About four pictures are drawn per
-    second. Raises `ValueError` for another suffix.
+    `.webp` and `.gif` files are small, play anywhere, loop and have at most 1,200 pictures; `.mp4` has any number and
+    plays once, and needs `pip install 'stmc[film]'`. Figure, floor and colours are those of `film_strip`, with the
+    current texts below. About four pictures are drawn per second. Raises `ValueError` for another suffix and for too
+    many pictures.
 
     Args:
         motion: Motion to show.
@@ -110,6 +113,11 @@ def _texts(figure: Figure, timeline: Timeline | None, time: float) -> None:
 
 def _animation(kind: str, unit: int, motion: Motion, pictures: Iterable[np.ndarray]) -> Callable[[Path], None]:
     """Return a writer of animations; durations, in whole units of milliseconds, add up to that of the motion."""
+    if motion.frames > _MOST_PICTURES:
+        raise ValueError(
+            f"a .{kind.lower()} film has at most {_MOST_PICTURES:,} pictures, not {motion.frames:,}; "
+            "film as .mp4, at a lower frame rate, or in parts"
+        )
     ends = np.round(np.arange(motion.frames + 1) * 1000 / motion.fps / unit).astype(int) * unit
 
     def fill(temporary: Path) -> None:
