@@ -41,6 +41,7 @@ def refused(capsys, script: str, *arguments: object) -> str:
 
 
 TRAIN = ("data.folder=nowhere", "device=cpu", "threads=1")
+EVALUATE = ("device=cpu", "precision=fp32")  # of bf16, some processors are warned
 PLACES = {
     "the training": ("train", "training", *TRAIN),
     "a setting of the training": ("train", "training.seed", *TRAIN),
@@ -55,9 +56,9 @@ PLACES = {
     "a text encoder's source": ("embed", "text_encoder.pooling", f"texts={ROOT / 'README.md'}"),
     "a preparation": ("prepare", "data.preparation", "source=nowhere"),
     "a frame rate": ("prepare", "data.preparation.fps", "source=nowhere"),
-    "a benchmark": ("evaluate", "benchmark", "device=cpu"),
-    "a benchmark's setting": ("evaluate", "benchmark.first", "device=cpu"),
-    "a table": ("evaluate", "experiment.table", "device=cpu"),
+    "a benchmark": ("evaluate", "benchmark", *EVALUATE),
+    "a benchmark's setting": ("evaluate", "benchmark.first", *EVALUATE),
+    "a table": ("evaluate", "experiment.table", *EVALUATE),
 }
 
 
@@ -227,5 +228,5 @@ def test_a_setting_of_a_part_that_does_not_fit_is_one_line_before_data_are_read(
 
 
 def test_a_benchmark_that_is_none_is_one_line(capsys, tmp_path):
-    told = refused(capsys, "evaluate", "benchmark._target_=nope", f"output={tmp_path}", "device=cpu")
+    told = refused(capsys, "evaluate", "benchmark._target_=nope", f"output={tmp_path}", *EVALUATE)
     assert told.startswith("benchmark: 'nope' is not a legal target of this configuration")
