@@ -154,7 +154,7 @@ def test_a_check_says_which_parts_an_action_needs_whatever_the_prompt_lists_unle
     assert [each["suggested"] for each in told] == [False, True, False] and told[0]["confidence"] is None
 
 
-@pytest.mark.parametrize(("text", "near"), [("swim across the river", True), ("qwxz vvv kkk", False)])
+@pytest.mark.parametrize(("text", "near"), [("tango", True), ("qwxz vvv kkk", False)])
 def test_an_unknown_prompt_is_advised_with_the_known_ones_that_are_near(client, text, near):
     prompts = [{"text": text, "start": 0, "end": 1, "parts": []}]
     [told] = client.post("/api/check", json={"timeline": {"prompts": prompts}}).json()["prompts"]
