@@ -17,7 +17,7 @@ from stmc.text.vocabulary.vocabulary import Vocabulary, list_parts
 ARMS = frozenset({BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM})
 EVERYTHING = frozenset(BodyPart)
 
-NEIGHBOURS, SHARPNESS = 15, 18.0
+NEIGHBOURS, SHARPNESS = 30, 24.0
 """Number of voting sentences; each has exp(sharpness x cosine) votes."""
 
 MAJORITY, NAMED, UNNAMED = 0.5, 0.8, 0.5
