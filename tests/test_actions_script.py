@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 from rich.console import Console
 
 import stmc
-from stmc.cli.action_plausibility import FROZEN, find_frozen, measure_rest, split_rest
+from stmc.cli.action_plausibility import FROZEN, has_frozen, measure_plausibility, measure_rest, split_rest
 from stmc.cli.action_reports import print_by_distance, print_report
 from stmc.data.cache import Cache, Clip
 from stmc.data.sources.contents import CONTENTS, describe
@@ -153,9 +153,10 @@ def test_sentences_of_the_training_are_asked_where_wanted():
 
 
 def test_a_motion_has_frozen_if_it_has_less_than_a_tenth_of_the_energy_of_recordings():
-    recorded = [moving(1.0), moving(2.0), moving(9.0)]
+    energy = measure_plausibility([moving(1.0), moving(2.0), moving(9.0)])["energy"]
     slow = 2.0 * FROZEN**0.5
-    assert find_frozen([moving(0.0), moving(0.99 * slow), moving(1.01 * slow)], recorded) == [True, True, False]
+    sampled = [moving(0.0), moving(0.99 * slow), moving(1.01 * slow)]
+    assert [has_frozen(motion, energy) for motion in sampled] == [True, True, False]
 
 
 def test_contents_that_geometry_cannot_recognise_have_no_table_by_distance(capsys):

@@ -16,10 +16,12 @@ FROZEN = 0.1
 """Share of the recordings' median energy below which a sample has frozen: less than a third of their speed."""
 
 
-def find_frozen(motions: Sequence[Motion], recorded: Sequence[Motion]) -> list[bool]:
-    """Tell which motions have frozen beside recordings of their action; the evaluator may still find a pose of it."""
-    least = FROZEN * median(map(motion_energy, recorded))
-    return [motion_energy(motion) < least for motion in motions]
+def has_frozen(motion: Motion, energy: float) -> bool:
+    """Return whether a motion has frozen; the evaluator may still find a pose of its action.
+
+    `energy` is the median energy of recordings of the action, in m²/s².
+    """
+    return motion_energy(motion) < FROZEN * energy
 
 
 def measure_plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from itertools import chain
-from operator import and_
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, get_args
@@ -25,7 +24,7 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
-from stmc.cli.action_plausibility import find_frozen, measure_plausibility, measure_rest, split_rest
+from stmc.cli.action_plausibility import has_frozen, measure_plausibility, measure_rest, split_rest
 from stmc.cli.action_reports import CONFUSED, print_by_distance, print_report, print_texts
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel
@@ -122,9 +121,11 @@ def main(config: DictConfig) -> None:
         found = {text: finder.finds(name, several) for text, several in motions.items()}
         retrieval = {"found": fmean(chain(*found.values())), "real_found": fmean(finder.finds(name, real[name]))}
         results[name] = answers | retrieval | plausible
+        energy = plausible["real"]["energy"]
+        assert energy is not None  # only sliding may be
         for text, several in motions.items():
-            moving = [not still for still in find_frozen(several, real[name])]
-            alive = fmean(map(and_, found[text], moving))
+            pairs = zip(found[text], several, strict=True)
+            alive = fmean(hit and not has_frozen(motion, energy) for hit, motion in pairs)
             trials[text] = make_trial(config, model, name, several, answers["sentences"].get(text), alive)
         draw(folder / f"{name}.png", {f"{name}, recorded": real[name][0]} | {t: m[0] for t, m in motions.items()})
         write_text(folder / "actions.json", json.dumps(results, indent=1) + "\n")
