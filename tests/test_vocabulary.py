@@ -78,10 +78,8 @@ def test_a_prompt_that_is_not_known_warns_with_the_nearest_that_are_and_is_made_
 
 def test_only_what_is_near_is_named(bundled_recognitions):
     tango, german, walk = bundled_recognitions
-    assert tango.near and len(tango.nearest) == 3
-    assert all("salsa" in sentence.text for sentence in tango.near)
-    known = ", ".join(repr(sentence.text) for sentence in tango.near)
-    assert tango.advice.endswith(f"the nearest it knows: {known}")
+    assert [sentence.text for sentence in tango.near] == ["the robot dances salsa"] and len(tango.nearest) == 3
+    assert tango.advice.endswith("the nearest it knows: 'the robot dances salsa'")
     assert not german.near and german.advice.endswith("it knows nothing near")
     assert walk.near == walk.nearest
 
