@@ -198,6 +198,8 @@ def test_a_setting_that_does_not_fit_is_one_sentence(sample, arguments, capsys):
         (["model=nowhere"], "nowhere is not a run directory"),
         (["stitch_from=0.5", "method=sinc"], "0.5"),
         (["formats=[]"], "choose from npz, bvh, html"),
+        (["walk # 0 # 61", "formats=[npz,webp]"], "a .webp film has at most 1,200 pictures, not 1,220"),
+        (["walk # 0 # 30", "fps=60", "formats=[gif]"], "a .gif film has at most 1,200 pictures, not 1,800"),
     ],
 )
 def test_what_sampling_cannot_do_is_one_sentence_and_nothing_is_sampled(found, arguments, message, tmp_path, capsys):

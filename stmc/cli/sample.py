@@ -133,6 +133,7 @@ def make(
     """Sample the missing motions in batches, and write each as soon as it is ready."""
     sampling = model.check(wanted[0].request)
     model.plans([job.timeline for job in wanted], sampling.overlap)  # timelines without a plan fail before sampling
+    folder.check_lengths(wanted, model.fps)
     doubtful = model.doubtful([job.timeline for job in wanted if job.name in missing])
     for prompt in doubtful:
         advise_prompt(prompt.advice, prompt.known)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import stmc
 from stmc.editing.generate_request import GenerateRequest, prompts_of
+from stmc.io.bounds import check_pictures
 from stmc.io.filenames import name_of_texts
 from stmc.io.files import lock_file, scratch, sha256, write_text
 from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
@@ -73,6 +74,13 @@ class MotionFolder:
         """Return whether the folder holds the motion of this request in all formats."""
         request, digests = self._recorded(job.name)
         return request == self.record(job) and set(self.formats) <= self._whole(job.name, digests)
+
+    def check_lengths(self, jobs: Sequence[Job], fps: float | int) -> None:
+        """Raise `BoundsError` if a motion of these jobs is too long for a format; `fps` is the model's frame rate."""
+        frames = round(max(job.timeline.duration for job in jobs) * (self.fps or fps))
+        for each in EXPORTS:
+            if each.animated and each.name in self.formats:
+                check_pictures(each.name, frames)
 
     def save(self, motion: stmc.Motion, job: Job, unknown: Sequence[Recognition] = ()) -> list[Path]:
         """Write the motion in all formats, with its record, and return the paths.

@@ -49,6 +49,8 @@ class Format:
     """A function that raises `ModuleNotFoundError` if the format needs a package that is not installed."""
     drawn: bool = False
     """Whether every frame is drawn, which takes minutes."""
+    animated: bool = False
+    """Whether the file is an animated image, whose number of pictures is limited; see `check_pictures`."""
 
     @property
     def name(self) -> str:

@@ -19,6 +19,9 @@ MOST_COLUMNS = 200
 MOST_METRES = 10_000.0
 """Metres from the world's origin, along each axis."""
 
+MOST_PICTURES = 1200
+"""Pictures of an animated film: a minute at 20 frames per second. Pillow keeps them in memory, 0.8 MB each."""
+
 
 class BoundsError(ValueError):
     """A motion that exceeds a limit; the message names the limit."""
@@ -40,6 +43,15 @@ def check_frames(frames: float | int, fps: float | int) -> None:
         raise BoundsError(f"{quote(frames)} frames are more than {MOST_FRAMES:,}, the limit of a motion")
     if frames / fps > MOST_SECONDS:
         raise BoundsError(f"{quote(frames)} frames at {fps:g} fps last more than {MOST_SECONDS:,} s, the limit")
+
+
+def check_pictures(kind: str, pictures: int) -> None:
+    """Raise `BoundsError` if an animated film of the format `kind` has more than `MOST_PICTURES`."""
+    if pictures > MOST_PICTURES:
+        raise BoundsError(
+            f"a .{kind} film has at most {MOST_PICTURES:,} pictures, not {pictures:,}; "
+            "film as .mp4, at a lower frame rate, or in parts"
+        )
 
 
 def check_metres(name: str, largest: float) -> None:

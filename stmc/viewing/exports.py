@@ -77,8 +77,9 @@ EXPORTS: tuple[Format, ...] = (
         "slides, chats, web pages",
         "a film of at most 1,200 pictures (a minute at 20 fps): `stmc.render_film`",
         media_type="image/webp",
+        animated=True,
     ),
-    _film(".gif", "a film", "slides, chats", "the same in 256 colours", media_type="image/gif"),
+    _film(".gif", "a film", "slides, chats", "the same in 256 colours", media_type="image/gif", animated=True),
     _film(
         ".mp4",
         "a video",

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from stmc.composing import Progress
+from stmc.io.bounds import check_pictures
 from stmc.io.extras import named_extra
 from stmc.io.files import write_whole
 from stmc.motion.body_model import Body
@@ -26,8 +27,6 @@ _SIZE, _DPI = (4.8, 5.6), 100
 """Inches, and pixels per inch; both sides are even numbers of pixels, as videos require."""
 _LINE = 0.052
 """Height of a line of text, as a fraction of the picture."""
-_MOST_PICTURES = 1200
-"""Maximum number of pictures of an animation: one a frame for a minute. Pillow keeps them in memory, 0.8 MB each."""
 _BOUNDS = 24
 """Number of frames that determine the bounds of the picture."""
 
@@ -113,11 +112,7 @@ def _texts(figure: Figure, timeline: Timeline | None, time: float) -> None:
 
 def _animation(kind: str, unit: int, motion: Motion, pictures: Iterable[np.ndarray]) -> Callable[[Path], None]:
     """Return a writer of animations; durations, in whole units of milliseconds, add up to that of the motion."""
-    if motion.frames > _MOST_PICTURES:
-        raise ValueError(
-            f"a .{kind.lower()} film has at most {_MOST_PICTURES:,} pictures, not {motion.frames:,}; "
-            "film as .mp4, at a lower frame rate, or in parts"
-        )
+    check_pictures(kind.lower(), motion.frames)
     ends = np.round(np.arange(motion.frames + 1) * 1000 / motion.fps / unit).astype(int) * unit
 
     def fill(temporary: Path) -> None:
