@@ -25,6 +25,7 @@ from stmc.training import (
     Checkpoints,
     Denoising,
     Ema,
+    RememberingTeacher,
     Settings,
     SettingsChanged,
     Trainer,
@@ -32,6 +33,7 @@ from stmc.training import (
     energy_weights,
     find_accelerator,
     loop,
+    optimizers,
     squared_errors,
 )
 from stmc.training.data.balanced_batches import BalancedBatches
@@ -291,6 +293,48 @@ def test_muon_moves_the_matrices_of_layers_and_nothing_else(tmp_path):
     step = trained.network.get_parameter(layer + "linear2.weight").detach() - before[layer + "linear2.weight"]
     stretched = torch.linalg.svdvals(step) / trained.settings.lr_at(0)  # all directions alike, where AdamW knows a few
     assert 0.2 * math.sqrt(32) * 0.6 < float(stretched.min()) <= float(stretched.max()) < 0.2 * math.sqrt(32) * 1.3
+
+
+def test_where_bf16_is_imitated_muon_takes_torchs_steps_in_fp32(tmp_path, monkeypatch):
+    monkeypatch.setattr(torch.Tensor, "bfloat16", torch.Tensor.float)  # torch's own iteration in fp32, to compare with
+    networks = []
+    for imitates in (True, False):
+        monkeypatch.setattr(optimizers, "imitates_bf16", lambda device, answer=imitates: answer)
+        trained = trainer(tmp_path / str(imitates), optimizer="muon", dropout=0.0, precision="fp32")
+        assert (type(trained.optimizers[1].optimizer) is torch.optim.Muon) is not imitates
+        for trained.step in range(3):
+            trained._update()
+        networks.append(trained.network.state_dict())
+    torch.testing.assert_close(*networks)
+
+
+def test_with_rounds_batches_come_again_with_their_noise_and_a_teacher_is_asked_once(tmp_path):
+    asked = []
+
+    def teach(batch, noisy, t):
+        asked.append(len(noisy))
+        return batch.motion
+
+    def objective() -> Denoising:
+        teacher = RememberingTeacher(teach, 2 * (loop.ROUND + 1))
+        return Denoising(Schedule.cosine(20), fields=LAYOUT.slices, teacher=teacher)
+
+    steps = 2 * loop.ROUND + 3
+    assert [Settings(steps, rounds=2).drawn_at(step) for step in range(steps)] == [
+        *range(loop.ROUND), *range(loop.ROUND), *range(loop.ROUND, loop.ROUND + 3),
+    ]  # fmt: skip
+    settings = {"objective": objective(), "steps": steps, "rounds": 2, "pieces": 1, "validate_every": 100}
+    whole = trainer(tmp_path / "whole", **settings).run().state_dict()
+    assert len(asked) == loop.ROUND + 3 + 1  # and once for the validation
+
+    def kill(step, _):
+        if step == loop.ROUND + 2:
+            raise Killed
+
+    with pytest.raises(Killed):
+        trainer(tmp_path / "killed", callbacks=[Callback(1, kill)], **settings).run()
+    resumed = trainer(tmp_path / "killed", **(settings | {"objective": objective()})).run().state_dict()
+    assert all(torch.equal(resumed[name], whole[name]) for name in whole)
 
 
 def test_a_run_that_changes_its_optimizer_goes_on_from_the_weights(tmp_path):

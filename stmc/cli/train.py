@@ -29,7 +29,7 @@ from stmc.run.configs import PARTIAL, TARGET
 from stmc.settings.records import SettingError, check_value, quote, record_of, setting
 from stmc.text import Cached, TextEncoder
 from stmc.text.vocabulary import sentence_encoder
-from stmc.training import Denoising, GuidedTeacher, MultistepTeacher
+from stmc.training import Denoising, GuidedTeacher, MultistepTeacher, RememberingTeacher
 from stmc.training.data.batches import ClipBatches, Recipe
 from stmc.training.data.dataset import Dataset
 from stmc.training.data.vocabularies import vocabulary_of
@@ -233,6 +233,9 @@ def build_objective(config: DictConfig, dataset: Dataset, model: Model, distille
     if teacher is not None and teacher_steps:
         steps = settings["steps"], teacher_steps
         teacher = MultistepTeacher(teacher, model.schedule, *steps, prediction=model.prediction)
+    if teacher is not None and config.training.get("rounds", 1) > 1:
+        batches = config.validation + training.loop.ROUND
+        teacher = RememberingTeacher(teacher, 2 * batches * config.data.sampling.get("pieces", 1))
     return Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, teacher=teacher, **settings)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from stmc.training.checkpoint import CheckpointError, Checkpoints
 from stmc.training.contrastive_batches import Pairs
-from stmc.training.distilling import GuidedTeacher, MultistepTeacher
+from stmc.training.distilling import GuidedTeacher, MultistepTeacher, RememberingTeacher
 from stmc.training.ema import Ema
 from stmc.training.loss import Batch, Denoising, Objective, draw_noise, energy_weights, squared_errors
 from stmc.training.resuming import SettingsChanged
@@ -28,6 +28,7 @@ __all__ = [
     "MultistepTeacher",
     "Objective",
     "Pairs",
+    "RememberingTeacher",
     "SettingsChanged",
     "draw_noise",
     "energy_weights",

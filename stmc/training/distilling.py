@@ -8,7 +8,8 @@ data set.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -164,6 +165,32 @@ class MultistepTeacher:
         ratio = ((1 - alpha_bar) / (1 - now)).sqrt()
         ratio, signal = (each.to(noisy)[:, None, None] for each in (ratio, alpha_bar.sqrt() - ratio * now.sqrt()))
         return (x - ratio * noisy) / signal
+
+
+@dataclass(frozen=True, eq=False)
+class RememberingTeacher:
+    """A teacher's predictions, computed once for batches that are learned several times (`training.Settings.rounds`).
+
+    Args:
+        teacher: Teacher to ask.
+        batches: Number of batches whose predictions are kept, the newest.
+    """
+
+    teacher: Teacher
+    batches: int
+    _kept: dict[bytes, Tensor] = field(default_factory=dict, init=False, repr=False)
+
+    def __call__(
+        self, batch: Batch, noisy: Float[Tensor, "batch frames features"], t: Int[Tensor, " batch"]
+    ) -> Float[Tensor, "batch frames features"]:
+        """Return the kept prediction for this noisy motion, these steps and these sentences, or ask for it."""
+        parts = (noisy, t) if batch.sentence is None else (noisy, t, batch.sentence)
+        key = hashlib.blake2b(b"".join(part.cpu().numpy().tobytes() for part in parts)).digest()
+        if key not in self._kept:
+            if len(self._kept) == self.batches:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = self.teacher(batch, noisy, t)
+        return self._kept[key]
 
 
 @dataclass(frozen=True, eq=False)

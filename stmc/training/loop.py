@@ -32,6 +32,8 @@ logger = logging.getLogger(__name__)
 
 LARGEST_LR = 1.0
 """Maximum learning rate; with larger ones, losses become infinite within a few steps."""
+ROUND = 16
+"""Number of batches that `Settings.rounds` repeats together."""
 _END = "lr_decay_steps"
 _LOG_EVERY_SECONDS = 30.0
 """Seconds between two log lines of the loss if there is no terminal for the progress bar."""
@@ -74,6 +76,8 @@ class Settings:
         validate_every: Number of steps between validations, a multiple of `log_every`.
         checkpoint_every: Number of steps between checkpoints, a multiple of `log_every`.
         keep: Number of checkpoints to keep.
+        rounds: Number of times that every `ROUND` batches are learned, with the same noise, before the next come. Above
+            1, the predictions of a costly teacher serve several updates.
     """
 
     steps: int
@@ -92,14 +96,16 @@ class Settings:
     validate_every: int = 1000
     checkpoint_every: int = 500
     keep: int = 2
+    rounds: int = 1
 
     def __post_init__(self) -> None:
         if self.precision not in ("bf16", "fp32"):
             raise ValueError(f"unknown precision {self.precision!r}; choose bf16 or fp32")
         if self.optimizer not in get_args(Optimizer):
             raise ValueError(f"unknown optimizer {self.optimizer!r}; choose {' or '.join(get_args(Optimizer))}")
-        if self.steps < 1 or self.log_every < 1:
-            raise ValueError(f"steps ({self.steps}) and log_every ({self.log_every}) must be at least 1")
+        for name in ("steps", "log_every", "rounds"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} ({getattr(self, name)}) must be at least 1")
         if not 0 < self.lr <= LARGEST_LR:
             raise ValueError(f"lr ({self.lr}) must be above 0 and at most {LARGEST_LR:g}")
         if self.decay_end < 1:
@@ -113,6 +119,11 @@ class Settings:
     def decay_end(self) -> int:
         """The step at which the learning rate reaches its final value."""
         return self.steps if self.lr_decay_steps is None else self.lr_decay_steps
+
+    def drawn_at(self, step: int) -> int:
+        """Return the step whose batch and noise the update at `step` learns: with `rounds`, often an earlier one."""
+        group, place = divmod(step, ROUND * self.rounds)
+        return group * ROUND + place % ROUND
 
     def lr_at(self, step: int) -> float:
         """Return the learning rate of the update at `step`, counted from 0."""
@@ -169,6 +180,8 @@ class Trainer:
         self._prepared, *self.optimizers = self.accelerator.prepare(network, *moving)
         own = {"training": asdict(settings) | {"lr_decay_steps": settings.decay_end}}
         own["processes"] = self.accelerator.num_processes  # each process draws its own batches
+        if settings.rounds == 1:
+            del own["training"]["rounds"]  # runs from before this setting existed can be resumed
         self.described, self.allow_changed = deciding_settings({**(described or {}), **own}), allow_changed_settings
         self.changes: list[str] = []
         self._last_logged = -math.inf  # time of the last log line
@@ -204,8 +217,8 @@ class Trainer:
     def _update(self) -> Tensor:
         """Make one optimiser step; return the summed terms, the number of frames, and the norm of the gradient."""
         settings, process = self.settings, self.accelerator.process_index
-        pieces = self.batches(self.step, process)
-        seed = _seed(settings.seed, self.step, process)
+        drawn = settings.drawn_at(self.step)
+        pieces, seed = self.batches(drawn, process), _seed(settings.seed, drawn, process)
         generator = torch.Generator(self.device).manual_seed(seed)
         frames = sum(piece.frames for piece in pieces)
         share = self.accelerator.reduce(torch.tensor(float(frames), device=self.device), "mean")  # DDP averages

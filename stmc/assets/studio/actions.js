@@ -7,6 +7,7 @@ import { PARTS, duration, timelineOf } from "./state.js";
 
 const CHECK_AFTER = 120; // milliseconds without an edit
 const GENERATE_AFTER = 350;
+const QUICKLY_AFTER = 50; // where a motion takes hardly longer than its edit
 const AGAIN_AFTER = 2000; // where the server is away
 
 export function createActions(studio, tab, say) {
@@ -179,8 +180,9 @@ export function createActions(studio, tab, say) {
     if (live) return; // a stream plays it
     if (studio.knows(document, quality)) return cancel();
     if (!store.get().auto || !document.prompts.length) return;
-    later("generate", GENERATE_AFTER, function wait() {
-      if (store.get().history.gesture !== null) return later("generate", GENERATE_AFTER, wait);
+    const delay = studio.quick() ? QUICKLY_AFTER : GENERATE_AFTER;
+    later("generate", delay, function wait() {
+      if (studio.dragging()) return later("generate", delay, wait);
       generate(scope);
       scope = afterEdit;
     });

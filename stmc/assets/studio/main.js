@@ -16,6 +16,7 @@ import { createStage } from "./stage.js";
 import { createStudio } from "./studio.js";
 import { createTracks } from "./tracks.js";
 import { createTransport } from "./transport.js";
+import { createTyping } from "./typing.js";
 import { createActions } from "./actions.js";
 import { listenToShortcuts } from "./shortcuts.js";
 import { documentOfTimeline, rounded, trackCount } from "./state.js";
@@ -32,7 +33,7 @@ const stage = createStage(find("stage"), {
   chosen: (id) => store.set({ constraint: id }),
   pulled: (joint, point, finished) => constraints.pulled(joint, point, finished),
 });
-const tracks = createTracks(studio, player, work);
+const tracks = createTracks(studio, player, work, createTyping(studio));
 const constraints = createConstraintPanel(studio, player, stage);
 const live = createLive(studio, player, stage, work); // before the preview, which has the stage after a stream
 const shown = createPreview(studio, stage);

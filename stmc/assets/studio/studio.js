@@ -21,6 +21,8 @@ export function createStore(initial) {
   };
 }
 
+const QUICK = 8; // denoising steps
+
 export const INITIAL = {
   model: null,
   characters: [], // that the server has: [{id, name, formats, corrections}]
@@ -79,7 +81,11 @@ export function createStudio() {
     },
     // Seconds that can be played.
     playable: () => store.get().live?.seconds ?? studio.duration(),
-    gesture: () => `g${++gestures}`,
+    gesture: (kind = "drag") => `${kind} ${++gestures}`,
+    // Whether a gesture of the hand goes on, whose motion would come too early.
+    dragging: () => (store.get().history.gesture ?? "").startsWith("drag"),
+    // Whether motions are made while one types: the model is one of few steps, and makes them by itself.
+    quick: () => store.get().auto && (store.get().model?.steps.full ?? Infinity) <= QUICK,
     edit: (edit, gesture = null) => turn(done(store.get().history, edit, gesture)),
     // Adds, splits and duplicates choose what they made.
     make(edit) {

@@ -14,7 +14,7 @@ const MARGIN = 34; // pixels behind the last second: room for its number
 const BORDER = 24; // pixels at the window's edges where a drag goes on by itself
 const PACE = 10; // pixels of each picture by which it does
 
-export function createTracks(studio, player, work) {
+export function createTracks(studio, player, work, typing) {
   const { store } = studio;
   const [scroller, lanes, ruler, bars, rows, parts] = ["scroller", "lanes", "ruler", "bars", "track-rows", "part-rows"].map(find);
   const [playhead, range] = [find("playhead"), find("range")];
@@ -107,6 +107,7 @@ export function createTracks(studio, player, work) {
     const input = make("input", {
       value: text, placeholder: "What happens?", "aria-label": "Text of the prompt", list: "known-texts",
       onkeydown: (event) => typed(event, id), onblur: (event) => commit(event.target, id),
+      oninput: (event) => (id === "draft" ? null : typing.typed(id, event.target.value)),
     });
     place.replaceChildren(input);
     input.focus();
@@ -115,7 +116,7 @@ export function createTracks(studio, player, work) {
 
   function typed(event, id) {
     event.stopPropagation();
-    if (event.key === "Escape") event.target.value = id === "draft" ? "" : promptOf(studio.present(), id)?.text ?? "";
+    if (event.key === "Escape") event.target.value = id === "draft" ? "" : typing.before(id);
     if (event.key !== "Enter" && event.key !== "Escape") return;
     event.preventDefault();
     commit(event.target, id);
@@ -130,7 +131,7 @@ export function createTracks(studio, player, work) {
       studio.make({ kind: "add", ...draft, text });
     } else if (editing === id) {
       store.set({ editing: null });
-      studio.edit({ kind: "write", id, text });
+      typing.finish(id, text);
     }
   }
 
