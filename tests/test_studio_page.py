@@ -41,13 +41,13 @@ BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria
 
 
 @contextmanager
-def serving(folder: Path, port: int = 0) -> Iterator[int]:
+def serving(folder: Path, port: int = 0, steps: int = 12) -> Iterator[int]:
     """The studio over a folder, at a port, until the end. It is nobody's first visit: there is a document."""
     with suppress(RequestError):
         Documents(folder / "documents").put("old", 0, {"name": "Of before"})
     with loaded("studio").listen(port) as listening:
         port = listening.getsockname()[1]
-        server = server_of(application(knowing(), folder, SESSIONS.setdefault(port, Sessions()), port, steps=12))
+        server = server_of(application(knowing(), folder, SESSIONS.setdefault(port, Sessions()), port, steps=steps))
         thread = Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
@@ -259,6 +259,26 @@ def test_enter_applies_a_text_in_the_panel_and_escape_leaves_a_field_at_once(tab
     assert tab.ask("document.activeElement === document.body")
     assert tab.ask(f"{BARS}[0][1]").startswith("0 s to 3 s")
     write(tab, "wave")  # N is a key of the page again
+
+
+def test_with_a_model_of_few_steps_the_motion_follows_a_text_while_it_is_typed(tmp_path):
+    with serving(tmp_path / "studio", steps=4) as port, opened(port, tmp_path) as tab:
+        write(tab, "walk")
+        first = shown(tab)
+        for text, finish, left in (("run", "Enter", "run"), ("wave", "Escape", "run")):
+            press(tab, "Enter")
+            tab.wait("document.activeElement.matches('.bar input')")
+            before = shown(tab)
+            tab.call("Input.insertText", text=text)
+            typed = shown(tab, before)  # nothing but a pause came between
+            assert tab.ask("document.activeElement.matches('.bar input')")
+            assert tab.ask("document.activeElement.value") == text
+            press(tab, finish)
+            tab.wait(f"document.body.dataset.shown === {json.dumps(typed if text == left else before)}")
+            tab.wait(f"{BARS}[0][0] === {json.dumps(left)}")
+        press(tab, "z", CONTROL)  # the text as a whole is one step
+        tab.wait(f"{BARS}[0][0] === 'walk'")
+        tab.wait(f"document.body.dataset.shown === {json.dumps(first)}")
 
 
 def test_an_end_that_is_held_at_the_window_s_edge_goes_on(tab):

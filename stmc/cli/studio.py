@@ -24,9 +24,11 @@ from rich.console import Console
 import stmc
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel, Threaded
+from stmc.diffusion import tensors
 from stmc.io.extras import require
 from stmc.io.files import lock_folder, probe
 from stmc.model import Precision
+from stmc.run.precision import imitates_bf16
 from stmc.settings.records import SettingError, setting
 
 
@@ -121,6 +123,8 @@ def load_model(settings: Settings) -> stmc.Model:
 
     if settings.precision:
         return load(cast(Precision, settings.precision))  # one of its choices
+    if imitates_bf16(tensors.resolve_device(settings.device)):
+        return load("fp32")
     return min(map(load, get_args(Precision)), key=time_steps)
 
 

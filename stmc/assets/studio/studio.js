@@ -54,10 +54,10 @@ export function createStudio() {
 
   // A document of the past brings its samples back.
   function turn(history) {
-    const before = present();
-    const { selected } = store.get();
+    const { selected, history: before } = store.get();
     const document = history.present;
-    const known = document !== before && history.gesture === null ? results.get(document) : null;
+    const another = document !== before.present || before.gesture !== null; // a text may have been typed and taken back
+    const known = another && history.gesture === null ? results.get(document) : null;
     store.set({
       history,
       selected: promptOf(document, selected) ? selected : null,

@@ -27,7 +27,7 @@ export function createTyping(studio) {
     // Once the field is left.
     finish(id, text) {
       clearTimeout(pause);
-      write(id, text);
+      if (text !== textOf(id)) write(id, text);
       studio.settle();
       typed = null;
     },
