@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.scripts import loaded
 from helpers.studio import PORT, WALK, bearer, draw_nothing, entered, knowing, studio
 from helpers.tiny_model import tiny
 from hypothesis import given
@@ -515,6 +516,9 @@ def test_a_film_is_a_job_that_counts_pictures_and_its_file_is_there_once_it_is_d
         assert "motion.gif" in film.headers["content-disposition"]
     assert client.get("/api/films/none").status_code == 404
     assert client.post("/api/films", json=asked | {"motion": "none"}).status_code == 404
+    monkeypatch.setattr("stmc.io.bounds.MOST_PICTURES", 6)
+    refusal = client.post("/api/films", json=asked)
+    assert refusal.status_code == 422 and "a .gif film has at most 6 pictures" in refusal.json()["error"]
     monkeypatch.setattr("stmc.viewing.studio.storage.MOST_FILM_FRAMES", 5)
     assert "5 at most" in client.post("/api/films", json=asked).json()["error"]
 
@@ -628,3 +632,14 @@ def test_a_damaged_document_is_said_to_be_one_and_hides_no_other(client):
     client.put("/api/documents/whole", json={"base": 0, "content": {}})
     assert client.get("/api/documents/damaged").status_code == 422
     assert "whole" in [each["id"] for each in client.get("/api/documents").json()["documents"]]
+
+
+def test_bf16_is_not_tried_out_where_the_processor_imitates_it(monkeypatch):
+    module, asked = loaded("studio"), []
+    monkeypatch.setattr(stmc, "load", lambda model, precision, **settings: asked.append(precision) or tiny())
+    monkeypatch.setattr(module, "imitates_bf16", lambda device: True)
+    module.load_model(module.Settings())
+    assert asked == ["fp32"]
+    monkeypatch.setattr(module, "imitates_bf16", lambda device: False)
+    module.load_model(module.Settings())
+    assert asked == ["fp32", "fp32", "bf16"]

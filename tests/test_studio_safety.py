@@ -306,6 +306,8 @@ def test_a_film_is_bounded_and_drawn_alone(client, motion, monkeypatch):
     may.set()
     first.join()
     assert answers[0].content == b"film"
+    monkeypatch.setattr("stmc.io.bounds.MOST_PICTURES", 6)
+    assert "6 pictures" in refused(client.get(f"/api/motions/{name}.webp"), 422)
     monkeypatch.setattr("stmc.viewing.studio.storage.MOST_FILM_FRAMES", 5)
     assert "frames" in refused(client.get(f"/api/motions/{name}.webp"), 422)
 

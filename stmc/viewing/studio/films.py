@@ -52,7 +52,7 @@ class Films(JobQueue):
             kind: Name of a format, such as "webp".
             timeline: Timeline whose prompts give colours and texts, or None.
         """
-        check_film(motion)
+        check_film(motion, kind)
         [check] = [each.check for each in EXPORTS if each.name == kind]
         try:
             if check is not None:

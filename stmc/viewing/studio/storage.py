@@ -19,13 +19,13 @@ from typing import Any
 from stmc.editing.constraints import Constraint
 from stmc.formats import READABLE, read, write
 from stmc.formats.characters import Character
-from stmc.io.bounds import BoundsError, check_metres
+from stmc.io.bounds import BoundsError, check_metres, check_pictures
 from stmc.io.files import lock_folder, remove_leftovers, write_text
 from stmc.io.untrusted import UnreadableError, load_json, read_text
 from stmc.motion.loops import looped
 from stmc.motion.motion import Motion
 from stmc.timeline import Timeline
-from stmc.viewing.exports import FILMS, export, exports_of
+from stmc.viewing.exports import EXPORTS, FILMS, export, exports_of
 from stmc.viewing.studio.documents_json import MOST_SECONDS
 from stmc.viewing.studio.request_errors import RequestError
 
@@ -208,7 +208,7 @@ class Motions:
 
     def _film_of(self, motion: Motion, kind: str, timeline: Timeline | None) -> bytes:
         """Render one film at a time, since each takes a processor for minutes."""
-        check_film(motion)
+        check_film(motion, kind)
         if not self._film.acquire(blocking=False):
             raise RequestError(429, "another film is being rendered; wait until it is done")
         try:
@@ -249,10 +249,15 @@ def _check_bounds(motion: Motion) -> None:
         raise RequestError(422, str(error)) from None
 
 
-def check_film(motion: Motion) -> None:
-    """Raise `RequestError` for a motion that is too long for a film."""
+def check_film(motion: Motion, kind: str) -> None:
+    """Raise `RequestError` for a motion that is too long for a film of the format `kind`."""
     if motion.frames > MOST_FILM_FRAMES:
         raise RequestError(422, f"{motion.frames} frames: a film has {MOST_FILM_FRAMES} at most; lower the frame rate")
+    try:
+        if any(each.name == kind and each.animated for each in EXPORTS):
+            check_pictures(kind, motion.frames)
+    except BoundsError as error:
+        raise RequestError(422, str(error)) from None
 
 
 def check_poses(motion: Motion, character: Character) -> None:
