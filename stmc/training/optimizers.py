@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, Literal
 
 import torch
@@ -69,14 +68,14 @@ def orthogonalised(
     return wide if len(matrix) <= matrix.shape[1] else wide.T
 
 
-def _fp32_muon() -> type[torch.optim.Optimizer]:
+def _fp32_muon() -> type[torch.optim.Muon]:
     """Return torch's Muon without bf16: torch iterates in bf16 whatever the precision of training is."""
 
     class Fp32Muon(torch.optim.Muon):
         """Muon with the iteration in the precision of the parameters."""
 
         @torch.no_grad()
-        def step(self, closure: Callable[[], Any] | None = None) -> None:
+        def step(self, closure: Any = None) -> Any:
             """Update the matrices that have a gradient, as torch does."""
             assert closure is None
             for group in self.param_groups:
