@@ -234,7 +234,7 @@ def build_objective(config: DictConfig, dataset: Dataset, model: Model, distille
         steps = settings["steps"], teacher_steps
         teacher = MultistepTeacher(teacher, model.schedule, *steps, prediction=model.prediction)
     if teacher is not None and config.training.get("rounds", 1) > 1:
-        batches = config.validation + training.loop.ROUND
+        batches = config.validation + training.loop.ROUND  # twice as many: a validation must not drop those of a round
         teacher = RememberingTeacher(teacher, 2 * batches * config.data.sampling.get("pieces", 1))
     return Denoising(model.schedule, fields=fields, auxiliary_loss=auxiliary_loss, teacher=teacher, **settings)
 
