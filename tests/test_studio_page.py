@@ -281,6 +281,26 @@ def test_with_a_model_of_few_steps_the_motion_follows_a_text_while_it_is_typed(t
         tab.wait(f"document.body.dataset.shown === {json.dumps(first)}")
 
 
+COUNT = """(() => {
+  window.counted = { linkProgram: 0, createBuffer: 0, deleteBuffer: 0 };
+  for (const name in counted) {
+    const own = WebGL2RenderingContext.prototype[name];
+    WebGL2RenderingContext.prototype[name] = function (...given) { counted[name]++; return own.apply(this, given); };
+  }
+})()"""
+
+
+def test_another_motion_is_drawn_with_the_shaders_of_the_one_before_which_leaves_nothing(tab):
+    write(tab, "walk")
+    motion = shown(tab)
+    tab.ask(COUNT)
+    for _ in range(2):
+        press(tab, "ArrowLeft", SHIFT)
+        motion = shown(tab, motion)
+    tab.wait("counted.createBuffer > 0 && counted.createBuffer === counted.deleteBuffer")
+    assert tab.ask("counted.linkProgram") == 0
+
+
 def test_an_end_that_is_held_at_the_window_s_edge_goes_on(tab):
     automatic(tab, False)
     write(tab, "walk")

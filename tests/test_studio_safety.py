@@ -1,5 +1,6 @@
 """The studio against hostile requests, full disks, slow clients and a second studio on the same folder."""
 
+import asyncio
 import errno
 import io
 import json
@@ -360,6 +361,25 @@ def test_a_connection_whose_request_stays_half_said_is_closed(port, head):
         connection.sendall(head.replace(b"PORT", str(port).encode()))
         while connection.recv(65536):
             pass
+
+
+def test_answers_are_sent_at_once_rather_than_gathered():
+    """Nagle's algorithm holds the body of an answer back until its head is acknowledged, which takes 40 ms."""
+
+    async def accepted(listening: socket.socket) -> int:
+        told = asyncio.get_running_loop().create_future()
+
+        def answer(_, writer) -> None:
+            told.set_result(writer.get_extra_info("socket"))
+
+        async with await asyncio.start_server(answer, sock=listening):
+            _, writer = await asyncio.open_connection(*listening.getsockname())
+            nodelay = (await told).getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            writer.close()
+        return nodelay
+
+    with loaded("studio").listen(0) as listening:
+        assert asyncio.run(accepted(listening))
 
 
 def test_a_request_whose_body_stays_away_is_answered_and_closed(port):

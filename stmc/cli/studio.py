@@ -104,7 +104,8 @@ def redirect_file(folder: Path, address: str) -> Iterator[Path]:
 
 def listen(port: int) -> socket.socket:
     """Open a socket on the loopback interface. Raises `SettingError` if the port is taken."""
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    # asyncio turns Nagle's algorithm off only where the protocol is named; with it, each answer comes 40 ms late
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind(("127.0.0.1", port))

@@ -15,7 +15,7 @@ export function createActions(studio, tab, say) {
   let stop = null; // of the job that runs
   let running = null;
   let next = null; // what waits for the job that runs
-  let checking = null;
+  let checking = null; // {document, stop, answered: a promise}, the last request
   let timers = {};
 
   const later = (name, delay, act) => {
@@ -24,12 +24,16 @@ export function createActions(studio, tab, say) {
   };
 
   // ---- what the timeline means ------------------------------------------------------------------------------------------
-  async function check() {
+  function check() {
     const document = studio.present();
-    checking?.abort();
+    checking?.stop.abort();
+    const stop = new AbortController();
+    checking = { document, stop, answered: ask(document, stop.signal) };
+    return checking.answered;
+  }
+
+  async function ask(document, signal) {
     if (!document.prompts.length) return store.set({ check: null });
-    checking = new AbortController();
-    const { signal } = checking;
     try {
       const answer = await server.check(timelineOf(document), signal);
       if (!signal.aborted) store.set({ check: byId(document, answer) });
@@ -55,7 +59,7 @@ export function createActions(studio, tab, say) {
   async function checked() {
     if (store.get().check?.document !== studio.present()) {
       clearTimeout(timers.check);
-      await check();
+      await (checking?.document === studio.present() ? checking.answered : check());
     }
     const { check: answer } = store.get();
     return answer && !answer.error && answer.document === studio.present() ? answer : null;
@@ -174,7 +178,7 @@ export function createActions(studio, tab, say) {
     const same = !first && meant(seen) === meant(document);
     if (!first && seen.seeds.join() !== document.seeds.join()) scope = everything; // new seeds are for new motions
     seen = document;
-    later("check", CHECK_AFTER, check);
+    later("check", studio.quick() && !studio.dragging() ? 0 : CHECK_AFTER, check);
     if (same) return; // what waits still holds
     clearTimeout(timers.generate);
     if (live) return; // a stream plays it

@@ -75,7 +75,8 @@ export function createPreview(studio, stage) {
         return;
       }
     }
-    for (const [id, figure] of figures) if (next.get(id) !== figure) figure.dispose();
+    const gone = [...figures].filter(([id, figure]) => next.get(id) !== figure).map(([, figure]) => figure);
+    requestAnimationFrame(() => gone.forEach((figure) => figure.dispose())); // after a picture: the next ones share shaders
     [figures, dressed] = [next, shown()];
     if (dressed !== wanted) return show(store.get()); // some of them are figures of a character that broke
     wear(history.present.figure);

@@ -124,10 +124,8 @@ export function createStage(host, tell = null) {
     pace(now);
     keepUp();
     release();
-    for (const { figure } of figures) {
-      figure.pose(time);
-      figure.paint((part) => colours(part, time));
-    }
+    for (const { figure } of figures) figure.pose(time);
+    painted();
     if (figures[main]) restore = inOrder(pulls.keys()).map((joint) => pull(figures[main].figure, joint, pulls.get(joint).end));
     if (marks.grips.any() && figures[main]) marks.grips.place(gripAt, camera);
     renderer.setScissorTest(false);
@@ -136,6 +134,13 @@ export function createStage(host, tell = null) {
     cells().forEach((cell, index) => renderView(cell, index));
     host.dataset.time = time.toFixed(3);
     host.dataset.pictures = ++pictures;
+  }
+
+  // The colours of all body parts, once the figures have them.
+  function painted() {
+    const used = [];
+    for (const { figure } of figures) figure.paint((part) => used[used.push(colours(part, time)) - 1]);
+    return used.join();
   }
 
   function renderView({ x, y, width, height }, index) {
@@ -314,8 +319,9 @@ export function createStage(host, tell = null) {
     },
     refresh: invalidate,
     colour(next) {
+      const before = painted();
       colours = next;
-      invalidate();
+      if (painted() !== before) invalidate();
     },
     follow(on) {
       follows = on;
