@@ -8,6 +8,9 @@ import { figureOf } from "./figure.js";
 
 const MOST_KEPT = 24; // figures' files, in memory
 
+// Once the stage, of whose picture the frame may have been asked for already, has drawn what it is given now.
+const afterPicture = (act) => requestAnimationFrame(() => requestAnimationFrame(act));
+
 export function createPreview(studio, stage) {
   const { store } = studio;
   const files = new Map(); // motion id, with a character's look before it where it moves one → bytes
@@ -76,7 +79,7 @@ export function createPreview(studio, stage) {
       }
     }
     const gone = [...figures].filter(([id, figure]) => next.get(id) !== figure).map(([, figure]) => figure);
-    requestAnimationFrame(() => gone.forEach((figure) => figure.dispose())); // after a picture: the next ones share shaders
+    afterPicture(() => gone.forEach((figure) => figure.dispose())); // the next ones share their shaders
     [figures, dressed] = [next, shown()];
     if (dressed !== wanted) return show(store.get()); // some of them are figures of a character that broke
     wear(history.present.figure);
@@ -121,8 +124,7 @@ export function createPreview(studio, stage) {
     if (favourites.some(({ motion }) => motion.id === sample.motion.id))
       return store.set({ favourites: favourites.filter(({ motion }) => motion.id !== sample.motion.id) });
     if (sample.key !== store.get().chosen) studio.choose(sample.key);
-    requestAnimationFrame(() => requestAnimationFrame(() =>
-      store.set({ favourites: [...store.get().favourites, { ...sample, name: nameOf(sample), picture: stage.picture(144) }] })));
+    afterPicture(() => store.set({ favourites: [...store.get().favourites, { ...sample, name: nameOf(sample), picture: stage.picture(144) }] }));
   }
 
   // What is made from now on begins with this motion.

@@ -53,7 +53,8 @@ export function createStage(host, tell = null) {
   let time = 0;
   let follows = true;
   let colours = () => [0.6, 0.6, 0.65];
-  let stale = true;
+  let stale = false;
+  let awaited = 0; // the frame that is asked for: none while the room stands still
   let last = null; // where the followed figure was
   let tool = null; // {kind, points, …} while a hand draws or drags
   let drawing = null; // seconds at which a drawn path begins
@@ -63,7 +64,10 @@ export function createStage(host, tell = null) {
   let pictures = 0; // drawn so far
   let [slow, shown, before, standing] = [0, 0, Infinity, null]; // slow pictures, the last one's time, when it was drawn, a timer
 
-  const invalidate = () => (stale = true);
+  function invalidate() {
+    stale = true;
+    if (!awaited) awaited = requestAnimationFrame(render);
+  }
   controls.addEventListener("change", invalidate);
   new ResizeObserver(() => {
     renderer.setSize(host.clientWidth, host.clientHeight, false);
@@ -117,9 +121,10 @@ export function createStage(host, tell = null) {
   }
 
   function render(now) {
-    requestAnimationFrame(render);
-    if (controls.enabled && controls.update()) stale = true;
+    awaited = 0;
+    if (controls.enabled) controls.update(); // a camera that swings on tells of it
     if (!stale) return;
+    invalidate(); // what moves has its next picture in the next frame
     stale = false;
     pace(now);
     keepUp();
@@ -295,7 +300,7 @@ export function createStage(host, tell = null) {
     invalidate();
   }
 
-  render(performance.now());
+  invalidate();
   return {
     cells,
     reset,
