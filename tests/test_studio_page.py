@@ -281,6 +281,31 @@ def test_with_a_model_of_few_steps_the_motion_follows_a_text_while_it_is_typed(t
         tab.wait(f"document.body.dataset.shown === {json.dumps(first)}")
 
 
+def test_with_a_model_of_few_steps_a_new_prompt_moves_while_it_is_typed(tmp_path):
+    with serving(tmp_path / "studio", steps=4) as port, opened(port, tmp_path) as tab:
+        write(tab, "walk")
+        first = shown(tab)
+        for text, more, finish in (("wa", "ve", "Enter"), ("run", "", "Escape")):
+            before = shown(tab)
+            bars = tab.ask(BARS)
+            press(tab, "n")
+            tab.wait("document.activeElement.matches('.bar input')")
+            tab.call("Input.insertText", text=text)
+            typed = shown(tab, before)
+            tab.call("Input.insertText", text=more)
+            if more:
+                typed = shown(tab, typed)
+            assert tab.ask("document.activeElement.value") == text + more
+            assert tab.ask("document.querySelectorAll('.bar').length") == len(bars) + 1  # the prompt is not drawn twice
+            press(tab, finish)
+            tab.wait(f"document.body.dataset.shown === {json.dumps(typed if finish == 'Enter' else before)}")
+            tab.wait(f"document.querySelectorAll('.bar').length === {len(bars) + (finish == 'Enter')}")
+        assert [text for text, _ in tab.ask(BARS)] == ["walk", "wave"]
+        press(tab, "z", CONTROL)  # the prompt is one step, and the one that was taken back none
+        tab.wait(f"{BARS}.length === 1")
+        tab.wait(f"document.body.dataset.shown === {json.dumps(first)}")
+
+
 COUNT = """(() => {
   window.counted = { linkProgram: 0, createBuffer: 0, deleteBuffer: 0 };
   for (const name in counted) {

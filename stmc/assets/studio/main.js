@@ -56,11 +56,14 @@ function moved(id, point, finished) {
 player.listen(stage.at);
 const transport = createTransport(player, studio.playable);
 // The first motion that is made plays once by itself; never into an edit, and not for those who want no motion.
+let made = false;
 let played = matchMedia("(prefers-reduced-motion: reduce)").matches;
-watch(store, ({ samples }) => [samples], ({ samples, job, quality, draft, editing, history }) => {
-  if (played || !job || !samples.some(({ steps }) => steps === quality)) return;
+const edits = ({ draft, editing, history }) => [draft, editing, history.gesture];
+watch(store, (state) => [state.samples, ...edits(state)], (state) => {
+  made ||= Boolean(state.job) && state.samples.some(({ steps }) => steps === state.quality);
+  if (!made || played || edits(state).some((each) => each !== null)) return;
   played = true;
-  if (!draft && !editing && history.gesture === null) player.play(true);
+  player.play(true);
 });
 
 // ---- the stage's own buttons --------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ export const INITIAL = {
   check: null, // what the server says of the timeline, by the prompts' ids
   selected: null, // a prompt's id
   editing: null, // the prompt whose text is typed in place
-  draft: null, // a prompt without a text as yet: {start, end, track}
+  draft: null, // a prompt whose first text is being typed: {start, end, track, prompt: what it has become, if a motion shows it}
   span: null, // {start, end}
   constraint: null, // the chosen constraint's id
   pulling: false, // whether the pose at the cursor is to be pulled

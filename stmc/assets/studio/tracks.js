@@ -6,6 +6,7 @@ import { PARTS, promptOf, rounded, trackCount } from "./state.js";
 import { colourOf, inkOn, NEUTRAL } from "./colours.js";
 import { demandOf, errorOf, kindOf, meets, spanOf, titleOf } from "./constraints.js";
 import { rulerStep, snapped, snappedShift, written } from "./times.js";
+import { DRAFT } from "./typing.js";
 
 const NEAR = 9; // pixels within which things snap
 const SHORTEST_VIEW = 6; // seconds
@@ -57,13 +58,19 @@ export function createTracks(studio, player, work, typing) {
     keyed(rows, Array.from({ length: count }, (_, track) => track), (track) => track, createRow, () => {});
     bars.style.height = `${count * height}px`;
     bars.style.left = `${labelWidth()}px`;
-    const drafts = state.draft ? [{ id: "draft", text: "", parts: [], colour: present.prompts.length, ...state.draft }] : [];
-    keyed(bars, [...present.prompts, ...drafts], ({ id }) => id, createBar, (bar, prompt) => paintBar(bar, prompt, state));
+    keyed(bars, shownPrompts(state), ({ id }) => id, createBar, (bar, prompt) => paintBar(bar, prompt, state));
     paintRuler();
     paintParts(state);
     keyed(find("constraint-rows"), present.constraints, ({ id }) => id, createConstraint, (row, each) => paintConstraint(row, each, state));
     paintRange(state);
     paintCursor();
+  }
+
+  // A draft stands for the prompt that it has become.
+  function shownPrompts({ draft, history: { present } }) {
+    if (!draft) return present.prompts;
+    const colour = promptOf(present, draft.prompt)?.colour ?? present.prompts.length;
+    return [...present.prompts.filter(({ id }) => id !== draft.prompt), { ...draft, id: DRAFT, text: "", parts: [], colour }];
   }
 
   function createRow(track) {
@@ -79,10 +86,10 @@ export function createTracks(studio, player, work, typing) {
   function paintBar(bar, prompt, state) {
     const { id, text, start, end, track, locked } = prompt;
     const colour = colourOf(prompt.colour);
-    const told = state.check?.prompts[id];
+    const told = state.check?.prompts[prompt.prompt ?? id];
     const doubt = told?.advice ?? null;
     const wrong = state.check?.prompt === id ? state.check.error : null;
-    const chosen = state.selected === id || id === "draft";
+    const chosen = state.selected === id || id === DRAFT;
     bar.style.cssText = `left:${x(start)};width:${x(end - start)};top:${track * height}px;--colour:${colour};--ink:${inkOn(colour)}`;
     bar.classList.toggle("chosen", chosen);
     bar.classList.toggle("unknown", Boolean(doubt || wrong));
@@ -96,7 +103,7 @@ export function createTracks(studio, player, work, typing) {
     const doubted = doubt?.known ? "it rarely works" : "the model hardly knows it";
     bar.setAttribute("aria-label", [text, where, doubt ? doubted : known, locked && "locked", wrong].filter(Boolean).join(". "));
     bar.children[2].replaceChildren(...[doubt || wrong ? make("b", {}, "?") : null, locked ? icon("lock") : null].filter(Boolean));
-    paintText(bar, prompt, state.editing === id || id === "draft");
+    paintText(bar, prompt, state.editing === id || id === DRAFT);
   }
 
   function paintText(bar, { id, text }, editing) {
@@ -107,7 +114,7 @@ export function createTracks(studio, player, work, typing) {
     const input = make("input", {
       value: text, placeholder: "What happens?", "aria-label": "Text of the prompt", list: "known-texts",
       onkeydown: (event) => typed(event, id), onblur: (event) => commit(event.target, id),
-      oninput: (event) => (id === "draft" ? null : typing.typed(id, event.target.value)),
+      oninput: (event) => typing.typed(id, event.target.value),
     });
     place.replaceChildren(input);
     input.focus();
@@ -116,7 +123,7 @@ export function createTracks(studio, player, work, typing) {
 
   function typed(event, id) {
     event.stopPropagation();
-    if (event.key === "Escape") event.target.value = id === "draft" ? "" : typing.before(id);
+    if (event.key === "Escape") event.target.value = typing.before(id);
     if (event.key !== "Enter" && event.key !== "Escape") return;
     event.preventDefault();
     commit(event.target, id);
@@ -125,14 +132,9 @@ export function createTracks(studio, player, work, typing) {
 
   function commit(input, id) {
     const { draft, editing } = store.get();
-    const text = input.value;
-    if (id === "draft" && draft) {
-      store.set({ draft: null });
-      studio.make({ kind: "add", ...draft, text });
-    } else if (editing === id) {
-      store.set({ editing: null });
-      typing.finish(id, text);
-    }
+    if (id === DRAFT ? !draft : editing !== id) return;
+    store.set({ editing: null });
+    typing.finish(id, input.value);
   }
 
   function paintRuler() {
@@ -318,7 +320,7 @@ export function createTracks(studio, player, work, typing) {
   bars.addEventListener("dblclick", begin);
   bars.addEventListener("focusin", ({ target }) => {
     const bar = target.closest(".bar");
-    if (bar && target === bar && bar.dataset.key !== "draft") store.set({ selected: bar.dataset.key });
+    if (bar && target === bar && bar.dataset.key !== DRAFT) store.set({ selected: bar.dataset.key });
   });
 
   // Along the ruler the cursor goes; along the body parts' rows, and with Shift, a span is chosen.
