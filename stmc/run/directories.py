@@ -28,6 +28,7 @@ from stmc.motion.body import JOINTS
 from stmc.motion.body_model import Skeleton
 from stmc.run.configs import TARGET, RunError, brief, config_text, read_config
 from stmc.run.construction import Part
+from stmc.run.eight_bits import compress, restore, restored_specs
 from stmc.run.model_vocabulary import (
     VOCABULARY,
     WEIGHTS,
@@ -164,8 +165,8 @@ def save(
         model: The model.
         folder: The run directory.
         card: Text of `README.md`.
-        dtype: Data type of the weights. torch.float16 halves the file and torch.float8_e4m3fn quarters it; with eight
-            bits, only matrices are rounded to it, and vectors to half precision.
+        dtype: Data type of the weights. torch.float16 halves the file and torch.int8 quarters it. With eight bits,
+            each row of a matrix has its own scale, and vectors have half precision.
         trusted: Packages of your own whose classes `model.config` names; `load` needs them too.
 
     Raises:
@@ -261,8 +262,8 @@ def _shapes(built: Mapping[str, Any], parts: Mapping[str, Part]) -> dict[str, tu
 
 def _write(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype) -> Path:
     originals = {name: value.detach().cpu() for name, value in _network(record).state_dict().items()}
-    weights = {name: value.to(_dtype_in_file(value, dtype)).contiguous() for name, value in originals.items()}
-    if wrong := misfit(specs_of(originals), specs_of(weights)):
+    weights = compress(originals) if dtype == torch.int8 else _converted(originals, dtype)
+    if wrong := misfit(specs_of(originals), restored_specs(specs_of(weights))):
         raise RunError(f"weights stored as {dtype} could not be loaded: {wrong}")
     overflowing = [name for name, value in originals.items() if not _fits_range(weights[name].dtype, value)]
     if overflowing:
@@ -271,7 +272,7 @@ def _write(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], c
     without_digest = config_text(config)
 
     def write_weights(path: Path) -> None:
-        save_file(weights, path)
+        save_file({name: value.contiguous() for name, value in weights.items()}, path)
         if (folder / CONFIG).exists():  # the folder must load even if the process is killed between old and new files
             write_text(folder / CONFIG, without_digest)
 
@@ -283,16 +284,14 @@ def _write(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], c
     return folder
 
 
-def _dtype_in_file(value: torch.Tensor, dtype: torch.dtype) -> torch.dtype:
-    """Choose the dtype of a weight in its file. Vectors stay precise: a norm's gain, rounded by 6 %, would matter."""
-    if not value.is_floating_point():
-        return value.dtype
-    return torch.float16 if dtype.itemsize == 1 and value.ndim < 2 else dtype
+def _converted(weights: Mapping[str, torch.Tensor], dtype: torch.dtype) -> dict[str, torch.Tensor]:
+    return {name: value.to(dtype) if value.is_floating_point() else value for name, value in weights.items()}
 
 
 def _fits_range(dtype: torch.dtype, value: torch.Tensor) -> bool:
     """Return whether `dtype` has the range of `value`, before rounding: some versions of PyTorch saturate."""
-    return not dtype.is_floating_point or bool((value.abs() <= torch.finfo(dtype).max).all())
+    largest = torch.finfo(dtype if dtype.is_floating_point else torch.float32).max
+    return not value.is_floating_point() or bool((value.abs() <= largest).all())
 
 
 _DIGESTED = {"weights": WEIGHTS, "statistics": STATISTICS, "vocabulary": VOCABULARY}
@@ -339,7 +338,8 @@ def _restore(
 ) -> tuple[dict[str, Any], torch.Tensor | None]:
     """Return the parts with their weights, with the statistics, and the offsets of a model's skeleton."""
     try:
-        built = build_fitting(config, read_specs(folder / WEIGHTS), str(folder / WEIGHTS), parts, trusted)
+        specs = restored_specs(read_specs(folder / WEIGHTS))
+        built = build_fitting(config, specs, str(folder / WEIGHTS), parts, trusted)
     except RunError as error:
         raise RunError(str(error) if str(folder) in str(error) else f"{folder / CONFIG}: {error}") from error
     numbers = _read_numbers(folder / STATISTICS, _shapes(built, parts))
@@ -381,9 +381,7 @@ def _check_numbers(values: torch.Tensor, shape: tuple[int, ...], place: str) -> 
 
 def _fill(network: torch.nn.Module, path: Path) -> None:
     try:
-        weights = {
-            name: value.float() if value.is_floating_point() else value for name, value in load_file(path).items()
-        }
+        weights = _converted(restore(load_file(path)), torch.float32)
     except (SafetensorError, OSError) as error:
         raise RunError(f"{path} cannot be read: {brief(error)}") from error
     invalid = [name for name, value in weights.items() if not value.isfinite().all()]
