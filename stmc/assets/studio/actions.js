@@ -7,7 +7,7 @@ import { PARTS, duration, timelineOf } from "./state.js";
 
 const CHECK_AFTER = 120; // milliseconds without an edit
 const GENERATE_AFTER = 350;
-const QUICKLY_AFTER = 50; // where a motion takes hardly longer than its edit
+const QUICKLY_AFTER = 20; // where a motion takes hardly longer than its edit
 const AGAIN_AFTER = 2000; // where the server is away
 
 export function createActions(studio, tab, say) {
