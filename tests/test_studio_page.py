@@ -717,6 +717,20 @@ def test_what_is_written_while_the_server_is_away_is_there_once_it_is_back(tmp_p
             tab.wait(f"{BARS}[0] && {BARS}[0][1].startsWith('0 s to 3.1 s')")
 
 
+@pytest.mark.parametrize("steps", [4, 12])
+def test_the_motion_of_an_edit_comes_once_a_server_that_was_away_is_back(tmp_path, steps):
+    with ExitStack() as stack:
+        with serving(tmp_path / "studio", steps=steps) as port:
+            tab = stack.enter_context(opened(port, tmp_path))
+            write(tab, "walk")
+            before = shown(tab)
+        press(tab, "ArrowRight", SHIFT)
+        tab.wait("document.getElementById('saved').dataset.state === 'away'")
+        time.sleep(3)  # the page has tried again meanwhile
+        with serving(tmp_path / "studio", port, steps):
+            shown(tab, before)
+
+
 def test_who_comes_first_sees_an_example_that_plays_once(tmp_path):
     with serving(tmp_path / "studio") as port:
         (tmp_path / "studio" / "documents" / "old.json").unlink()

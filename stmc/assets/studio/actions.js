@@ -15,7 +15,7 @@ export function createActions(studio, tab, say) {
   let stop = null; // of the job that runs
   let running = null;
   let next = null; // what waits for the job that runs
-  let checking = null; // {document, stop, answered: a promise}, the last request
+  let checking = null; // {document, stop, answered: a promise}, the request on its way
   let timers = {};
 
   const later = (name, delay, act) => {
@@ -28,8 +28,9 @@ export function createActions(studio, tab, say) {
     const document = studio.present();
     checking?.stop.abort();
     const stop = new AbortController();
-    checking = { document, stop, answered: ask(document, stop.signal) };
-    return checking.answered;
+    const answered = ask(document, stop.signal).finally(() => (checking = checking?.stop === stop ? null : checking));
+    checking = { document, stop, answered };
+    return answered;
   }
 
   async function ask(document, signal) {
@@ -57,9 +58,10 @@ export function createActions(studio, tab, say) {
 
   // The answer for the document as it is now.
   async function checked() {
-    if (store.get().check?.document !== studio.present()) {
+    if (checking?.document === studio.present()) await checking.answered;
+    else if (store.get().check?.document !== studio.present()) {
       clearTimeout(timers.check);
-      await (checking?.document === studio.present() ? checking.answered : check());
+      await check();
     }
     const { check: answer } = store.get();
     return answer && !answer.error && answer.document === studio.present() ? answer : null;
