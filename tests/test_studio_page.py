@@ -318,6 +318,8 @@ COUNT = """(() => {
 def test_another_motion_is_drawn_with_the_shaders_of_the_one_before_which_leaves_nothing(tab):
     write(tab, "walk")
     motion = shown(tab)
+    tab.ask("requestAnimationFrame(() => requestAnimationFrame(() => (window.drawn = true)))")
+    tab.wait("window.drawn")
     tab.ask(COUNT)
     for _ in range(2):
         press(tab, "ArrowLeft", SHIFT)
