@@ -179,7 +179,16 @@ def test_a_model_that_does_not_say_how_to_build_its_parts_is_not_saved(model, tm
     assert not (tmp_path / "run").exists()
 
 
-def test_of_eight_bits_are_the_matrices_alone_and_each_row_is_rounded_by_its_own_scale(tmp_path):
+def test_of_eight_bits_are_the_matrices_alone_and_they_are_rounded_by_a_sixteenth_at_most(model, tmp_path):
+    small = stmc.save(model, tmp_path / "small", "", dtype=torch.float8_e4m3fn)
+    kinds = {(value.ndim > 1, value.dtype) for value in load_file(small / WEIGHTS).values()}
+    assert kinds == {(True, torch.float8_e4m3fn), (False, torch.float16)}
+    back = loaded(small).denoiser.state_dict()
+    for name, weight in model.denoiser.state_dict().items():  # three bits behind the first; 2^-10 where they are small
+        torch.testing.assert_close(back[name], weight, rtol=1 / 16, atol=2**-10)
+
+
+def test_of_whole_numbers_are_the_matrices_alone_and_each_row_is_rounded_by_its_own_scale(tmp_path):
     model = tiny()
     with torch.no_grad():
         model.denoiser.registers[0] *= 1000
@@ -207,7 +216,9 @@ def test_a_matrix_of_eight_bits_without_its_scale_is_refused(model, tmp_path):
         stmc.load(small)
 
 
-@pytest.mark.parametrize(("dtype", "weight"), [(torch.float16, 1e6), (torch.int8, torch.inf)])
+@pytest.mark.parametrize(
+    ("dtype", "weight"), [(torch.float16, 1e6), (torch.float8_e4m3fn, 500), (torch.int8, torch.inf)]
+)
 def test_weights_that_a_type_cannot_hold_are_not_saved(tmp_path, dtype, weight):
     model = tiny()
     with torch.no_grad():

@@ -285,7 +285,14 @@ def _write(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], c
 
 
 def _converted(weights: Mapping[str, torch.Tensor], dtype: torch.dtype) -> dict[str, torch.Tensor]:
-    return {name: value.to(dtype) if value.is_floating_point() else value for name, value in weights.items()}
+    return {name: value.to(_dtype_in_file(value, dtype)) for name, value in weights.items()}
+
+
+def _dtype_in_file(value: torch.Tensor, dtype: torch.dtype) -> torch.dtype:
+    """Choose the dtype of a weight in its file. Vectors stay precise: a norm's gain, rounded by 6 %, would matter."""
+    if not value.is_floating_point():
+        return value.dtype
+    return torch.float16 if dtype.itemsize == 1 and value.ndim < 2 else dtype
 
 
 def _fits_range(dtype: torch.dtype, value: torch.Tensor) -> bool:
@@ -381,7 +388,10 @@ def _check_numbers(values: torch.Tensor, shape: tuple[int, ...], place: str) -> 
 
 def _fill(network: torch.nn.Module, path: Path) -> None:
     try:
-        weights = _converted(restore(load_file(path)), torch.float32)
+        weights = {
+            name: value.float() if value.is_floating_point() else value
+            for name, value in restore(load_file(path)).items()
+        }
     except (SafetensorError, OSError) as error:
         raise RunError(f"{path} cannot be read: {brief(error)}") from error
     invalid = [name for name, value in weights.items() if not value.isfinite().all()]

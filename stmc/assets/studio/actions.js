@@ -28,7 +28,9 @@ export function createActions(studio, tab, say) {
     const document = studio.present();
     checking?.stop.abort();
     const stop = new AbortController();
-    const answered = ask(document, stop.signal).finally(() => (checking = checking?.stop === stop ? null : checking));
+    const answered = ask(document, stop.signal).finally(() => {
+      if (checking?.stop === stop) checking = null;
+    });
     checking = { document, stop, answered };
     return answered;
   }

@@ -56,12 +56,12 @@ function moved(id, point, finished) {
 player.listen(stage.at);
 const transport = createTransport(player, studio.playable);
 // The first motion that is made plays once by itself; never into an edit, and not for those who want no motion.
-let made = false;
+let generated = false;
 let played = matchMedia("(prefers-reduced-motion: reduce)").matches;
-const edits = ({ draft, editing, history }) => [draft, editing, history.gesture];
-watch(store, (state) => [state.samples, ...edits(state)], (state) => {
-  made ||= Boolean(state.job) && state.samples.some(({ steps }) => steps === state.quality);
-  if (!made || played || edits(state).some((each) => each !== null)) return;
+const openEdits = ({ draft, editing, history }) => [draft, editing, history.gesture];
+watch(store, (state) => [state.samples, ...openEdits(state)], (state) => {
+  generated ||= Boolean(state.job) && state.samples.some(({ steps }) => steps === state.quality);
+  if (!generated || played || openEdits(state).some((each) => each !== null)) return;
   played = true;
   player.play(true);
 });

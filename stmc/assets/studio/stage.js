@@ -64,9 +64,10 @@ export function createStage(host, tell = null) {
   let pictures = 0; // drawn so far
   let [slow, shown, before, standing] = [0, 0, Infinity, null]; // slow pictures, the last one's time, when it was drawn, a timer
 
+  const awaitFrame = () => (awaited ||= requestAnimationFrame(render));
   function invalidate() {
     stale = true;
-    if (!awaited) awaited = requestAnimationFrame(render);
+    awaitFrame();
   }
   controls.addEventListener("change", invalidate);
   new ResizeObserver(() => {
@@ -124,13 +125,13 @@ export function createStage(host, tell = null) {
     awaited = 0;
     if (controls.enabled) controls.update(); // a camera that swings on tells of it
     if (!stale) return;
-    invalidate(); // what moves has its next picture in the next frame
     stale = false;
+    awaitFrame(); // whatever moves needs the very next one, too
     pace(now);
     keepUp();
     release();
     for (const { figure } of figures) figure.pose(time);
-    painted();
+    paintFigures();
     if (figures[main]) restore = inOrder(pulls.keys()).map((joint) => pull(figures[main].figure, joint, pulls.get(joint).end));
     if (marks.grips.any() && figures[main]) marks.grips.place(gripAt, camera);
     renderer.setScissorTest(false);
@@ -141,11 +142,17 @@ export function createStage(host, tell = null) {
     host.dataset.pictures = ++pictures;
   }
 
-  // The colours of all body parts, once the figures have them.
-  function painted() {
-    const used = [];
-    for (const { figure } of figures) figure.paint((part) => used[used.push(colours(part, time)) - 1]);
-    return used.join();
+  // Paints the body parts of all figures, and returns their colours as a text.
+  function paintFigures() {
+    const painted = [];
+    for (const { figure } of figures) {
+      figure.paint((part) => {
+        const colour = colours(part, time);
+        painted.push(colour);
+        return colour;
+      });
+    }
+    return painted.join();
   }
 
   function renderView({ x, y, width, height }, index) {
@@ -324,9 +331,9 @@ export function createStage(host, tell = null) {
     },
     refresh: invalidate,
     colour(next) {
-      const before = painted();
+      const before = paintFigures();
       colours = next;
-      if (painted() !== before) invalidate();
+      if (paintFigures() !== before) invalidate();
     },
     follow(on) {
       follows = on;

@@ -86,9 +86,10 @@ export function createTracks(studio, player, work, typing) {
   function paintBar(bar, prompt, state) {
     const { id, text, start, end, track, locked } = prompt;
     const colour = colourOf(prompt.colour);
-    const told = state.check?.prompts[prompt.prompt ?? id];
+    const checkedId = prompt.prompt ?? id; // of the prompt that a draft has become
+    const told = state.check?.prompts[checkedId];
     const doubt = told?.advice ?? null;
-    const wrong = state.check?.prompt === id ? state.check.error : null;
+    const wrong = state.check?.prompt === checkedId ? state.check.error : null;
     const chosen = state.selected === id || id === DRAFT;
     bar.style.cssText = `left:${x(start)};width:${x(end - start)};top:${track * height}px;--colour:${colour};--ink:${inkOn(colour)}`;
     bar.classList.toggle("chosen", chosen);

@@ -35,11 +35,11 @@ export function createTyping(studio) {
     finish(id, text) {
       clearTimeout(pause);
       if (text !== textOf(id)) write(id, text);
-      const made = promptIdOf(id);
+      const promptId = promptIdOf(id);
       if (id === DRAFT) store.set({ draft: null });
       studio.settle();
       typed = null;
-      if (id === DRAFT && promptOf(studio.present(), made)) store.set({ selected: made });
+      if (id === DRAFT && promptOf(studio.present(), promptId)) store.set({ selected: promptId });
     },
   };
 }
