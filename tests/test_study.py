@@ -276,7 +276,8 @@ def test_a_page_tells_nothing_of_what_its_questions_are_for(study, pairs):
 
 def test_a_page_loads_nothing_and_is_a_few_megabytes_at_most(study):
     content = survey_page(study[0][0])
-    assert not re.search(r"https?:|//\w|@import|url\(", re.sub("<script.*?</script>", "", content, flags=re.S))
+    markup = re.sub("<script.*?</script>|'sha256-[^']*'", "", content, flags=re.S)  # a digest in base64 may hold "//"
+    assert not re.search(r"https?:|//\w|@import|url\(", markup)
     assert "default-src 'none'; script-src 'sha256-" in content
     assert len(content) < 3_000_000
 

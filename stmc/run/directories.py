@@ -26,9 +26,9 @@ from stmc.io.files import sha256, write_text, write_whole
 from stmc.model import Model, Precision
 from stmc.motion.body import JOINTS
 from stmc.motion.body_model import Skeleton
+from stmc.run.compression import compress, restore, restored_specs
 from stmc.run.configs import TARGET, RunError, brief, config_text, read_config
 from stmc.run.construction import Part
-from stmc.run.eight_bits import compress, restore, restored_specs
 from stmc.run.model_vocabulary import (
     VOCABULARY,
     WEIGHTS,
@@ -262,7 +262,7 @@ def _shapes(built: Mapping[str, Any], parts: Mapping[str, Part]) -> dict[str, tu
 
 def _write(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], card: str, dtype: torch.dtype) -> Path:
     originals = {name: value.detach().cpu() for name, value in _network(record).state_dict().items()}
-    weights = compress(originals) if dtype == torch.int8 else _converted(originals, dtype)
+    weights = compress(originals, dtype)
     if wrong := misfit(specs_of(originals), restored_specs(specs_of(weights))):
         raise RunError(f"weights stored as {dtype} could not be loaded: {wrong}")
     overflowing = [name for name, value in originals.items() if not _fits_range(weights[name].dtype, value)]
@@ -282,17 +282,6 @@ def _write(folder: Path, record: Model | Evaluator, config: Mapping[str, Any], c
     write_whole(folder / CARD, lambda path: path.write_text(card, encoding="utf-8"))
     write_text(folder / CONFIG, config_text({**config, "digest": _digest(folder)}))
     return folder
-
-
-def _converted(weights: Mapping[str, torch.Tensor], dtype: torch.dtype) -> dict[str, torch.Tensor]:
-    return {name: value.to(_dtype_in_file(value, dtype)) for name, value in weights.items()}
-
-
-def _dtype_in_file(value: torch.Tensor, dtype: torch.dtype) -> torch.dtype:
-    """Choose the dtype of a weight in its file. Vectors stay precise: a norm's gain, rounded by 6 %, would matter."""
-    if not value.is_floating_point():
-        return value.dtype
-    return torch.float16 if dtype.itemsize == 1 and value.ndim < 2 else dtype
 
 
 def _fits_range(dtype: torch.dtype, value: torch.Tensor) -> bool:
