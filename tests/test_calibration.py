@@ -248,6 +248,15 @@ def test_a_prompt_that_rarely_works_warns_by_a_class_of_its_own_under_the_common
         model.generate(timeline, steps=1)
 
 
+def test_a_prompt_that_was_tested_itself_is_known_however_far_it_is_from_the_kept_sentences(small):
+    trials = {"Juggle": Trial("juggle", 8, geometry=1.0), "swim": Trial("swim", 8, geometry=0.25)}
+    tested = replace(small, calibration=Calibration(trials))
+    assert not any(each.known for each in small.recognise(["juggle", "swim"], Hashes()))
+    juggle, swim, other = tested.recognise(["juggle ", "swim", "juggle balls"], Hashes())
+    assert juggle.known and juggle.works and not other.known
+    assert swim.known and not swim.works and "rarely works: 25 %" in swim.advice
+
+
 def test_the_studio_says_the_same_sentence(tmp_path):
     known = {Sentence("walk", WALK): 3.0, Sentence("wave the right hand", WAVE): 1.0}
     vocabulary = build_vocabulary(known, sentence_encoder())

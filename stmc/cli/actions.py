@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import BytesIO
 from itertools import chain
@@ -303,7 +303,7 @@ def calibrate_warnings(config: DictConfig) -> None:
     known = {text: name for name in CONTENTS if name in contents for text in CONTENTS[name].unseen}
     known |= {text: action for text, action in inside.items() if action in contents}
     texts = [*known, *unknown, *MTT_CHECKS]
-    found = {each.text: each for each in model.recognise(texts)}
+    found = {each.text: replace(each, tested=False) for each in model.recognise(texts)}  # by score, as other prompts
     if not found:
         raise SettingError(f"prompts={config.prompts}: comparing prompts needs MiniLM, which is not available")
     after = calibrate_thresholds(before, known, unknown, found)

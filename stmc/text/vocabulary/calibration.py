@@ -75,6 +75,10 @@ class Calibration:
                 passed[trial.action] = passed.get(trial.action, 0.0) + trial.samples * rate
         return {action: passed[action] / samples[action] for action in samples}
 
+    def has_tested(self, text: str) -> bool:
+        """Tell whether the text itself was tested, in any case and spacing."""
+        return _words(text) in self._by_words
+
     def rate(self, text: str, action: str) -> float | int | None:
         """Return the success rate of a text, or else that of its action; None if neither was measured."""
         trial = self._by_words.get(_words(text))

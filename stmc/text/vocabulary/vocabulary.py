@@ -47,8 +47,8 @@ class Recognition:
 
     `nearest` holds the first example of each of the nearest actions, or the nearest sentences themselves if actions
     have no names; those that agree with the prompt's side, direction and speed come first. `near` holds those with a
-    cosine of at least `NEAR`. The prompt is in the vocabulary if `score` is at least `threshold`. `rate` is the
-    fraction of samples that show such a prompt, from 0 to 1; None: not measured.
+    cosine of at least `NEAR`. The prompt is in the vocabulary if `score` is at least `threshold`, or if the prompt
+    itself was `tested`. `rate` is the fraction of samples that show such a prompt, from 0 to 1; None: not measured.
     """
 
     text: str
@@ -57,11 +57,12 @@ class Recognition:
     threshold: float | int
     near: tuple[Sentence, ...]
     rate: float | int | None = None
+    tested: bool = False
 
     @property
     def known(self) -> bool:
         """Whether the prompt is in the vocabulary."""
-        return self.score >= self.threshold
+        return self.tested or self.score >= self.threshold
 
     @property
     def action(self) -> str:
@@ -190,6 +191,7 @@ class Vocabulary:
             self.calibration.threshold_of(action, self.threshold),
             tuple(near[:count]),
             self.calibration.rate(text, action),
+            self.calibration.has_tested(text),
         )
 
     def _nearest(self, cosines: Float[Tensor, " known"], count: int) -> dict[Sentence, float]:
