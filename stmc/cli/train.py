@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -256,16 +255,13 @@ def build_teacher(config: DictConfig, dataset: Dataset, distilled: Model, guidan
 def default_sampling(config: DictConfig, distilled: Model | None = None) -> Sampling:
     """Return the model's sampling defaults: those of the teacher without guidance for a distilled model.
 
-    A model of few steps is sampled in these, by DDIM. Its stitching starts after whole steps: those that contain the
-    teacher's share, but never all.
+    A model of few steps is sampled in these, by DDIM, and stitched from the first on: with four steps, transitions are
+    then as smooth as the teacher's, and no more is lost than by chance.
     """
     guidance = 1 if distilled and config.guidance is None else config.guidance
     values = {"noise_scale": config.noise_scale, "guidance": guidance}
     if steps := config.objective.get("steps"):
-        values |= {"steps": steps, "sampler": "ddim"}
-        if distilled and distilled.sampling.stitch_from:
-            independent = min(math.ceil(distilled.sampling.stitch_from * steps), steps - 1)
-            values["stitch_from"] = independent / steps
+        values |= {"steps": steps, "sampler": "ddim", "stitch_from": 0.0}
     own = record_of(Sampling, values)
     return own.with_defaults(distilled.sampling) if distilled else own
 
