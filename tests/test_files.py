@@ -84,6 +84,14 @@ def test_a_text_has_the_same_bytes_on_every_system(tmp_path):
     assert (tmp_path / "whole").read_bytes() == b"a\n\xc3\xa4\n"
 
 
+def test_a_file_is_written_beside_a_scratch_folder_whose_long_name_begins_alike(tmp_path):
+    path = tmp_path / ("a-timeline-with-many-prompts" * 3)
+    with files.scratch(path) as aside:
+        write_text(path.with_suffix(".json"), "{}")
+        assert aside.is_dir()
+    assert [each.suffix for each in tmp_path.iterdir()] == [".json"]
+
+
 def test_a_long_name_can_be_written(tmp_path):
     write_text(tmp_path / ("走" * 80), "a")
     assert len(os.listdir(tmp_path)) == 1

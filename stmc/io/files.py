@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import itertools
 import logging
 import math
 import os
@@ -15,7 +16,6 @@ import secrets
 import shutil
 import socket
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -29,6 +29,7 @@ LOCK = ".lock"
 """The lock file of a folder; a process that ends normally removes it."""
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _TOKEN = secrets.token_hex(4)  # a restarted container reuses process numbers
+_NUMBERS = itertools.count()  # long names that begin alike, one written while another is, must not meet
 _TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-([0-9a-f]{8})-\d+\.tmp")
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
 """Errors of a file system without locks."""
@@ -136,8 +137,8 @@ def _remove(folder: Path, names: Iterable[str]) -> None:
 
 
 def _temporary(path: Path) -> Path:
-    """Name a temporary file beside `path` that identifies its process and machine."""
-    return path.with_name(f".{path.name[:32]}.{_HOST}-{os.getpid()}-{_TOKEN}-{threading.get_ident()}.tmp")
+    """Name a temporary file beside `path` that identifies its process and machine; no two calls give the same name."""
+    return path.with_name(f".{path.name[:32]}.{_HOST}-{os.getpid()}-{_TOKEN}-{next(_NUMBERS)}.tmp")
 
 
 @contextmanager
