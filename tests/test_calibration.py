@@ -250,10 +250,11 @@ def test_a_prompt_that_rarely_works_warns_by_a_class_of_its_own_under_the_common
 
 def test_a_prompt_that_was_tested_itself_is_known_however_far_it_is_from_the_kept_sentences(small):
     trials = {"Juggle": Trial("juggle", 8, geometry=1.0), "swim": Trial("swim", 8, geometry=0.25)}
+    trials["knit"] = Trial("knit", 8)  # sampled, but nobody judged it
     tested = replace(small, calibration=Calibration(trials))
     assert not any(each.known for each in small.recognise(["juggle", "swim"], Hashes()))
-    juggle, swim, other = tested.recognise(["juggle ", "swim", "juggle balls"], Hashes())
-    assert juggle.known and juggle.works and not other.known
+    juggle, swim, other, knit = tested.recognise(["juggle ", "swim", "juggle balls", "knit"], Hashes())
+    assert juggle.known and juggle.works and not other.known and not knit.known
     assert swim.known and not swim.works and "rarely works: 25 %" in swim.advice
 
 

@@ -221,9 +221,10 @@ def test_a_model_of_few_steps_is_distilled_and_remembers_how_it_is_sampled(work,
     assert stmc.load(work / "fewer").settings().steps == 1
 
 
-def test_a_model_of_few_steps_is_stitched_from_the_first_on_whatever_its_teacher_is(trained, distilling):
+@pytest.mark.parametrize("steps", [1, 2, 4, 10])
+def test_a_model_of_few_steps_is_stitched_from_the_first_on_whatever_its_teacher_is(trained, distilling, steps):
     teacher = replace(stmc.load(trained), sampling=stmc.Sampling(stitch_from=0.2))
-    config = configured("train", *distilling, "+objective.steps=4", "+objective.teacher_steps=20")
+    config = configured("train", *distilling, f"+objective.steps={steps}", "+objective.teacher_steps=20")
     assert loaded("train").default_sampling(config, teacher).stitch_from == 0
 
 

@@ -303,7 +303,8 @@ def calibrate_warnings(config: DictConfig) -> None:
     known = {text: name for name in CONTENTS if name in contents for text in CONTENTS[name].unseen}
     known |= {text: action for text, action in inside.items() if action in contents}
     texts = [*known, *unknown, *MTT_CHECKS]
-    found = {each.text: replace(each, tested=False) for each in model.recognise(texts)}  # by score, as other prompts
+    # by score alone: the thresholds are for prompts that nobody has tested
+    found = {each.text: replace(each, tested=False) for each in model.recognise(texts)}
     if not found:
         raise SettingError(f"prompts={config.prompts}: comparing prompts needs MiniLM, which is not available")
     after = calibrate_thresholds(before, known, unknown, found)

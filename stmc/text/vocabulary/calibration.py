@@ -75,14 +75,15 @@ class Calibration:
                 passed[trial.action] = passed.get(trial.action, 0.0) + trial.samples * rate
         return {action: passed[action] / samples[action] for action in samples}
 
-    def has_tested(self, text: str) -> bool:
-        """Tell whether the text itself was tested, in any case and spacing."""
-        return _words(text) in self._by_words
+    def trial(self, text: str) -> Trial | None:
+        """Return the judged trial of the text itself, in any case and spacing, if there is one."""
+        trial = self._by_words.get(_words(text))
+        return None if trial is None or trial.rate is None else trial
 
     def rate(self, text: str, action: str) -> float | int | None:
         """Return the success rate of a text, or else that of its action; None if neither was measured."""
-        trial = self._by_words.get(_words(text))
-        return self.rates.get(action) if trial is None or trial.rate is None else trial.rate
+        trial = self.trial(text)
+        return self.rates.get(action) if trial is None else trial.rate
 
     def threshold_of(self, action: str, otherwise: float | int) -> float | int:
         """Return the threshold of an action, or else that of the model, or else `otherwise`."""

@@ -191,7 +191,7 @@ class Vocabulary:
             self.calibration.threshold_of(action, self.threshold),
             tuple(near[:count]),
             self.calibration.rate(text, action),
-            self.calibration.has_tested(text),
+            self.calibration.trial(text) is not None,
         )
 
     def _nearest(self, cosines: Float[Tensor, " known"], count: int) -> dict[Sentence, float]:
