@@ -1,6 +1,7 @@
 """What a model was trained to hear: whether it knows a prompt, body parts for prompts, and the file of both."""
 
 import json
+import math
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from stmc.text.vocabulary import (
     write_vocabulary,
 )
 from stmc.text.vocabulary import vocabulary as vocabulary_module
+from stmc.text.vocabulary.classifier import Classifier, fit_classifier, log_odds
 from stmc.timeline import UnknownPromptWarning
 
 PROMPTS = json.loads((ROOT / "tests/helpers/prompts.json").read_text("utf-8"))
@@ -77,16 +79,16 @@ def test_a_prompt_that_is_not_known_warns_with_the_nearest_that_are_and_is_made_
 
 
 def test_only_what_is_near_is_named(bundled_recognitions):
-    tango, german, walk = bundled_recognitions
-    assert [sentence.text for sentence in tango.near] == ["the robot dances salsa"] and len(tango.nearest) == 3
-    assert tango.advice.endswith("the nearest it knows: 'the robot dances salsa'")
+    drums, german, walk = bundled_recognitions
+    assert [sentence.text for sentence in drums.near] == ["play the guitar"] and len(drums.nearest) == 3
+    assert drums.advice.endswith("the nearest it knows: 'play the guitar'")
     assert not german.near and german.advice.endswith("it knows nothing near")
     assert walk.near == walk.nearest
 
 
 @pytest.fixture
 def bundled_recognitions() -> list:
-    return stmc.load().recognise(["tango", "gehe vorwärts", "walk"])
+    return stmc.load().recognise(["play the drums", "gehe vorwärts", "walk"])
 
 
 def test_a_text_is_compared_once_and_no_encoder_is_made_for_none(small, monkeypatch):
@@ -115,13 +117,13 @@ def test_a_prompt_too_long_for_one_crop_is_asked_for_once_where_it_happens_once(
 
 
 def test_sentences_are_kept_by_weight_until_they_tell_nothing_new(small, monkeypatch):
-    assert [each.text for each in small.known] == ["walk", "stroll along", "wave"]
+    assert [each.text for each in small.known] == ["walk", "wave", "stroll along"]  # the first of each, then by weight
     near = WEIGHTS | {Sentence("walk walk", WALK): 0.5}  # its mean word is that of "walk"
     assert build_vocabulary(near, Hashes()).known == small.known
     other = WEIGHTS | {Sentence("walk walk", WAVE): 0.5}  # near to a sentence of another content alone
     assert len(build_vocabulary(other, Hashes()).known) == 4
     monkeypatch.setattr(building, "KEPT", 2)
-    assert build_vocabulary(WEIGHTS, Hashes()).known == small.known[::2]  # one of each content
+    assert build_vocabulary(WEIGHTS, Hashes()).known == small.known[:2]  # one of each content
     with pytest.raises(ValueError, match="at least one sentence"):
         build_vocabulary({Sentence(" ", WALK): 1.0}, Hashes())
 
@@ -164,6 +166,7 @@ def test_a_file_gives_back_what_was_written(small, tmp_path):
     read = read_vocabulary(path)
     assert (read.known, read.others, read.threshold) == (small.known, small.others, small.threshold)
     assert torch.cosine_similarity(read.embeddings.float(), small.embeddings.float()).min() > 0.998  # of eight bits
+    assert torch.equal(read.classifier.weights, small.classifier.weights)
     again = tmp_path / "again.safetensors"
     write_vocabulary(read, again)
     assert again.read_bytes() == path.read_bytes()
@@ -216,6 +219,64 @@ def test_embeddings_that_cannot_be_meant_are_refused(change, small, tmp_path):
         read_vocabulary(tmp_path / VOCABULARY)
 
 
+@pytest.mark.parametrize("change", [lambda rows: rows[1:], torch.Tensor.float, lambda rows: rows / 0])
+def test_a_classifier_of_other_actions_or_without_sense_is_refused(change, small, tmp_path):
+    write_vocabulary(small, tmp_path / VOCABULARY)
+    with safe_open(tmp_path / VOCABULARY, "pt") as file:
+        table, rows = file.metadata()["vocabulary"], file.get_tensor("embeddings").clone()
+    numbers = {"embeddings": rows, "classifier": change(small.classifier.weights)}
+    save_file(numbers, tmp_path / VOCABULARY, {"vocabulary": table})
+    with pytest.raises(VocabularyError, match="the classifier must be 4 by 385 finite numbers in half precision"):
+        read_vocabulary(tmp_path / VOCABULARY)
+    with pytest.raises(ValueError, match="a classifier of 3 classes for 2 actions, more and none"):
+        replace(small, classifier=Classifier(small.classifier.weights[1:]))
+
+
+def test_log_odds_are_those_of_the_actions_asked_for_against_all_others():
+    logits, every = torch.tensor([0.0, 0.0, -torch.inf, 0.0]), torch.tensor([True, True])
+    assert log_odds(logits, every) == pytest.approx(math.log(2))
+    assert log_odds(logits, torch.tensor([True, False])) == pytest.approx(-math.log(2))
+    assert log_odds(logits, ~every) == -10 and log_odds(torch.tensor([90.0, 0.0, 0.0, 0.0]), every) == 10
+    assert log_odds(torch.tensor([0.0, 0.0, 0.0, 0.0]), every) == pytest.approx(math.log(3)), "of texts that say more"
+
+
+def test_the_classifier_separates_what_it_was_fitted_to_and_knows_no_side_of_an_even_text():
+    rows, classes = torch.eye(4)[[0, 0, 1, 2, 3]], torch.tensor([0, 0, 1, 2, 3])
+    logits = fit_classifier(rows, classes, 2).logits(rows)
+    assert logits.argmax(dim=1).tolist() == classes.tolist() and logits.softmax(dim=1).amax(dim=1).min() > 0.9
+    even = fit_classifier(torch.eye(4)[[1, 0, 2]], torch.tensor([0, 1, 3]), 2).logits(torch.eye(4)[:2].mean(0)[None])
+    assert float(even[0, 0]) == pytest.approx(float(even[0, 1]), abs=0.05)
+
+
+def test_words_are_the_first_in_plain_words_and_what_says_more_is_not_put_in_them():
+    weights = {Sentence("walk sadly", WALK): 9.0, **WEIGHTS}
+    vocabulary = build_vocabulary(weights, Hashes(), more={"walk sadly", "walk and wave"})
+    stroll, sad, both, juggle = vocabulary.recognise(
+        ["stroll along", "walk sadly", "walk and wave", "juggle"], Hashes()
+    )
+    assert (stroll.words, sad.words) == ("walk", "")
+    assert stroll.confidence > 0.6 > max(sad.confidence, both.confidence, juggle.confidence)
+
+
+def test_an_action_is_told_by_all_sentences_not_by_the_nearest_that_was_kept(small):
+    """Of sentences that are not kept, the classifier has learned too."""
+    shared = {Sentence("hello walk home", WALK): 1.0} | {
+        Sentence(f"hello {word}", WAVE): 1.0 for word in ("friend", "there", "you", "all", "sun")
+    }
+    vocabulary = build_vocabulary(WEIGHTS | shared, Hashes())
+    [told] = vocabulary.recognise(["hello hello you walk"], Hashes())
+    [nearest] = replace(vocabulary, classifier=None).recognise(["hello hello you walk"], Hashes())
+    assert told.action == "wave" and told.nearest[0].content == WAVE
+    assert nearest.score != told.score
+
+
+def test_data_without_actions_have_no_classifier():
+    named = build_vocabulary(WEIGHTS, Hashes())
+    nameless = build_vocabulary({Sentence(each.text, Content()): 1.0 for each in WEIGHTS}, Hashes())
+    assert nameless.classifier is None and len(named.classifier.weights) == 4
+    assert nameless.threshold < named.threshold
+
+
 def test_a_vocabulary_travels_with_its_model_and_a_damaged_one_is_named(small, tmp_path):
     run = stmc.save(replace(tiny(), vocabulary=small), tmp_path / "run", card="")
     assert stmc.load(run).vocabulary.known == small.known
@@ -244,7 +305,7 @@ def test_the_bundled_file_is_small():
 def test_the_page_marks_prompts_that_are_not_known(small):
     timeline = stmc.Timeline.parse("walk # 0 # 1\njuggle # 0 # 1 # head")
     [motion] = tiny().generate(timeline, steps=1)
-    page = stmc.render_html(motion, timeline, unknown=replace_known(small, ["walk", "juggle"]))
+    page = stmc.render_html(motion, timeline, doubtful=replace_known(small, ["walk", "juggle"]))
     assert page.count('class="bar unknown"') == 1 and "it knows nothing near" in page
     assert 'class="bar unknown"' not in stmc.render_html(motion, timeline)
 

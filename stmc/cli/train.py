@@ -293,7 +293,7 @@ def build_model(config: DictConfig, dataset: Dataset, cache: Cache, sampling: Sa
         longest=longest,
         prediction=config.objective.prediction,
         sampling=sampling,
-        vocabulary=vocabulary_of(cache, dataset.min_clips, sentence_encoder(encoder)),
+        vocabulary=vocabulary_of(cache, dataset.min_clips, sentence_encoder(encoder), dataset.joined),
         config={part: described[part] for part in PARTS},
     )
 

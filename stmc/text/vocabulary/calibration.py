@@ -12,6 +12,9 @@ from functools import cached_property
 RARELY = 0.5
 """Success rate below which an action rarely works."""
 
+MANY, PROVEN = 8, 0.75
+"""Number of samples of a sentence, and their success rate, from which the model shows it in its own words."""
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -33,6 +36,11 @@ class Trial:
     def rate(self) -> float | int | None:
         """The fraction of the samples that show the action: judged by geometry if possible, else by the evaluator."""
         return self.evaluator if self.geometry is None else self.geometry
+
+    @property
+    def proven(self) -> bool:
+        """Whether at least `PROVEN` of many samples show the action."""
+        return self.samples >= MANY and self.rate is not None and self.rate >= PROVEN
 
 
 @dataclass(frozen=True)
@@ -91,8 +99,12 @@ class Calibration:
         return self.thresholds.get(action, common)
 
     def with_trials(self, trials: Mapping[str, Trial]) -> Calibration:
-        """Add trials; a new trial of a sentence replaces the old one."""
-        return replace(self, trials={**self.trials, **trials})
+        """Add trials; a new trial of a sentence replaces one that has no more samples."""
+        better = {text: each for text, each in trials.items() if each.samples >= self._samples(text)}
+        return replace(self, trials={**self.trials, **better})
+
+    def _samples(self, text: str) -> int:
+        return self.trials[text].samples if text in self.trials else 0
 
     @cached_property
     def _by_words(self) -> Mapping[str, Trial]:

@@ -95,6 +95,22 @@ def mirrored(text: str) -> str:
     return _SIDED.sub(_swap, text)
 
 
+def without_side(text: str) -> str:
+    """Rewrite a text so that it names no side: "wave with the left hand" becomes "wave".
+
+    Examples:
+        >>> [without_side(text) for text in ("look left", "throw a left jab", "hop to the right")]
+        ['look', 'throw a jab', 'hop']
+    """
+    return " ".join(_SIDE_WORDS.sub(" ", text).split()).strip(" ,")
+
+
+_SIDE_WORDS = re.compile(
+    r"\b(?:(?:with|using|on|to|in|towards|by) )?(?:(?:the|a|your|his|her|their|its) )?(?:left|right)(?:wards?|-handed)?"
+    r"(?: (?:hand|arm|fist|foot|leg|side))?\b",
+    flags=re.IGNORECASE,
+)
+
 _SIDED = re.compile(
     r"(?<![a-z])(left|right|clockwise|(?:counter|anti)[- ]?clockwise)(?=(?:wards?)?(?![a-z]))", flags=re.IGNORECASE
 )

@@ -17,6 +17,7 @@ from stmc.motion.body import BodyPart
 from stmc.text import TextEncoder
 from stmc.text.vocabulary.agreement import Agreement
 from stmc.text.vocabulary.calibration import RARELY, Calibration
+from stmc.text.vocabulary.classifier import Classifier, log_odds
 from stmc.text.vocabulary.sentences import Content, Sentence, embed_sentences
 
 THRESHOLD = 0.6
@@ -30,6 +31,9 @@ NEAR = 0.45
 CONTRARY = 0.1
 """Cosine by which a contradicting sentence counts less than an everyday action, since its action may be in the
 vocabulary in other words. Measured with the left or right form of each action left out."""
+
+ODDS = 0.2
+"""Weight of the classifier's log-odds beside cosines. With 0.1, more of the known prompts warn."""
 
 NEAREST = 3
 """Number of training sentences in a message."""
@@ -49,6 +53,9 @@ class Recognition:
     have no names; those that agree with the prompt's side, direction and speed come first. `near` holds those with a
     cosine of at least `NEAR`. The prompt is in the vocabulary if `score` is at least `threshold`, or if the prompt
     itself was `tested`. `rate` is the fraction of samples that show such a prompt, from 0 to 1; None: not measured.
+    With the probability `confidence`, the prompt asks for its action in plain words, as `words` do: the action's first
+    training sentence. `words` is empty without a classifier, if these words rarely work, or if the prompt was tested
+    with many samples and works as it is.
     """
 
     text: str
@@ -58,6 +65,8 @@ class Recognition:
     near: tuple[Sentence, ...]
     rate: float | int | None = None
     tested: bool = False
+    confidence: float = 0.0
+    words: str = ""
 
     @property
     def known(self) -> bool:
@@ -73,6 +82,12 @@ class Recognition:
     def works(self) -> bool:
         """Whether the prompt is in the vocabulary, and does not rarely work."""
         return self.known and (self.rate is None or self.rate >= RARELY)
+
+    def read_from(self, confidence: float | int) -> str:
+        """Return the text that a model reads instead of the prompt from a `confidence` on; 1: always the prompt."""
+        return (
+            self.words if self.known and self.words and confidence < 1 and self.confidence >= confidence else self.text
+        )
 
     @property
     def happens_once(self) -> bool:
@@ -99,8 +114,11 @@ class Vocabulary:
     `others` are sentences of everyday actions that are absent from training. `embeddings` holds one row of length 1 in
     half precision for each known sentence, then for each other one.
 
-    A prompt is in the vocabulary if 2 k - o is at least `threshold`: k is its cosine to the nearest known sentence, o
-    to the nearest other one, after subtraction of the others' mean, which all sentences share. For example, "ride a
+    A prompt is in the vocabulary if 2 k - o + `ODDS` l is at least `threshold`: k is its cosine to the nearest known
+    sentence, o to the nearest other one, after subtraction of the others' mean, which all sentences share, and l the
+    log-odds by the `classifier` that it asks for an action whose sentences agree with it. The classifier also tells
+    which, if the prompt asks for it in plain words; otherwise, and without a classifier, where l is 0, the nearest
+    sentence tells. For example, "ride a
     bicycle" is out of vocabulary although "ride a motorcycle" is in it, since it is an everyday action itself. Known
     sentences that contradict the prompt's side, direction or speed count among the others, with `CONTRARY` subtracted:
     "jog backwards" is out of vocabulary if all jogs go forwards. `calibration` holds measurements of the model; its
@@ -117,6 +135,7 @@ class Vocabulary:
     embeddings: Float[Tensor, "sentences width"]
     threshold: float | int = THRESHOLD
     calibration: Calibration = field(default_factory=Calibration)
+    classifier: Classifier | None = None
 
     def __post_init__(self) -> None:
         if not self.known or not self.others:
@@ -124,6 +143,9 @@ class Vocabulary:
         if len(self.embeddings) != len(self.known) + len(self.others):
             count = len(self.known) + len(self.others)
             raise ValueError(f"{len(self.embeddings)} embeddings for {count} sentences")
+        if self.classifier is not None and len(self.classifier.weights) != len(self.contents) + 2:
+            classes = len(self.classifier.weights)
+            raise ValueError(f"a classifier of {classes} classes for {len(self.contents)} actions, more and none")
 
     @cached_property
     def contents(self) -> tuple[Content, ...]:
@@ -141,11 +163,7 @@ class Vocabulary:
             >>> next(sentences[0].text for content, sentences in examples.items() if content.name == "sit-down")
             'sitting down'
         """
-        indices: dict[Content, list[int]] = {content: [] for content in self.contents}
-        for index, sentence in enumerate(self.known):
-            if sentence.content.name:
-                indices[sentence.content].append(index)
-        return {content: self._select_examples(same) for content, same in indices.items()}
+        return {content: self._select_examples(same) for content, same in self._of_contents.items()}
 
     def recognise(self, texts: Sequence[str], encoder: TextEncoder, count: int = NEAREST) -> list[Recognition]:
         """Compare texts with the vocabulary.
@@ -163,8 +181,10 @@ class Vocabulary:
         """
         if not texts:
             return []
-        rows = self.cosines(texts, encoder)
-        return [self._recognise(text, row, count) for text, row in zip(texts, rows, strict=True)]
+        embeddings = self._centre_rows(embed_sentences(texts, encoder))
+        logits = self.classifier.logits(embeddings) if self.classifier else [None] * len(texts)
+        rows = zip(texts, embeddings @ self._rows.T, logits, strict=True)
+        return [self._recognise(*row, count) for row in rows]
 
     def cosines(self, texts: Sequence[str], encoder: TextEncoder) -> Float[Tensor, "texts sentences"]:
         """Compute cosines of texts to all known sentences, then to all others, after subtraction of the others' mean.
@@ -176,22 +196,34 @@ class Vocabulary:
         """
         return self._centre_rows(embed_sentences(texts, encoder)) @ self._rows.T
 
-    def _recognise(self, text: str, row: Float[Tensor, " sentences"], count: int) -> Recognition:
+    def _recognise(
+        self, text: str, row: Float[Tensor, " sentences"], logits: Float[Tensor, " classes"] | None, count: int
+    ) -> Recognition:
         known, others = row[: len(self.known)], row[len(self.known) :]
         agrees, contradicts = self._agreement.of(text)
         agreeing = known.masked_fill(~agrees, _EXCLUDED)
         unlike = torch.cat([others, (known - CONTRARY).masked_fill(~contradicts, _EXCLUDED)])
         nearest = self._nearest(agreeing, count) | self._nearest(known, count)
+        odds, confidence, words = 0.0, 0.0, ""
+        if logits is not None:
+            asked = torch.stack([agrees[indices].any() for indices in self._of_contents.values()])
+            odds, best = log_odds(logits, asked), int(logits[:-2].masked_fill(~asked, -torch.inf).argmax())
+            if asked[best] and logits[best] > logits[-2]:  # otherwise it says more, and the nearest sentence tells
+                confidence, indices = float(logits.softmax(dim=0)[best]), self._of_contents[self.contents[best]]
+                nearest = {self.examples[self.contents[best]][0]: float(known[indices].max())} | nearest
+                words = self._words(text, self.known[indices[0]].text)
         near = [sentence for sentence, cosine in nearest.items() if cosine >= NEAR]
         action = next(iter(nearest)).content.name
         return Recognition(
             text,
             tuple(nearest)[:count],
-            float(2 * agreeing.max() - unlike.max()),
+            float(2 * agreeing.max() - unlike.max()) + ODDS * odds,
             self.calibration.threshold_of(action, self.threshold),
             tuple(near[:count]),
             self.calibration.rate(text, action),
             self.calibration.trial(text) is not None,
+            confidence,
+            words,
         )
 
     def _nearest(self, cosines: Float[Tensor, " known"], count: int) -> dict[Sentence, float]:
@@ -203,6 +235,21 @@ class Vocabulary:
             sentence = self.known[index]
             nearest.setdefault(self.examples.get(sentence.content, (sentence,))[0], float(cosines[index]))
         return nearest
+
+    def _words(self, text: str, first: str) -> str:
+        """Return the first sentence of a text's action; "" if that was measured to work rarely, or the text to work."""
+        trial, own = self.calibration.trial(first), self.calibration.trial(text)
+        rarely = trial is not None and (trial.rate or 0.0) < RARELY
+        return "" if rarely or (own is not None and own.proven) else first
+
+    @cached_property
+    def _of_contents(self) -> Mapping[Content, list[int]]:
+        """The indices of the known sentences of each action."""
+        indices: dict[Content, list[int]] = {content: [] for content in self.contents}
+        for index, sentence in enumerate(self.known):
+            if sentence.content.name:
+                indices[sentence.content].append(index)
+        return indices
 
     @cached_property
     def _agreement(self) -> Agreement:

@@ -18,6 +18,7 @@ from safetensors.torch import save_file
 from stmc.io.files import write_whole
 from stmc.io.untrusted import UnreadableError, load_json, quote, truncate
 from stmc.motion.body import BodyPart
+from stmc.text.vocabulary.classifier import Classifier
 from stmc.text.vocabulary.sentences import LONGEST_TEXT, Content, Sentence
 from stmc.text.vocabulary.vocabulary import Vocabulary
 
@@ -27,7 +28,7 @@ MOST_BYTES = 16 * 2**20
 MOST_SENTENCES, LONGEST_NAME = 20_000, 100
 """Limits of the sentences in a file, and of the characters in the name of an action."""
 
-TABLE, EMBEDDINGS = "vocabulary", "embeddings"
+TABLE, EMBEDDINGS, CLASSIFIER = "vocabulary", "embeddings", "classifier"
 _WRITTEN, _WRITTEN_BEFORE = torch.float8_e4m3fn, torch.float16
 """Types of embeddings in new and in older files. Eight bits change cosines by at most 0.01."""
 _ROUNDING = 2**-4
@@ -51,6 +52,8 @@ def write_vocabulary(vocabulary: Vocabulary, path: Path) -> None:
         "threshold": vocabulary.threshold,
     }
     numbers = {EMBEDDINGS: vocabulary.embeddings.to(_WRITTEN).contiguous()}
+    if vocabulary.classifier is not None:
+        numbers[CLASSIFIER] = vocabulary.classifier.weights.half().contiguous()
     metadata = {TABLE: json.dumps(table, ensure_ascii=False)}
     write_whole(path, lambda temporary: save_file(numbers, temporary, metadata))
 
@@ -62,16 +65,16 @@ def read_vocabulary(path: Path) -> Vocabulary:
             raise VocabularyError(f"larger than {MOST_BYTES >> 20} MiB, the limit for such a file")
         with safe_open(path, "pt") as file:
             table = load_json((file.metadata() or {}).get(TABLE, ""))
-            names = list(file.keys())
-            if names != [EMBEDDINGS]:
-                raise VocabularyError(f"must hold {EMBEDDINGS} only, not {quote(names)}")
-            embeddings = file.get_tensor(EMBEDDINGS).clone()  # not mapped: the file may be replaced
-        return _vocabulary(table, embeddings)
+            names = set(file.keys())
+            if not {EMBEDDINGS} <= names <= {EMBEDDINGS, CLASSIFIER}:
+                raise VocabularyError(f"must hold {EMBEDDINGS} and at most {CLASSIFIER}, not {quote(sorted(names))}")
+            numbers = {name: file.get_tensor(name).clone() for name in names}  # not mapped: the file may be replaced
+        return _vocabulary(table, numbers[EMBEDDINGS], numbers.get(CLASSIFIER))
     except (VocabularyError, UnreadableError, SafetensorError, OSError) as error:
         raise VocabularyError(f"{path} cannot be read: {truncate(' '.join(str(error).split()), 200)}") from error
 
 
-def _vocabulary(table: Any, embeddings: torch.Tensor) -> Vocabulary:
+def _vocabulary(table: Any, embeddings: torch.Tensor, classifier: torch.Tensor | None) -> Vocabulary:
     if not isinstance(table, Mapping) or set(table) != set(_KEYS):
         raise VocabularyError(f"must be an object of {', '.join(_KEYS)}, not {quote(table)}")
     contents = [_content(row) for row in _rows(table, "contents", 3)]
@@ -85,7 +88,22 @@ def _vocabulary(table: Any, embeddings: torch.Tensor) -> Vocabulary:
     typed = embeddings.dtype in (_WRITTEN, _WRITTEN_BEFORE)
     if not typed or not ((embeddings.float().norm(dim=1) - 1).abs() < _ROUNDING).all():
         raise VocabularyError("embeddings must be of length 1, in eight bits (float8_e4m3fn) or in half precision")
-    return Vocabulary(tuple(known), tuple(others), F.normalize(embeddings.float(), dim=1).half(), threshold)
+    if classifier is not None:
+        classes = len({sentence.content for sentence in known if sentence.content.name}) + 2
+        _check_classifier(classifier, (classes, embeddings.shape[1] + 1))
+    return Vocabulary(
+        tuple(known),
+        tuple(others),
+        F.normalize(embeddings.float(), dim=1).half(),
+        threshold,
+        classifier=None if classifier is None else Classifier(classifier),
+    )
+
+
+def _check_classifier(classifier: torch.Tensor, shape: tuple[int, int]) -> None:
+    """Raise `VocabularyError` unless a classifier is finite, of the `shape` and in half precision."""
+    if classifier.shape != shape or classifier.dtype != torch.float16 or not classifier.isfinite().all():
+        raise VocabularyError(f"the classifier must be {shape[0]} by {shape[1]} finite numbers in half precision")
 
 
 def _rows(table: Mapping[str, Any], key: str, width: int) -> Sequence[Any]:

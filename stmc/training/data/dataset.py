@@ -117,7 +117,7 @@ class Dataset:
         keys = {clip.texts for clip, known in zip(cache.clips, self.described, strict=True) if known}
         own = {text for key in keys for text, _ in cache.texts[key]}
         pairs = {text for texts in joined.values() for text in texts} - own
-        self.sentences = ["", *sorted(own - {""}), *sorted(pairs)]
+        self.sentences, self.joined = ["", *sorted(own - {""}), *sorted(pairs)], frozenset(pairs)
         words, lengths = encoder.encode(self.sentences)
         self.words = lengths.cpu().numpy()
         exists = tensors.mask(lengths, words.shape[1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Collection
 
 from stmc.data.cache import Cache
 from stmc.motion.body import BodyPart
@@ -10,7 +11,7 @@ from stmc.text import TextEncoder
 from stmc.text.vocabulary import Content, Sentence, Vocabulary, build_vocabulary
 
 
-def vocabulary_of(cache: Cache, min_clips: int, encoder: TextEncoder) -> Vocabulary:
+def vocabulary_of(cache: Cache, min_clips: int, encoder: TextEncoder, joined: Collection[str] = ()) -> Vocabulary:
     """Build the vocabulary of a cache's training clips.
 
     Clips without known body parts belong to an unnamed content: for data sets of individual recordings, such as
@@ -20,16 +21,23 @@ def vocabulary_of(cache: Cache, min_clips: int, encoder: TextEncoder) -> Vocabul
         cache: Prepared data.
         min_clips: Contents with fewer training clips have no texts, as in `Dataset`.
         encoder: Sentence encoder of the vocabulary.
+        joined: Sentences about two contents, if the training has some. The classifier learns that these say more than
+            one content in plain words, as sentences do that clips of one style alone have.
     """
     training = [clip for clip in cache.clips if clip.split == "train"]
     counts: dict[str, int] = defaultdict(int)
     for clip in training:
         counts[clip.content] += 1
     weights: dict[Sentence, float] = defaultdict(float)
+    keys: dict[str, set[str]] = defaultdict(set)
+    lists: dict[tuple[str, str], set[str]] = defaultdict(set)
     for clip in training:
         if counts[clip.content] >= min_clips:
             parts = frozenset(map(BodyPart, clip.parts))
             content = Content(clip.content, parts, clip.cyclic) if parts else Content()
             for text, share in cache.texts[clip.texts]:
                 weights[Sentence(text, content)] += share
-    return build_vocabulary(weights, encoder)
+                lists[clip.content, text].add(clip.texts)
+            keys[clip.content] |= {clip.texts} if cache.texts[clip.texts] else set()
+    plain = {text for (name, text), own in lists.items() if len(own) > 1 or len(keys[name]) == 1}
+    return build_vocabulary(weights, encoder, {text for _, text in lists}.difference(plain).union(joined))
