@@ -18,6 +18,7 @@ from torch import Tensor
 from stmc.composing import Method, Progress, Rule, Run, distinct_texts, find_method, guided_crops, guided_sequences
 from stmc.composing.batching import Guided
 from stmc.composing.methods import check_settings, resolve_settings
+from stmc.composing.own_words import in_own_words, one_shot_texts
 from stmc.composing.sampling import DEFAULT, Sampling, SamplingArguments
 from stmc.denoisers import Denoiser, Network, as_network
 from stmc.diffusion import Prediction, Schedule
@@ -161,10 +162,7 @@ class Model:
         return [recognition for recognition in self.recognise(texts) if not recognition.works]
 
     def _one_shot_texts(self, timelines: Sequence[Timeline]) -> frozenset[str]:
-        """Find texts that, by the vocabulary, describe a one-shot action, in prompts too long for one crop."""
-        prompts = (prompt for timeline in timelines for prompt in timeline.prompts)
-        long = [prompt.text for prompt in prompts if (prompt.end - prompt.start) * self.fps > self.longest]
-        return frozenset(recognition.text for recognition in self.recognise(long) if recognition.happens_once)
+        return one_shot_texts(timelines, self._recognise, self.longest / self.fps)
 
     def guided(
         self,
@@ -304,6 +302,7 @@ class Model:
             return []
         for prompt in self.doubtful(timelines):
             advise_prompt(prompt.advice, prompt.known)
+        timelines = in_own_words(timelines, self._recognise, sampling.restate_from)
         if method.baseline:
             timelines = tuple(method.baseline(timeline, self.fps, self.longest) for timeline in timelines)
         frames = [timeline.frames(self.fps) for timeline in timelines]
@@ -332,9 +331,10 @@ class Model:
             Motion(30 frames at 20 fps, 1.50 s)
         """
         request = GenerateRequest.read(stream_defaults(self.sampling) | settings | dict(timelines=timeline, seeds=seed))
-        model = replace(self, text_encoder=Remembered(self.text_encoder))
-        run = model._run((), request.seeds, self.check(request), lambda steps, total: steps)
-        return MotionStream(run, request, self.skeleton, self.representation, self._one_shot_texts)
+        model, sampling = replace(self, text_encoder=Remembered(self.text_encoder)), self.check(request)
+        run = model._run((), request.seeds, sampling, lambda steps, total: steps)
+        read = partial(in_own_words, recogniser=self._recognise, confidence=sampling.restate_from)
+        return MotionStream(run, request, self.skeleton, self.representation, read, self._one_shot_texts)
 
     def decode(
         self,

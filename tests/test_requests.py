@@ -162,6 +162,7 @@ OTHER = {
     "guidance_from": 0,
     "overlap": 0,
     "stitch_from": 0.0,
+    "restate_from": 0.5,
     "ape_steps": 0.5,
 }
 """Another value of everything that can be asked for: a field without one fails the test below."""

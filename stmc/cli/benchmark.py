@@ -136,7 +136,7 @@ def sample_batch(
 ) -> list[stmc.Motion]:
     """Sample timelines with the measured settings; a method of None is the measured one."""
     method = config.method if method is None else method
-    return model.generate(timelines, seed=seed, steps=config.steps, method=method, clean_feet=False)
+    return model.generate(timelines, seed=seed, steps=config.steps, method=method, clean_feet=False, restate_from=1)
 
 
 def measure_methods(config: DictConfig, model: stmc.Model, chosen: Sequence[stmc.Timeline]) -> list[Row]:

@@ -49,6 +49,12 @@ class Sampling:
         at_least=0,
         below=1,
     )
+    restate_from: float | int | None = setting(
+        None,
+        "probability of its action from which a prompt is read as the action's first training sentence; 1: never",
+        at_least=0,
+        at_most=1,
+    )
     ape_steps: float | int | None = setting(
         None, "FlowMDM's noisiest steps, which use absolute positions", unit="share of steps", at_least=0, at_most=1
     )
@@ -82,6 +88,7 @@ class SamplingArguments(TypedDict, total=False):
     guidance_from: float | int | None
     overlap: float | int | None
     stitch_from: float | int | None
+    restate_from: float | int | None
     ape_steps: float | int | None
 
 
@@ -89,6 +96,12 @@ INDEPENDENT = "independent"
 """The method that samples every prompt as a separate motion: an upper bound for compositions (appendix E)."""
 
 DEFAULT = Sampling(
-    sampler="ddpm", noise_scale="variance", guidance=2.5, guidance_from=0.0, overlap=0.5, stitch_from=0.0
+    sampler="ddpm",
+    noise_scale="variance",
+    guidance=2.5,
+    guidance_from=0.0,
+    overlap=0.5,
+    stitch_from=0.0,
+    restate_from=1.0,
 )
 """Defaults of settings that the caller, the method and the model all leave open; `steps` defaults to the schedule's."""

@@ -79,6 +79,7 @@ class MotionStream(Iterator[Frame]):
         request: The request; its timeline is the one to begin with.
         skeleton: Body of the frames.
         representation: Representation of the features.
+        read: Returns timelines as the model reads them; see `in_own_words`.
         one_shot: Finds the texts of one-shot actions; see `planning.plan`.
 
     Raises:
@@ -99,6 +100,7 @@ class MotionStream(Iterator[Frame]):
         request: GenerateRequest,
         skeleton: Skeleton,
         representation: Representation,
+        read: Callable[[Sequence[Timeline]], Sequence[Timeline]],
         one_shot: Callable[[Sequence[Timeline]], Collection[str]],
     ) -> None:
         _check(request, representation)
@@ -106,8 +108,8 @@ class MotionStream(Iterator[Frame]):
         prompts = () if timeline == EMPTY else timeline.prompts
         self._run, self._sample, self._clean = run, request.resolved_method.sample, request.clean_feet
         self.skeleton, self._representation = Skeleton(skeleton.offsets.double()), representation
-        self._live, self._one_shot = LiveTimeline(run.fps, prompts, memory=2 * run.longest), one_shot
-        self._timeline, self._one_shot_texts = timeline, one_shot([timeline])
+        self._live, self._read, self._one_shot = LiveTimeline(run.fps, prompts, 2 * run.longest), read, one_shot
+        self._follow_timeline(timeline)
         self._sheet: _Sheet | None = None
         self._ready = 0
         """The first frame that is not final; the frames of the sheet from here on fade out in the next block."""
@@ -205,10 +207,13 @@ class MotionStream(Iterator[Frame]):
         """Follow an edit: if it changes what the frames of the block need, the block ends before the next frame."""
         end = self._ready + self._frames(LOOKAHEAD_SECONDS)
         before = self._needed_tiles(end)
-        self._timeline = self._live.timeline or EMPTY
-        self._one_shot_texts = self._one_shot([self._timeline])
+        self._follow_timeline(self._live.timeline or EMPTY)
         if self._needed_tiles(end) != before:
             self._ready = self.cursor
+
+    def _follow_timeline(self, timeline: Timeline) -> None:
+        [self._timeline] = self._read([timeline])
+        self._one_shot_texts = self._one_shot([self._timeline])
 
     def _needed_tiles(self, end: int) -> set[tuple]:
         """Return the tiles of the frames from the next one to `end`, with their crops, in frames of the stream."""
