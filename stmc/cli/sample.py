@@ -41,6 +41,7 @@ from stmc.composing import find_method
 from stmc.composing.sampling import Sampling
 from stmc.diffusion.tensors import resolve_device
 from stmc.editing.generate_request import GenerateRequest, names
+from stmc.evaluation.verification import Unseen, find_unseen
 from stmc.io.filenames import distinct_names
 from stmc.io.files import probe, remove_leftovers, sha256
 from stmc.model import Precision
@@ -137,15 +138,28 @@ def make(
     doubtful = model.doubtful([job.timeline for job in wanted if job.name in missing])
     for prompt in doubtful:
         advise_prompt(prompt.advice, prompt.known)
+    print_own_words(model, [job.timeline for job in wanted if job.name in missing], sampling.restate_from, console)
     warnings.simplefilter("ignore", PromptWarning)  # `sample` would repeat the warnings
     probe(folder.path)
     remove_leftovers(folder.path)
     with progress_bars(console) as progress:
         task = progress.add_task("Motions", total=len(missing))
         for number, (job, motion) in enumerate(sample_missing(model, wanted, missing, size, progress), start=1):
-            paths = folder.save(motion, job, doubtful)
-            report(job, motion, paths, f"{number} of {len(missing)}", as_json, progress.console)
+            unseen = find_unseen(model, job.timeline, motion)
+            paths = folder.save(motion, job, [*doubtful, *unseen])
+            report(job, motion, paths, f"{number} of {len(missing)}", unseen, as_json, progress.console)
             progress.advance(task)
+
+
+def print_own_words(
+    model: stmc.Model, timelines: Sequence[stmc.Timeline], confidence: float | int | None, console: Console
+) -> None:
+    """Print the prompts that the model reads in words of its own, each once."""
+    texts = [prompt.text for timeline in timelines for prompt in timeline.prompts]
+    for each in model.recognise(texts):
+        read = each.read_from(1 if confidence is None else confidence)
+        if read != each.text:
+            console.print(f"{quote(each.text)} is read as {quote(read)}", markup=False)
 
 
 def hint(formats: Sequence[str]) -> str:
@@ -283,13 +297,24 @@ def progress_bars(console: Console) -> Iterator[Progress]:
         yield progress
 
 
-def report(job: Job, motion: stmc.Motion, paths: list[Path], place: str, as_json: bool, console: Console) -> None:
-    """Print a line about a motion that has been written."""
+def report(
+    job: Job,
+    motion: stmc.Motion,
+    paths: list[Path],
+    place: str,
+    unseen: Sequence[Unseen],
+    as_json: bool,
+    console: Console,
+) -> None:
+    """Print a line about a motion that has been written, and about each prompt that it does not show."""
     if as_json:
         files = [str(path) for path in paths]
         record = {"name": job.name, "seed": job.seed, "seconds": motion.duration, "files": files}
+        record["unseen"] = [each.text for each in unseen]
         sys.stdout.write(json.dumps(record) + "\n")
         sys.stdout.flush()
     else:
         kinds = ", ".join(path.suffix for path in paths)
         console.print(f"{job.name}: {motion.duration:.1f} s in {kinds} ({place})", markup=False)
+    for each in unseen:
+        console.print(f"{job.name}: {each.advice}", markup=False)

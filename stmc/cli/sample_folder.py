@@ -16,9 +16,9 @@ from stmc.io.bounds import check_pictures
 from stmc.io.filenames import name_of_texts
 from stmc.io.files import lock_file, scratch, sha256, write_text
 from stmc.io.untrusted import MOST_BYTES, UnreadableError, load_json, read_text
-from stmc.text.vocabulary import Recognition
 from stmc.timeline import Timeline
 from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS, export
+from stmc.viewing.web import Doubtful
 
 FORMATS = ("npz", "bvh", "html")
 """Default formats without a character."""
@@ -82,7 +82,7 @@ class MotionFolder:
             if each.animated and each.name in self.formats:
                 check_pictures(each.name, frames)
 
-    def save(self, motion: stmc.Motion, job: Job, unknown: Sequence[Recognition] = ()) -> list[Path]:
+    def save(self, motion: stmc.Motion, job: Job, doubtful: Sequence[Doubtful] = ()) -> list[Path]:
         """Write the motion in all formats, with its record, and return the paths.
 
         Files are written aside and renamed under a lock, together with the record of their digests. Files of an earlier
@@ -92,7 +92,7 @@ class MotionFolder:
         with scratch(self.path / job.name) as aside:
             made = [aside / f"{job.name}.{kind}" for kind in self.formats]
             for path in made:
-                self._write(motion, path, job, unknown)
+                self._write(motion, path, job, doubtful)
             digests = {path.suffix[1:]: sha256(path) for path in made}
             with lock_file(self.path / f".{job.name}.lock", math.inf):
                 request, former = self._recorded(job.name)
@@ -105,8 +105,8 @@ class MotionFolder:
                 write_text(self.path / f"{job.name}.json", json.dumps(done, indent=1, ensure_ascii=False) + "\n")
         return paths
 
-    def _write(self, motion: stmc.Motion, path: Path, job: Job, unknown: Sequence[Recognition]) -> None:
-        options = {"title": job.name, "unknown": unknown, "constraints": job.request.constraints, "fps": self.fps}
+    def _write(self, motion: stmc.Motion, path: Path, job: Job, doubtful: Sequence[Doubtful]) -> None:
+        options = {"title": job.name, "doubtful": doubtful, "constraints": job.request.constraints, "fps": self.fps}
         export(motion, path, job.timeline, self.character, **options)
 
     def free_name(self, timeline: Timeline) -> str:

@@ -2,4 +2,6 @@
 
 from lazy_loader import attach
 
-__getattr__, __dir__, __all__ = attach(__name__, submodules=["benchmarks", "metrics", "results", "study"])
+__getattr__, __dir__, __all__ = attach(
+    __name__, submodules=["benchmarks", "metrics", "results", "study", "verification"]
+)

@@ -69,7 +69,7 @@ EXPORTS: tuple[Format, ...] = (
         _save_page,
         opened_in="a browser",
         media_type="text/html",
-        options=("title", "unknown", "constraints"),
+        options=("title", "doubtful", "constraints"),
     ),
     _film(
         ".webp",

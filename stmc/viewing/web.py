@@ -10,7 +10,7 @@ import webbrowser
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from stmc.editing.constraints import KINDS, Constraint, Pose
 from stmc.formats.glb import Animation, glb_of
@@ -18,7 +18,6 @@ from stmc.motion.body import BodyPart
 from stmc.motion.body_model import Body
 from stmc.motion.motion import Motion
 from stmc.motion.skins import Skin, skin_of
-from stmc.text.vocabulary import Recognition
 from stmc.timeline import Prompt, Timeline
 from stmc.viewing.bundle import as_json, assemble
 from stmc.viewing.colours import (
@@ -35,13 +34,24 @@ _PAGE, _READ_WITHIN = "stmc-view-", 3600.0
 """Prefix of the files that `view` opens, and seconds within which browsers read them."""
 
 
+@runtime_checkable
+class Doubtful(Protocol):
+    """Protocol of a prompt that may not show, such as a `Recognition`."""
+
+    @property
+    def text(self) -> str: ...
+
+    @property
+    def advice(self) -> str: ...
+
+
 def render_html(
     motion: Motion,
     timeline: Timeline | None = None,
     title: str = "",
     overlap: int | float | None = None,
     body: Body | None = None,
-    unknown: Sequence[Recognition] = (),
+    doubtful: Sequence[Doubtful] = (),
     constraints: Sequence[Constraint] = (),
 ) -> str:
     """Render a motion as a self-contained HTML page (at most 2 MB for a minute at 20 frames per second).
@@ -57,8 +67,8 @@ def render_html(
         title: Title of the page; by default the name of the timeline.
         overlap: Length of transitions in seconds; None: as sampled.
         body: Body whose mesh is shown; None: a mannequin with the motion's own bones.
-        unknown: Prompts to mark as unknown to the model, with the nearest known ones as tooltips (see
-            `Model.doubtful`).
+        doubtful: Prompts to mark because they may not show, with advice as tooltips (see `Model.doubtful` and
+            `stmc.evaluation.verification.find_unseen`).
         constraints: Constraints to draw.
 
     Examples:
@@ -70,7 +80,7 @@ def render_html(
     title = title or (timeline.name if timeline is not None else "")
     overlap = transition_seconds(motion, overlap)
     marks = [_mark(f"c{number}", constraint, motion) for number, constraint in enumerate(constraints)]
-    advice = {each.text: each.advice for each in unknown}
+    advice = {each.text: each.advice for each in doubtful}
     texts = {
         "title": html.escape(title or "motion"),
         "heading": html.escape(title),

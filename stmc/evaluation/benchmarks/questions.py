@@ -226,7 +226,7 @@ QUESTIONS: Mapping[str, Question] = MappingProxyType({
     "run-turn-right": lambda motion: turn(motion) < -math.radians(25) and mean_speed(motion) > 1.5,
     "walk-veer-left": lambda motion: _veers(motion, turn(motion)),
     "walk-veer-right": lambda motion: _veers(motion, -turn(motion)),
-    "walk-slow": lambda motion: 0.3 < mean_speed(motion) < 1.1,
+    "walk-slow": lambda motion: 0.15 < mean_speed(motion) < 1.1,
     "shoot-ball": lambda motion: bool((_above_head(motion, "left") & _above_head(motion, "right")).any()),
     "walk": lambda motion: 0.4 <= mean_speed(motion) <= 2,
     "walk-back": lambda motion: mean_speed(motion) < -0.2,
