@@ -24,6 +24,9 @@ MAJORITY, NAMED, UNNAMED = 0.5, 0.8, 0.5
 """Fraction of the votes that claims a part; least fraction of a part that a word names; and factor of the fractions of
 other parts then."""
 
+LIKELY = 0.7
+"""Probability of an action from which its body parts are suggested; see `Sampling.restate_from`."""
+
 SURE = 0.5
 """Confidence from which the whole body is suggested because of what is near, and not for want of it."""
 
@@ -46,8 +49,8 @@ _SIDE = re.compile(r"\b(left|right)\b")
 class Suggestion:
     """Suggested body parts for a prompt.
 
-    `confidence` is the fraction, from 0 to 1, of the nearest sentences' votes that claim the same parts (either arm
-    counts as both). It is 0 if no sentence is near; the suggestion is then the whole body.
+    `confidence`, from 0 to 1, is the probability of the action that has these parts, or the fraction of the nearest
+    sentences' votes that claim them (either arm counts as both). It is 0 if no sentence is near; the suggestion is then the whole body.
     """
 
     parts: frozenset[BodyPart]
@@ -70,7 +73,8 @@ class Suggestion:
 def suggest(texts: Sequence[str], examples: Vocabulary, encoder: TextEncoder) -> list[Suggestion]:
     """Suggest the body parts of prompts from a vocabulary's sentences with known body parts.
 
-    The nearest sentences vote for each part, and words for parts outvote them. "Left" and "right" select an arm if they
+    If the vocabulary's classifier gives an action a probability of at least `LIKELY`, its parts are suggested.
+    Otherwise the nearest sentences vote for each part, and words for parts outvote them. "Left" and "right" select an arm if they
     stand beside a word for it, or if they stand alone and the legs do not move.
 
     Args:
@@ -82,7 +86,13 @@ def suggest(texts: Sequence[str], examples: Vocabulary, encoder: TextEncoder) ->
     indices = [index for index, sentence in enumerate(sentences) if sentence.content.parts]
     labelled = [sentences[index] for index in indices]
     rows = examples.cosines(texts, encoder)[:, indices]
-    return [_suggest(text.lower(), labelled, row) for text, row in zip(texts, rows, strict=True)]
+    found = examples.recognise(texts, encoder, count=1)
+    return [
+        Suggestion(each.nearest[0].content.parts, each.confidence)
+        if each.confidence >= LIKELY
+        else _suggest(each.text.lower(), labelled, row)
+        for each, row in zip(found, rows, strict=True)
+    ]
 
 
 def _suggest(text: str, sentences: Sequence[Sentence], row: Float[Tensor, " sentences"]) -> Suggestion:
