@@ -160,7 +160,9 @@ def test_an_action_s_rate_is_that_of_all_its_samples_and_a_text_s_is_its_own():
     assert calibration.rate("go", "walk") == 26 / 32 and calibration.rate("jump", "jump") is None
     again = calibration.with_trials({"stroll": Trial("walk", 24, geometry=0.0)})
     assert again.rates["walk"] == 0.0625 and len(again.trials) == len(trials)
-    assert calibration.with_trials({"stroll": Trial("walk", 23, geometry=0.0)}) == calibration, "fewer samples tell less"
+    assert calibration.with_trials({"stroll": Trial("walk", 23, geometry=0.0)}) == calibration, (
+        "fewer samples tell less"
+    )
 
 
 def test_a_file_gives_back_what_was_written(tmp_path):

@@ -100,6 +100,20 @@ def test_a_stream_reads_what_is_added_in_its_own_words(model):
     assert torch.equal(taken[0], taken[1]) and not torch.equal(taken[0], taken[2])
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "an old man takes a seat and gets up again",
+        "a man walks forward, turns around and walks back",
+        "jump up after a squat",
+        "wave while you stroll along",
+    ],
+)
+def test_no_action_of_several_is_lost(text):
+    [recognition] = stmc.load().recognise([text])
+    assert recognition.known and recognition.read_from(0) == text
+
+
 def test_the_bundled_models_read_other_people_s_words_as_their_own():
     for model in (stmc.load(), stmc.load("mdm_smpl_wide_fast")):
         found = model.recognise(

@@ -50,7 +50,8 @@ class Suggestion:
     """Suggested body parts for a prompt.
 
     `confidence`, from 0 to 1, is the probability of the action that has these parts, or the fraction of the nearest
-    sentences' votes that claim them (either arm counts as both). It is 0 if no sentence is near; the suggestion is then the whole body.
+    sentences' votes that claim them (either arm counts as both). It is 0 if no sentence is near; the suggestion is then
+    the whole body.
     """
 
     parts: frozenset[BodyPart]
@@ -74,8 +75,8 @@ def suggest(texts: Sequence[str], examples: Vocabulary, encoder: TextEncoder) ->
     """Suggest the body parts of prompts from a vocabulary's sentences with known body parts.
 
     If the vocabulary's classifier gives an action a probability of at least `LIKELY`, its parts are suggested.
-    Otherwise the nearest sentences vote for each part, and words for parts outvote them. "Left" and "right" select an arm if they
-    stand beside a word for it, or if they stand alone and the legs do not move.
+    Otherwise the nearest sentences vote for each part, and words for parts outvote them. "Left" and "right" select an
+    arm if they stand beside a word for it, or if they stand alone and the legs do not move.
 
     Args:
         texts: Prompts.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -41,6 +42,9 @@ NEAREST = 3
 EXAMPLES = 5
 """Number of example sentences of an action."""
 
+_SEVERAL = re.compile(r"\b(?:and|then|while|before|after)\b|,")
+"""Words between actions; a classifier of mean embeddings hears one action in "sit down and get up again"."""
+
 _EXCLUDED = -1.0
 """Cosine of sentences that are excluded from a comparison."""
 
@@ -54,8 +58,8 @@ class Recognition:
     cosine of at least `NEAR`. The prompt is in the vocabulary if `score` is at least `threshold`, or if the prompt
     itself was `tested`. `rate` is the fraction of samples that show such a prompt, from 0 to 1; None: not measured.
     With the probability `confidence`, the prompt asks for its action in plain words, as `words` do: the action's first
-    training sentence. `words` is empty without a classifier, if these words rarely work, or if the prompt was tested
-    with many samples and works as it is.
+    training sentence. `words` is empty without a classifier, if the prompt may be about several actions, if these words
+    rarely work, or if the prompt was tested with many samples and works as it is.
     """
 
     text: str
@@ -237,7 +241,13 @@ class Vocabulary:
         return nearest
 
     def _words(self, text: str, first: str) -> str:
-        """Return the first sentence of a text's action; "" if that was measured to work rarely, or the text to work."""
+        """Return the first sentence of a text's action.
+
+        It is "" if the text may be about several actions, if the sentence was measured to work rarely, or if the text
+        was measured to work.
+        """
+        if _SEVERAL.search(text.lower()):
+            return ""
         trial, own = self.calibration.trial(first), self.calibration.trial(text)
         rarely = trial is not None and (trial.rate or 0.0) < RARELY
         return "" if rarely or (own is not None and own.proven) else first
