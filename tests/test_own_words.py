@@ -17,7 +17,7 @@ from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
 from stmc.evaluation.benchmarks.questions import QUESTIONS
 from stmc.evaluation.verification import CHECKS, find_unseen
 from stmc.motion.body import BodyPart
-from stmc.text.vocabulary import Calibration, Content, Recogniser, Sentence, Trial, Vocabulary, build_vocabulary
+from stmc.text.vocabulary import Calibration, Content, Sentence, Trial, Vocabulary, build_vocabulary
 
 WALK = Content("walk", frozenset({BodyPart.LEGS}), True)
 WAVE = Content("wave-left-hand", frozenset({BodyPart.LEFT_ARM}))
@@ -35,11 +35,6 @@ def vocabulary() -> Vocabulary:
 def model(vocabulary, monkeypatch) -> stmc.Model:
     monkeypatch.setattr("stmc.text.vocabulary.recogniser.sentence_encoder", lambda own: Hashes())
     return replace(tiny(), vocabulary=vocabulary)
-
-
-def read(vocabulary: Vocabulary, text: str, confidence: float | None) -> list[str]:
-    [timeline] = in_own_words([stmc.Timeline.parse(text)], Recogniser(vocabulary), confidence)
-    return [prompt.text for prompt in timeline.prompts]
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.table import Table
 
 from stmc.data.sources.contents import CONTENTS
-from stmc.evaluation.benchmarks.calibrating import SHOWN_RATE
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, mirror_words
 from stmc.evaluation.benchmarks.novelty import success_by_distance
 from stmc.text import MiniLM
+from stmc.text.vocabulary import SHOWN_RATE
 
 LIVELY = 2.0
 """Energies of samples that differ from those of recordings by a larger factor are reported."""

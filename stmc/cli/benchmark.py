@@ -134,7 +134,10 @@ def sample_batch(
     seed: int = 0,
     method: str | Method | None = None,
 ) -> list[stmc.Motion]:
-    """Sample timelines with the measured settings; a method of None is the measured one."""
+    """Sample timelines with the measured settings; a method of None is the measured one.
+
+    Prompts are read as they are, as the published loop reads them.
+    """
     method = config.method if method is None else method
     return model.generate(timelines, seed=seed, steps=config.steps, method=method, clean_feet=False, restate_from=1)
 

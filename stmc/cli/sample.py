@@ -135,10 +135,11 @@ def make(
     sampling = model.check(wanted[0].request)
     model.plans([job.timeline for job in wanted], sampling.overlap)  # timelines without a plan fail before sampling
     folder.check_lengths(wanted, model.fps)
-    doubtful = model.doubtful([job.timeline for job in wanted if job.name in missing])
+    timelines = [job.timeline for job in wanted if job.name in missing]
+    doubtful = model.doubtful(timelines)
     for prompt in doubtful:
         advise_prompt(prompt.advice, prompt.known)
-    print_own_words(model, [job.timeline for job in wanted if job.name in missing], sampling.restate_from, console)
+    print_own_words(model, timelines, sampling.restate_from, console)
     warnings.simplefilter("ignore", PromptWarning)  # `sample` would repeat the warnings
     probe(folder.path)
     remove_leftovers(folder.path)

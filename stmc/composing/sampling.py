@@ -51,7 +51,7 @@ class Sampling:
     )
     restate_from: float | int | None = setting(
         None,
-        "probability of its action from which a prompt is read as the action's first training sentence; 1: never",
+        "minimum probability of an action for reading a prompt as the action's first training sentence; 1: never",
         at_least=0,
         at_most=1,
     )

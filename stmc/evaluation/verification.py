@@ -60,16 +60,18 @@ def find_unseen(model: Model, timeline: Timeline, motion: Motion) -> list[Unseen
         >>> [each.action for each in stmc.evaluation.verification.find_unseen(model, timeline, motion)]
         ['walk']
     """
-    found = {each.text: each for each in model.recognise([prompt.text for prompt in timeline.prompts])}
+    recognitions = {each.text: each for each in model.recognise([prompt.text for prompt in timeline.prompts])}
     unseen = []
     for prompt in timeline.prompts:
-        asked = found.get(prompt.text)
-        if asked is None or not asked.known or asked.confidence < SURE or prompt.end - prompt.start < SHORTEST:
+        recognition = recognitions.get(prompt.text)
+        if recognition is None or not recognition.known or recognition.confidence < SURE:
+            continue
+        if prompt.end - prompt.start < SHORTEST:
             continue
         shown = motion.trimmed(round(prompt.start * motion.fps), round(prompt.end * motion.fps))
-        checks = CHECKS.get(asked.action, ())
+        checks = CHECKS.get(recognition.action, ())
         if checks and not any(check(shown) for check in checks):
-            unseen.append(Unseen(prompt.text, prompt.start, prompt.end, asked.action))
+            unseen.append(Unseen(prompt.text, prompt.start, prompt.end, recognition.action))
     return unseen
 
 

@@ -12,10 +12,8 @@ from pathlib import Path
 
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
 from stmc.io.untrusted import UnreadableError, load_json, quote, read_text
-from stmc.text.vocabulary import RARELY, Calibration, Recognition
+from stmc.text.vocabulary import RARELY, SHOWN_RATE, Calibration, Recognition
 
-SHOWN_RATE = 0.75
-"""The fraction of a text's samples that must show it if the model is to count as able to show it: 6 of 8."""
 MOST_LOST = 0.05
 """The maximum fraction of known prompts that may warn."""
 ENOUGH = 8

@@ -4,7 +4,7 @@ Depends on sentences, their embeddings and body parts; independent of motions, n
 """
 
 from stmc.text.vocabulary.building import build_vocabulary
-from stmc.text.vocabulary.calibration import RARELY, Calibration, Trial
+from stmc.text.vocabulary.calibration import RARELY, SHOWN_RATE, Calibration, Trial
 from stmc.text.vocabulary.calibration_files import read_calibration, write_calibration
 from stmc.text.vocabulary.recogniser import Recogniser
 from stmc.text.vocabulary.sentences import Content, Sentence, embed_sentences, sentence_encoder
@@ -14,6 +14,7 @@ from stmc.text.vocabulary.vocabulary_files import VocabularyError, read_vocabula
 
 __all__ = [
     "RARELY",
+    "SHOWN_RATE",
     "Calibration",
     "Content",
     "Recogniser",

@@ -12,8 +12,8 @@ from functools import cached_property
 RARELY = 0.5
 """Success rate below which an action rarely works."""
 
-MANY, PROVEN = 8, 0.75
-"""Number of samples of a sentence, and their success rate, from which the model shows it in its own words."""
+MANY, SHOWN_RATE = 8, 0.75
+"""Number of samples that prove that a model shows a text, and the fraction of them that must show it: 6 of 8."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Trial:
 
     @property
     def proven(self) -> bool:
-        """Whether at least `PROVEN` of many samples show the action."""
-        return self.samples >= MANY and self.rate is not None and self.rate >= PROVEN
+        """Whether there are `MANY` samples, and at least `SHOWN_RATE` of them show the action."""
+        return self.samples >= MANY and self.rate is not None and self.rate >= SHOWN_RATE
 
 
 @dataclass(frozen=True)

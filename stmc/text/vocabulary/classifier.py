@@ -19,8 +19,7 @@ ITERATIONS = 100
 """Greatest number of iterations of L-BFGS; the loss is convex."""
 
 OTHERS = 4.0
-"""Weight of a sentence of no action, relative to what balanced classes would give: there are few for all there is."""
-
+"""Factor of the weight of sentences about no action: a thousand everyday actions stand for all that there are."""
 
 LARGEST = 10.0
 """Limit of log-odds; of actions that all contradict a text they would be infinite."""
@@ -42,12 +41,12 @@ class Classifier:
         return embeddings @ weights[:, :-1].T + weights[:, -1]
 
 
-def log_odds(logits: Float[Tensor, " classes"], asked: Bool[Tensor, " actions"]) -> float:
-    """Return the logarithm of the odds that a text asks for one of the actions `asked`, and perhaps says more.
+def log_odds(logits: Float[Tensor, " classes"], actions: Bool[Tensor, " actions"]) -> float:
+    """Return the logarithm of the odds that a text asks for one of the selected `actions`, in any words.
 
     It is at least -`LARGEST` and at most `LARGEST`.
     """
-    inside = torch.cat([asked, asked.any()[None], asked.new_zeros(1)])
+    inside = torch.cat([actions, actions.any()[None], actions.new_zeros(1)])
     odds = logits.masked_fill(~inside, -torch.inf).logsumexp(dim=0) - logits[~inside].logsumexp(dim=0)
     return float(odds.clamp(-LARGEST, LARGEST))
 
@@ -55,11 +54,11 @@ def log_odds(logits: Float[Tensor, " classes"], asked: Bool[Tensor, " actions"])
 def fit_classifier(
     embeddings: Float[Tensor, "sentences width"], classes: Int[Tensor, " sentences"], count: int
 ) -> Classifier:
-    """Fit the classifier by maximum likelihood. Each class counts by the root of its number of sentences.
+    """Fit the classifier by maximum likelihood. A class has the weight of the root of its number of sentences.
 
     Args:
         embeddings: Centred embeddings of length 1.
-        classes: Index of the action of each sentence; `count` if it says more, `count` + 1 if it asks for no action.
+        classes: Index of the action of each sentence; `count` for other words, `count` + 1 for no action.
         count: Number of actions.
     """
     inputs = torch.cat([embeddings, torch.ones(len(embeddings), 1)], dim=1)

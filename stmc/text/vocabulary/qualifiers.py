@@ -1,4 +1,4 @@
-"""Words of a text that qualify its action by side, direction and speed, and the text of its mirror image.
+"""Words of a text that qualify its action by side, direction and speed, or join actions; the text of its mirror image.
 
 A closed table of English words; independent of sentences, embeddings and actions.
 """
@@ -93,6 +93,19 @@ def mirrored(text: str) -> str:
     Every spelling of anticlockwise becomes clockwise, and clockwise becomes counterclockwise.
     """
     return _SIDED.sub(_swap, text)
+
+
+def may_name_several(text: str) -> bool:
+    """Tell whether a text has a word that stands between actions; a mean embedding keeps one of them only.
+
+    Examples:
+        >>> [may_name_several(text) for text in ("sit down and get up again", "sit down")]
+        [True, False]
+    """
+    return _BETWEEN.search(text) is not None
+
+
+_BETWEEN = re.compile(r"\b(?:and|then|while|before|after)\b|,", flags=re.IGNORECASE)
 
 
 def without_side(text: str) -> str:

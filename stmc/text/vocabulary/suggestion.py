@@ -86,13 +86,14 @@ def suggest(texts: Sequence[str], examples: Vocabulary, encoder: TextEncoder) ->
     sentences = (*examples.known, *examples.others)
     indices = [index for index, sentence in enumerate(sentences) if sentence.content.parts]
     labelled = [sentences[index] for index in indices]
-    rows = examples.cosines(texts, encoder)[:, indices]
-    found = examples.recognise(texts, encoder, count=1)
+    embeddings = examples.embed(texts, encoder)
+    rows = examples.compare(embeddings)[:, indices]
+    recognitions = examples.recognise_embedded(texts, embeddings, count=1)
     return [
         Suggestion(each.nearest[0].content.parts, each.confidence)
         if each.confidence >= LIKELY
         else _suggest(each.text.lower(), labelled, row)
-        for each, row in zip(found, rows, strict=True)
+        for each, row in zip(recognitions, rows, strict=True)
     ]
 
 

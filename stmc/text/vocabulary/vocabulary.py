@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from stmc.text import TextEncoder
 from stmc.text.vocabulary.agreement import Agreement
 from stmc.text.vocabulary.calibration import RARELY, Calibration
 from stmc.text.vocabulary.classifier import Classifier, log_odds
+from stmc.text.vocabulary.qualifiers import may_name_several
 from stmc.text.vocabulary.sentences import Content, Sentence, embed_sentences
 
 THRESHOLD = 0.6
@@ -41,9 +41,6 @@ NEAREST = 3
 
 EXAMPLES = 5
 """Number of example sentences of an action."""
-
-_SEVERAL = re.compile(r"\b(?:and|then|while|before|after)\b|,")
-"""Words between actions; a classifier of mean embeddings hears one action in "sit down and get up again"."""
 
 _EXCLUDED = -1.0
 """Cosine of sentences that are excluded from a comparison."""
@@ -183,11 +180,21 @@ class Vocabulary:
             >>> prompt.known, prompt.nearest[0].content.name
             (True, 'cartwheel')
         """
-        if not texts:
-            return []
-        embeddings = self._centre_rows(embed_sentences(texts, encoder))
+        return self.recognise_embedded(texts, self.embed(texts, encoder), count) if texts else []
+
+    def recognise_embedded(
+        self, texts: Sequence[str], embeddings: Float[Tensor, "texts width"], count: int = NEAREST
+    ) -> list[Recognition]:
+        """Compare texts with the vocabulary as `recognise` does, given what `embed` returned for them.
+
+        Examples:
+            >>> vocabulary, encoder = stmc.load().vocabulary, stmc.text.vocabulary.sentence_encoder()
+            >>> embeddings = vocabulary.embed(["do a cartwheel"], encoder)
+            >>> vocabulary.recognise_embedded(["do a cartwheel"], embeddings)[0].action
+            'cartwheel'
+        """
         logits = self.classifier.logits(embeddings) if self.classifier else [None] * len(texts)
-        rows = zip(texts, embeddings @ self._rows.T, logits, strict=True)
+        rows = zip(texts, self.compare(embeddings), logits, strict=True)
         return [self._recognise(*row, count) for row in rows]
 
     def cosines(self, texts: Sequence[str], encoder: TextEncoder) -> Float[Tensor, "texts sentences"]:
@@ -198,7 +205,27 @@ class Vocabulary:
             >>> len(vocabulary.cosines(["walk", "jump"], encoder))
             2
         """
-        return self._centre_rows(embed_sentences(texts, encoder)) @ self._rows.T
+        return self.compare(self.embed(texts, encoder))
+
+    def embed(self, texts: Sequence[str], encoder: TextEncoder) -> Float[Tensor, "texts width"]:
+        """Embed texts as rows of length 1, after subtraction of the others' mean.
+
+        Examples:
+            >>> vocabulary, encoder = stmc.load().vocabulary, stmc.text.vocabulary.sentence_encoder()
+            >>> vocabulary.embed(["walk", "jump"], encoder).shape
+            torch.Size([2, 384])
+        """
+        return self._centre_rows(embed_sentences(texts, encoder))
+
+    def compare(self, embeddings: Float[Tensor, "texts width"]) -> Float[Tensor, "texts sentences"]:
+        """Compute the cosines of `cosines` from what `embed` returned.
+
+        Examples:
+            >>> vocabulary, encoder = stmc.load().vocabulary, stmc.text.vocabulary.sentence_encoder()
+            >>> len(vocabulary.compare(vocabulary.embed(["walk", "jump"], encoder)))
+            2
+        """
+        return embeddings @ self._rows.T
 
     def _recognise(
         self, text: str, row: Float[Tensor, " sentences"], logits: Float[Tensor, " classes"] | None, count: int
@@ -210,9 +237,9 @@ class Vocabulary:
         nearest = self._nearest(agreeing, count) | self._nearest(known, count)
         odds, confidence, words = 0.0, 0.0, ""
         if logits is not None:
-            asked = torch.stack([agrees[indices].any() for indices in self._of_contents.values()])
-            odds, best = log_odds(logits, asked), int(logits[:-2].masked_fill(~asked, -torch.inf).argmax())
-            if asked[best] and logits[best] > logits[-2]:  # otherwise it says more, and the nearest sentence tells
+            allowed = torch.stack([agrees[indices].any() for indices in self._of_contents.values()])
+            odds, best = log_odds(logits, allowed), int(logits[:-2].masked_fill(~allowed, -torch.inf).argmax())
+            if allowed[best] and logits[best] > logits[-2]:  # otherwise it says more: the nearest sentence decides
                 confidence, indices = float(logits.softmax(dim=0)[best]), self._of_contents[self.contents[best]]
                 nearest = {self.examples[self.contents[best]][0]: float(known[indices].max())} | nearest
                 words = self._words(text, self.known[indices[0]].text)
@@ -246,7 +273,7 @@ class Vocabulary:
         It is "" if the text may be about several actions, if the sentence was measured to work rarely, or if the text
         was measured to work.
         """
-        if _SEVERAL.search(text.lower()):
+        if may_name_several(text):
             return ""
         trial, own = self.calibration.trial(first), self.calibration.trial(text)
         rarely = trial is not None and (trial.rate or 0.0) < RARELY

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection
 
 from stmc.data.cache import Cache
@@ -30,14 +30,16 @@ def vocabulary_of(cache: Cache, min_clips: int, encoder: TextEncoder, joined: Co
         counts[clip.content] += 1
     weights: dict[Sentence, float] = defaultdict(float)
     keys: dict[str, set[str]] = defaultdict(set)
-    lists: dict[tuple[str, str], set[str]] = defaultdict(set)
     for clip in training:
         if counts[clip.content] >= min_clips:
             parts = frozenset(map(BodyPart, clip.parts))
             content = Content(clip.content, parts, clip.cyclic) if parts else Content()
             for text, share in cache.texts[clip.texts]:
                 weights[Sentence(text, content)] += share
-                lists[clip.content, text].add(clip.texts)
-            keys[clip.content] |= {clip.texts} if cache.texts[clip.texts] else set()
-    plain = {text for (name, text), own in lists.items() if len(own) > 1 or len(keys[name]) == 1}
-    return build_vocabulary(weights, encoder, {text for _, text in lists}.difference(plain).union(joined))
+                keys[clip.content].add(clip.texts)
+    plain: set[str] = set()
+    for styles in keys.values():
+        styles_with = Counter(text for key in styles for text in {text for text, _ in cache.texts[key]})
+        plain |= {text for text, count in styles_with.items() if count > 1 or len(styles) == 1}
+    styled = {sentence.text for sentence in weights}.difference(plain)
+    return build_vocabulary(weights, encoder, styled.union(joined))
