@@ -15,7 +15,7 @@ from stmc.composing.own_words import in_own_words
 from stmc.evaluation.benchmarks.atomic_prompts import read_atomic_prompts
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS
 from stmc.evaluation.benchmarks.questions import QUESTIONS
-from stmc.evaluation.verification import CHECKS, find_unseen
+from stmc.evaluation.verification import CHECKS, find_missed
 from stmc.motion.body import BodyPart
 from stmc.text.vocabulary import Calibration, Content, Sentence, Trial, Vocabulary, build_vocabulary
 
@@ -139,24 +139,24 @@ def test_texts_of_the_open_benchmark_are_read_as_they_are(name):
 
 def test_a_person_who_stands_does_not_walk_and_one_who_walks_does():
     model, timeline = stmc.load(), stmc.Timeline.parse("a man strolls ahead # 1 # 4")
-    [unseen] = find_unseen(model, timeline, standing_still(100))
-    assert (unseen.text, unseen.action) == ("a man strolls ahead", "walk")
-    assert unseen.advice == (
+    [missed] = find_missed(model, timeline, standing_still(100))
+    assert (missed.text, missed.action) == ("a man strolls ahead", "walk")
+    assert missed.advice == (
         "'a man strolls ahead' does not show from 1 to 4 s by the geometric test of walk; try another seed"
     )
-    assert find_unseen(model, timeline, walking(5, turn=0.0)) == []
+    assert find_missed(model, timeline, walking(5, turn=0.0)) == []
 
 
 @pytest.mark.parametrize("text", ["swim # 0 # 4", "dance salsa # 0 # 4", "walk # 0 # 0.9"])
 def test_what_has_no_test_is_unknown_or_too_short_is_not_judged(text):
-    assert find_unseen(stmc.load(), stmc.Timeline.parse(text), standing_still(80)) == []
+    assert find_missed(stmc.load(), stmc.Timeline.parse(text), standing_still(80)) == []
 
 
 def test_without_a_classifier_nothing_is_judged(vocabulary):
     model, timeline = tiny(), stmc.Timeline.parse("walk # 0 # 2")
-    assert find_unseen(model, timeline, standing_still(40)) == []
+    assert find_missed(model, timeline, standing_still(40)) == []
     nearest = replace(vocabulary, classifier=None)
-    assert find_unseen(replace(model, vocabulary=nearest), timeline, standing_still(40)) == []
+    assert find_missed(replace(model, vocabulary=nearest), timeline, standing_still(40)) == []
 
 
 def test_mtt_s_strict_tests_come_before_the_questions_and_every_action_with_one_is_judged():
@@ -177,6 +177,6 @@ def test_sampling_says_what_is_read_and_what_is_not_seen(tmp_path, monkeypatch, 
     assert 'class="bar unknown"' in page.read_text("utf-8")
     in_this_process("sample", "sample", *made, "json=true", "seed=1")
     line = json.loads(capsys.readouterr().out)
-    assert line["unseen"] == ["a man strolls ahead"]
+    assert line["missed"] == ["a man strolls ahead"]
     in_this_process("sample", "sample", *made, "restate_from=1", "seed=2")
     assert "is read as" not in capsys.readouterr().out

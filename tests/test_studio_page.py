@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from threading import Event, Thread
 
@@ -19,6 +20,7 @@ from PIL import Image
 
 import stmc
 from stmc.editing.constraints import KINDS
+from stmc.evaluation.verification import Missed
 from stmc.viewing.studio import Documents, Sessions, application
 from stmc.viewing.studio.connections import server_of
 from stmc.viewing.studio.job_queue import Cancelled
@@ -40,6 +42,11 @@ KEY = "{ headers: { Authorization: 'Bearer ' + localStorage.getItem('stmc-studio
 BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria-label').split('. ').slice(0, 2))"
 
 
+def find_missed(timeline: stmc.Timeline, motion: stmc.Motion) -> list[Missed]:
+    """No motion shows a somersault."""
+    return [Missed(each.text, each.start, each.end, "leap") for each in timeline.prompts if "somersault" in each.text]
+
+
 @contextmanager
 def serving(folder: Path, port: int = 0, steps: int = 12) -> Iterator[int]:
     """The studio over a folder, at a port, until the end. It is nobody's first visit: there is a document."""
@@ -47,7 +54,11 @@ def serving(folder: Path, port: int = 0, steps: int = 12) -> Iterator[int]:
         Documents(folder / "documents").put("old", 0, {"name": "Of before"})
     with loaded("studio").listen(port) as listening:
         port = listening.getsockname()[1]
-        server = server_of(application(knowing(), folder, SESSIONS.setdefault(port, Sessions()), port, steps=steps))
+        model, sessions = (
+            replace(knowing(), sampling=stmc.Sampling(restate_from=0.7)),
+            SESSIONS.setdefault(port, Sessions()),
+        )
+        server = server_of(application(model, folder, sessions, port, steps, find_missed))
         thread = Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
@@ -910,6 +921,26 @@ def test_a_screen_reader_is_told_of_prompts_tracks_and_body_parts(tab):
     tab.wait("document.activeElement.matches('.bar:nth-child(2)')")
     press(tab, "l")
     tab.wait("document.activeElement.getAttribute('aria-label').includes('. locked')")
+
+
+def test_the_page_says_what_the_model_reads_and_what_a_sample_does_not_show(tab):
+    write(tab, "walk")
+    shown(tab)
+    assert tab.ask("document.querySelector('.sample .doubt') === null")
+    press(tab, "Escape")
+    write(tab, "leap into a somersault")
+    tab.wait("document.querySelector('.sample .doubt') !== null")
+    click(tab, "#tab-samples")
+    assert "does not show from" in tab.ask("document.querySelector('#panel-samples .advice').textContent")
+    assert ("image", "it does not show every prompt") in [each[:2] for each in tree(tab)]
+    picture(tab, "missed")
+    press(tab, "Escape")
+    write(tab, "a boxer throws a left jab")
+    click(tab, "#tab-prompt")
+    tab.wait(
+        "document.querySelector('#panel-prompt').textContent.includes('The model reads “punch with the left hand”.')"
+    )
+    picture(tab, "read_as")
 
 
 def test_progress_and_errors_are_read_out_once_each_and_not_at_every_step(tab):

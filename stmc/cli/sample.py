@@ -41,7 +41,7 @@ from stmc.composing import find_method
 from stmc.composing.sampling import Sampling
 from stmc.diffusion.tensors import resolve_device
 from stmc.editing.generate_request import GenerateRequest, names
-from stmc.evaluation.verification import Unseen, find_unseen
+from stmc.evaluation.verification import Missed, find_missed
 from stmc.io.filenames import distinct_names
 from stmc.io.files import probe, remove_leftovers, sha256
 from stmc.model import Precision
@@ -146,9 +146,9 @@ def make(
     with progress_bars(console) as progress:
         task = progress.add_task("Motions", total=len(missing))
         for number, (job, motion) in enumerate(sample_missing(model, wanted, missing, size, progress), start=1):
-            unseen = find_unseen(model, job.timeline, motion)
-            paths = folder.save(motion, job, [*doubtful, *unseen])
-            report(job, motion, paths, f"{number} of {len(missing)}", unseen, as_json, progress.console)
+            missed = find_missed(model, job.timeline, motion)
+            paths = folder.save(motion, job, [*doubtful, *missed])
+            report(job, motion, paths, f"{number} of {len(missing)}", missed, as_json, progress.console)
             progress.advance(task)
 
 
@@ -303,7 +303,7 @@ def report(
     motion: stmc.Motion,
     paths: list[Path],
     place: str,
-    unseen: Sequence[Unseen],
+    missed: Sequence[Missed],
     as_json: bool,
     console: Console,
 ) -> None:
@@ -311,11 +311,11 @@ def report(
     if as_json:
         files = [str(path) for path in paths]
         record = {"name": job.name, "seed": job.seed, "seconds": motion.duration, "files": files}
-        record["unseen"] = [each.text for each in unseen]
+        record["missed"] = [each.text for each in missed]
         sys.stdout.write(json.dumps(record) + "\n")
         sys.stdout.flush()
     else:
         kinds = ", ".join(path.suffix for path in paths)
         console.print(f"{job.name}: {motion.duration:.1f} s in {kinds} ({place})", markup=False)
-    for each in unseen:
+    for each in missed:
         console.print(f"{job.name}: {each.advice}", markup=False)

@@ -25,7 +25,7 @@ SURE = 0.3
 
 
 @dataclass(frozen=True)
-class Unseen:
+class Missed:
     """A prompt that a motion does not show from `start` to `end`, in seconds, by the check of its `action`."""
 
     text: str
@@ -42,7 +42,7 @@ class Unseen:
         )
 
 
-def find_unseen(model: Model, timeline: Timeline, motion: Motion) -> list[Unseen]:
+def find_missed(model: Model, timeline: Timeline, motion: Motion) -> list[Missed]:
     """Return the prompts that a motion of the timeline does not show.
 
     A prompt of at least `SHORTEST` seconds is judged if the model knows it, if its action has a probability of at least
@@ -57,11 +57,11 @@ def find_unseen(model: Model, timeline: Timeline, motion: Motion) -> list[Unseen
     Examples:
         >>> model, timeline = stmc.load(), stmc.Timeline.parse("walk forwards # 0 # 2")
         >>> [motion] = model.generate("stand # 0 # 2", steps=5)
-        >>> [each.action for each in stmc.evaluation.verification.find_unseen(model, timeline, motion)]
+        >>> [each.action for each in stmc.evaluation.verification.find_missed(model, timeline, motion)]
         ['walk']
     """
     recognitions = {each.text: each for each in model.recognise([prompt.text for prompt in timeline.prompts])}
-    unseen = []
+    missed = []
     for prompt in timeline.prompts:
         recognition = recognitions.get(prompt.text)
         if recognition is None or not recognition.known or recognition.confidence < SURE:
@@ -71,8 +71,8 @@ def find_unseen(model: Model, timeline: Timeline, motion: Motion) -> list[Unseen
         shown = motion.trimmed(round(prompt.start * motion.fps), round(prompt.end * motion.fps))
         checks = CHECKS.get(recognition.action, ())
         if checks and not any(check(shown) for check in checks):
-            unseen.append(Unseen(prompt.text, prompt.start, prompt.end, recognition.action))
-    return unseen
+            missed.append(Missed(prompt.text, prompt.start, prompt.end, recognition.action))
+    return missed
 
 
 def _by_action() -> Mapping[str, Sequence[Question]]:

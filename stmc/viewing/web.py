@@ -68,7 +68,7 @@ def render_html(
         overlap: Length of transitions in seconds; None: as sampled.
         body: Body whose mesh is shown; None: a mannequin with the motion's own bones.
         doubtful: Prompts to mark because they may not show, with advice as tooltips (see `Model.doubtful` and
-            `stmc.evaluation.verification.find_unseen`).
+            `stmc.evaluation.verification.find_missed`).
         constraints: Constraints to draw.
 
     Examples:

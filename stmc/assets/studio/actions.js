@@ -136,10 +136,10 @@ export function createActions(studio, tab, say) {
     if (kind === "done" && next) [next, timers.next] = [null, setTimeout(next)];
   }
 
-  function arrived({ seed, stage, motion, demands }, about) {
+  function arrived({ seed, stage, motion, demands, missed }, about) {
     about.arrived.add(seed);
     const met = demands.map((demand, index) => ({ ...demand, of: about.document.constraints[index] }));
-    const sample = { key: String(seed), seed, steps: stage, motion, demands: met, asked: about.asked, varied: about.varied };
+    const sample = { key: String(seed), seed, steps: stage, motion, demands: met, missed, asked: about.asked, varied: about.varied };
     const old = store.get().samples.filter((other) => other.seed !== seed);
     const kept = old.filter((other) => about.seeds.includes(other.seed) && about.arrived.has(other.seed));
     const samples = [...kept, sample].sort((one, other) => about.seeds.indexOf(one.seed) - about.seeds.indexOf(other.seed));

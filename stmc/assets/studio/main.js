@@ -151,7 +151,7 @@ async function upload(file) {
   const { motion } = await server.uploadMotion(file);
   const document = { ...documentOfTimeline({ name: file.name.replace(/\.\w+$/, ""), prompts: [] }), figure: studio.present().figure };
   document.locks = { ...document.locks, gaps: true };
-  const sample = { key: "recorded", seed: null, steps: "recorded", motion, demands: [], asked: {}, varied: true };
+  const sample = { key: "recorded", seed: null, steps: "recorded", motion, demands: [], missed: [], asked: {}, varied: true };
   saving.create({ document, samples: [sample], chosen: "recorded" });
   say("Of the recorded motion, what no prompt claims is kept: write prompts where it shall change.");
 }

@@ -16,6 +16,8 @@ const toggle = (key, text, checked, change) =>
 
 const heading = (text, ...more) => make("h2", {}, text, ...more);
 
+const doubtMark = (label, title) => make("b", { class: "doubt", role: "img", "aria-label": label, title }, "?");
+
 // ---- the prompt -----------------------------------------------------------------------------------------------------------
 export function createPromptPanel(studio, player, work, tracks) {
   const { store } = studio;
@@ -36,6 +38,7 @@ export function createPromptPanel(studio, player, work, tracks) {
       make("textarea", { rows: "2", value: text, "aria-label": "Text", "data-key": `text-${id}`, onkeydown: (event) => applied(event, id), onchange: ({ target }) => edit({ kind: "write", id, text: target.value }) }),
       check?.prompt === id ? make("p", { class: "advice" }, check.error) : null,
       told?.advice ? advice(id, told.advice) : null,
+      told?.read_as ? make("p", { class: "faint" }, `The model reads “${told.read_as}”.`) : null,
       make("div", { class: "pair" },
         number(`start-${id}`, "Start (s)", start, (value) => edit({ kind: "place", id, start: value, end: Math.max(end, value + 0.1) })),
         number(`end-${id}`, "End (s)", end, (value) => edit({ kind: "place", id, start: Math.min(start, Math.max(0, value - 0.1)), end: value }))),
@@ -117,7 +120,7 @@ export function createPromptPanel(studio, player, work, tracks) {
     const doubt = check?.prompts[prompt.id]?.advice;
     return make("li", {}, make("button", { type: "button", class: "entry", onclick: choose, "data-key": prompt.id },
       make("i", { class: "swatch", style: `background:${colourOf(prompt.colour)}` }), make("span", {}, prompt.text),
-      doubt ? make("b", { class: "doubt", role: "img", "aria-label": doubt.known ? "it rarely works" : "the model hardly knows it", title: doubt.sentence }, "?") : null,
+      doubt ? doubtMark(doubt.known ? "it rarely works" : "the model hardly knows it", doubt.sentence) : null,
       make("span", { class: "faint" }, `${written(prompt.start)} to ${written(prompt.end)}`)));
   }
 
@@ -152,6 +155,7 @@ export function createSamplesPanel(studio, work, page) {
           if (!store.get().auto) work.generate();
         }, { "data-key": "dice", title: "Other samples of the same timeline" }, "dice")),
       make("ul", { class: "list" }, samples.map((sample) => ofSample(sample, sample.key === chosen, favourites))),
+      ...(samples.find(({ key }) => key === chosen)?.missed ?? []).map(({ sentence }) => make("p", { class: "advice" }, sentence)),
       samples.length ? null : make("p", { class: "faint" }, "None yet."),
       heading("Favourites"),
       favourites.length ? make("ul", { class: "favourites" }, favourites.map(ofFavourite))
@@ -177,6 +181,7 @@ export function createSamplesPanel(studio, work, page) {
     const pinned = favourites.some(({ motion }) => motion.id === sample.motion.id);
     return make("li", { class: `sample${on ? " on" : ""}` },
       button(page.nameOf(sample), () => studio.choose(sample.key), { class: "entry", "aria-pressed": String(on), "data-key": `sample-${sample.key}` }),
+      sample.missed?.length ? doubtMark("it does not show every prompt", sample.missed.map(({ sentence }) => sentence).join("\n")) : null,
       make("span", { class: "faint" }, page.stageOf(sample)),
       button("", () => page.pin(sample), { class: "plain", "aria-pressed": String(pinned), "aria-label": `${pinned ? "Unpin" : "Pin"} ${page.nameOf(sample)}`, "data-key": `pin-${sample.key}` }, "pin"));
   }

@@ -36,7 +36,7 @@ export const INITIAL = {
   constraint: null, // the chosen constraint's id
   pulling: false, // whether the pose at the cursor is to be pulled
   drawing: false, // or the kind of constraint whose line is drawn on the floor
-  samples: [], // [{key, seed, steps, motion, demands, asked, varied}]
+  samples: [], // [{key, seed, steps, motion, demands, missed, asked, varied}]
   chosen: null, // the key of the sample that is kept and exported
   favourites: [], // [{motion, seed, picture, asked}]
   job: null, // {stage, seed, step, steps}

@@ -178,9 +178,10 @@ def check_timeline(timeline: Timeline, model: Model, suggest: Suggest) -> Checke
             model.plans([timeline])
         except TimelineError as error:
             raise RequestError(422, str(error), prompt=None) from None
-    doubtful = {each.text: each for each in model.doubtful([timeline])}
+    recognitions = {each.text: each for each in model.recognise(texts)}
+    confidence = model.own_sampling.restate_from
     prompts = [
-        _describe_prompt(prompt, row, suggestions[prompt.text], not listed, doubtful.get(prompt.text))
+        _describe_prompt(prompt, row, suggestions[prompt.text], not listed, recognitions.get(prompt.text), confidence)
         for prompt, row, listed in zip(timeline.prompts, timeline.rows, own, strict=True)
     ]
     owned = owned_seconds(timeline, model.fps, timeline.frames(model.fps), model.own_sampling.overlap or 0.0)
@@ -195,9 +196,17 @@ def check_timeline(timeline: Timeline, model: Model, suggest: Suggest) -> Checke
 
 
 def _describe_prompt(
-    prompt: Prompt, row: int, suggestion: Suggestion, suggested: bool, doubt: Recognition | None
+    prompt: Prompt,
+    row: int,
+    suggestion: Suggestion,
+    suggested: bool,
+    recognition: Recognition | None,
+    restate_from: float | int | None,
 ) -> CheckedPrompt:
+    doubt = None if recognition is None or recognition.works else recognition
+    read = prompt.text if recognition is None else recognition.read_from(1 if restate_from is None else restate_from)
     return {
+        "read_as": None if read == prompt.text else read,
         "parts": sort_parts(prompt.claims),
         "suggested": suggested,
         "confidence": suggestion.confidence if suggested else None,

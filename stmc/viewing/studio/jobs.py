@@ -17,10 +17,12 @@ from stmc.composing import Progress
 from stmc.composing.sampling import Sampling
 from stmc.editing.generate_request import GenerateRequest
 from stmc.motion.motion import Motion
+from stmc.timeline import Timeline
 from stmc.viewing.studio.job_queue import Job, JobQueue, report_progress
 from stmc.viewing.studio.request_errors import RequestError, request_error
 from stmc.viewing.studio.sampling_turns import Turns
 from stmc.viewing.studio.storage import Motions
+from stmc.viewing.web import Doubtful
 
 
 class Stage(NamedTuple):
@@ -53,6 +55,14 @@ OWN = Sampling(sampler="ddim")
 Sample = Callable[[GenerateRequest, Progress], Sequence[Motion]]
 """`Model.sample`, or a function like it."""
 
+FindMissed = Callable[[Timeline, Motion], Sequence[Doubtful]]
+"""(timeline, motion) → prompts that the motion does not show, such as `stmc.evaluation.verification.find_missed`."""
+
+
+def find_none(timeline: Timeline, motion: Motion) -> Sequence[Doubtful]:
+    """Judge no motion."""
+    return ()
+
 
 class CheckedOperations(TorchFunctionMode):
     """A context that calls `check` before every operation on tensors of this thread; an error of it ends the work.
@@ -74,7 +84,8 @@ class CheckedOperations(TorchFunctionMode):
 class Jobs(JobQueue):
     """The queue of requests to sample, which its thread runs with `sample`, a method of a model.
 
-    Between their steps, jobs give way to streams with the same `turns`.
+    Between their steps, jobs give way to streams with the same `turns`. Motions of the last stage are judged with
+    `find_missed`.
 
     Examples:
         >>> jobs = stmc.viewing.studio.Jobs(stmc.load().sample, stmc.viewing.studio.Motions("motions"))
@@ -85,8 +96,10 @@ class Jobs(JobQueue):
         >>> jobs.close()
     """
 
-    def __init__(self, sample: Sample, motions: Motions, turns: Turns | None = None) -> None:
-        self.sample, self.motions, self._turns = sample, motions, turns or Turns()
+    def __init__(
+        self, sample: Sample, motions: Motions, turns: Turns | None = None, find_missed: FindMissed = find_none
+    ) -> None:
+        self.sample, self.motions, self._turns, self._find_missed = sample, motions, turns or Turns(), find_missed
         super().__init__("studio jobs")
 
     def add(self, request: GenerateRequest, stages: tuple[Stage, ...] = (PREVIEW,), tab: str = "") -> Job:
@@ -103,10 +116,19 @@ class Jobs(JobQueue):
         """Sample the stages, store the motions, and emit them."""
         try:
             for stage in stages:
-                for seed, motion in zip(request.seeds, self._sample_stage(request, stage, job), strict=True):
+                for one, motion in zip(request.split(), self._sample_stage(request, stage, job), strict=True):
                     described = self.motions.describe(self.motions.add(motion))
                     demands = [each.measure(motion) for each in request.constraints]
-                    job.emit("motion", seed=seed, stage=stage.name, motion=described, demands=demands)
+                    found = self._find_missed(one.timelines[0], motion) if stage is stages[-1] else ()
+                    missed = [{"text": each.text, "sentence": each.advice} for each in found]
+                    job.emit(
+                        "motion",
+                        seed=one.seeds[0],
+                        stage=stage.name,
+                        motion=described,
+                        demands=demands,
+                        missed=missed,
+                    )
         except (ValueError, ArithmeticError) as error:
             if not request.constraints or request_error(error) is not None:
                 raise

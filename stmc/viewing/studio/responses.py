@@ -54,6 +54,7 @@ class Advice(TypedDict):
 class CheckedPrompt(TypedDict):
     """A prompt as it will be sampled."""
 
+    read_as: Annotated[str | None, "text that the model reads instead; null: the prompt itself"]
     parts: list[BodyPart]
     suggested: Annotated[bool, "whether the body parts were suggested"]
     confidence: Annotated[float | None, "of the suggestion, from 0 to 1"]
@@ -110,6 +111,13 @@ class Demand(TypedDict):
     unit: Literal["cm", "degrees"]
 
 
+class MissedPrompt(TypedDict):
+    """A prompt that a motion does not show, by the geometric test of its action."""
+
+    text: str
+    sentence: str
+
+
 class MotionEvent(TypedDict):
     """A motion was sampled and stored."""
 
@@ -117,6 +125,7 @@ class MotionEvent(TypedDict):
     stage: Literal["preview", "full"]
     motion: MotionData
     demands: list[Demand]
+    missed: Annotated[list[MissedPrompt], "of the last stage; previews are not judged"]
 
 
 class FailedEvent(TypedDict):

@@ -56,7 +56,7 @@ from stmc.viewing.studio.character_storage import Characters
 from stmc.viewing.studio.documents_json import as_data, check_timeline, read_timelines, write_timeline
 from stmc.viewing.studio.films import Films
 from stmc.viewing.studio.job_queue import Job, JobQueue
-from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
+from stmc.viewing.studio.jobs import FULL_STEPS, OWN, FindMissed, Jobs, Stage, find_none, stages_by_quality
 from stmc.viewing.studio.model_json import describe_model
 from stmc.viewing.studio.openapi import openapi_document
 from stmc.viewing.studio.operations import GLTF, OPERATIONS, PUBLIC, UPLOADS, Operation
@@ -77,7 +77,14 @@ TYPES = {each.name: each.media_type for each in (*EXPORTS, *CHARACTER_EXPORTS)}
 Handler = Callable[..., Awaitable[Response]]
 
 
-def application(model: Model, folder: str | Path, sessions: Sessions, port: int, steps: int | None = None) -> Starlette:
+def application(
+    model: Model,
+    folder: str | Path,
+    sessions: Sessions,
+    port: int,
+    steps: int | None = None,
+    find_missed: FindMissed = find_none,
+) -> Starlette:
     """Build the studio as an ASGI application.
 
     Args:
@@ -87,6 +94,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
         sessions: Sessions that may use the application.
         port: Port of the application, at 127.0.0.1.
         steps: Denoising steps of a motion; None: 50, or the model's own few. Previews have fewer.
+        find_missed: Function that finds the prompts that a motion does not show; by default, none is found.
 
     Examples:
         >>> app = stmc.viewing.studio.application(stmc.load(), "studio", stmc.viewing.studio.Sessions(), port=8686)
@@ -99,7 +107,7 @@ def application(model: Model, folder: str | Path, sessions: Sessions, port: int,
         model = dataclasses.replace(model, text_encoder=Cached(encoder, private_folder(folder / "texts")))
     documents = Documents(folder / "documents")
     motions, characters = Motions(folder / "motions", documents.texts), Characters(folder / "characters")
-    answers = Answers(model, motions, documents, characters, Films(folder / "films"), sessions, steps)
+    answers = Answers(model, motions, documents, characters, Films(folder / "films"), sessions, steps, find_missed)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -164,6 +172,7 @@ class Answers:
         films: Films,
         sessions: Sessions,
         steps: int | None,
+        find_missed: FindMissed,
     ) -> None:
         self.model, self.motions, self.documents, self.characters = model, motions, documents, characters
         self.films = films
@@ -171,7 +180,7 @@ class Answers:
         self.sessions, self.api = sessions, openapi_document(OPERATIONS, stmc.__version__)
         self._retargeting = Lock()
         self.suggest, turns = suggester(sentence_encoder(model.text_encoder)), Turns()
-        self.jobs = Jobs(model.sample, motions, turns)
+        self.jobs = Jobs(model.sample, motions, turns, find_missed)
         self.mannequin = cache(partial(mannequin_file, model.skeleton, model.fps))
         self.streams = Streams(model.stream, self.stages["preview"][-1].steps, self.suggest, turns)
 
