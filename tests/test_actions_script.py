@@ -12,7 +12,14 @@ from omegaconf import OmegaConf
 from rich.console import Console
 
 import stmc
-from stmc.cli.action_plausibility import FROZEN, has_frozen, measure_plausibility, measure_rest, split_rest
+from stmc.cli.action_plausibility import (
+    FROZEN,
+    has_frozen,
+    measure_plausibility,
+    measure_rest,
+    share_lively,
+    split_rest,
+)
 from stmc.cli.action_reports import print_by_distance, print_report
 from stmc.data.cache import Cache, Clip
 from stmc.data.sources.contents import CONTENTS, describe
@@ -135,16 +142,31 @@ def test_actions_beyond_a_factor_of_two_and_bodies_that_float_are_named(capsys):
         life = {"sliding_cm": None, "hand_step_cm": 1.0, "rest_energy": 1.0}
         shares = dict.fromkeys(("shown", "ceiling", "chance", "found", "real_found"))
         real = {**life, "energy": 1.0, "lower_toe_cm": 1.0}
-        return {**shares, "after": after, "sampled": {**life, "energy": energy, "lower_toe_cm": toe}, "real": real}
+        return {
+            **shares,
+            "lively": 0.75,
+            "after": after,
+            "sampled": {**life, "energy": energy, "lower_toe_cm": toe},
+            "real": real,
+        }
 
     results = {"walk": row(1.9, 3.0, None), "dance": row(0.3, 5.2, None), "jump": row(1.0, 1.0, 0.1)}
-    print_report(results, Console(width=200))
+    print_report(results, Console(width=80))
     lines = capsys.readouterr().out.splitlines()
+    assert not any("…" in line for line in lines) and "this factor in 2 of 3" in lines[-2]
     named = dict(line.rsplit(": ", 1) for line in lines if ": " in line)
     assert named["energy (whole) beyond a factor of 2 of recordings"] == "dance"
     assert named["energy (calmest) beyond a factor of 2 of recordings"] == "none"
     assert named["energy (after) beyond a factor of 2 of recordings"] == "jump"
     assert named["floating by more than 2.5 cm"] == "dance"
+
+
+def test_recordings_of_one_energy_are_always_within_the_factor_and_mixed_ones_often_not():
+    assert share_lively([moving(1.0)] * 3, 6) == 1.0
+    assert share_lively([moving(0.0)] * 3, 6) is None
+    mixed = [moving(0.1)] * 5 + [moving(1.0)] + [moving(9.0)] * 5
+    assert 0 < share_lively(mixed, 1) < 0.25
+    assert share_lively(mixed, 1) < share_lively(mixed, 9)
 
 
 def test_sentences_of_the_training_are_asked_where_wanted():

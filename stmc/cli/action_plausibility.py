@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Mapping, Sequence
 from statistics import fmean, median
 
@@ -12,6 +13,10 @@ from stmc.motion.motion import Motion
 
 STANDING = ("stand", "idle")
 """Contents whose recordings are the reference of samples that have finished a one-shot action."""
+LIVELY = 2.0
+"""Energies of samples that differ from those of recordings by a larger factor are reported."""
+DRAWS = 200
+"""Number of draws of `share_lively`."""
 FROZEN = 0.1
 """Share of the recordings' median energy below which a sample has frozen: less than a third of their speed."""
 
@@ -22,6 +27,22 @@ def has_frozen(motion: Motion, energy: float) -> bool:
     `energy` is the median energy of recordings of the action, in m²/s².
     """
     return motion_energy(motion) < FROZEN * energy
+
+
+def is_lively(ratio: float) -> bool:
+    """Return whether an energy is within a factor of `LIVELY` of that of recordings."""
+    return 1 / LIVELY <= ratio <= LIVELY
+
+
+def share_lively(recordings: Sequence[Motion], count: int) -> float | None:
+    """Return how often the median energy of `count` recordings is within a factor of `LIVELY` of that of all.
+
+    This is what samples could reach. The recordings are drawn with replacement, with seed 0. None if they are still.
+    """
+    energies, rng = [motion_energy(motion) for motion in recordings], random.Random(0)
+    if not (whole := median(energies)):
+        return None
+    return fmean(is_lively(median(rng.choices(energies, k=count)) / whole) for _ in range(DRAWS))
 
 
 def measure_plausibility(motions: Sequence[Motion]) -> dict[str, float | None]:

@@ -8,14 +8,13 @@ from statistics import fmean
 from rich.console import Console
 from rich.table import Table
 
+from stmc.cli.action_plausibility import LIVELY, is_lively
 from stmc.data.sources.contents import CONTENTS
 from stmc.evaluation.benchmarks.mtt_checks import MTT_CHECKS, mirror_words
 from stmc.evaluation.benchmarks.novelty import success_by_distance
 from stmc.text import MiniLM
 from stmc.text.vocabulary import SHOWN_RATE
 
-LIVELY = 2.0
-"""Energies of samples that differ from those of recordings by a larger factor are reported."""
 FLOATING_CM = 2.5
 """Samples float if their lower toe stays higher than in recordings by more centimetres."""
 CONFUSED = 0.2
@@ -25,23 +24,26 @@ CONFUSED = 0.2
 def print_report(results: dict, console: Console) -> None:
     """Print how well samples show each content.
 
-    The table compares success with that of real motion and of other contents (chance), the evaluator's retrieval, the
-    foot sliding and the height of the lower toe with those of real motion, and has the energy of samples as a multiple
-    of that of real motion: of the whole motion, of its calmest second, and after one-shot actions (of people who
-    stand). Then it names the contents that are less or more alive than recordings by a factor of two, or float.
+    One table compares success with that of real motion and of other contents (chance), and has the evaluator's
+    retrieval. The other compares the foot sliding and the height of the lower toe with those of real motion, and has
+    the energy of samples as a multiple of that of real motion: of the whole motion, of its calmest second, and after
+    one-shot actions (of people who stand). Then it names the contents that are less or more alive than recordings by a
+    factor of two, or float.
     """
     shares = ("shown", "ceiling", "chance", "found", "real_found")
-    headings = ["content", "success", "real motion", "chance", "found", "real motion", "slide, cm", "real motion"]
-    table = Table(*headings, "toe, cm", "real motion", *(f"energy, {name}" for name in ("whole", "calmest", "after")))
+    success = Table("content", "success", "real", "chance", "found", "real")
+    life = Table("content", "slide, cm", "real", "toe, cm", "real", "energy", "calmest", "after")
     ratios = {name: compare_energies(row) for name, row in results.items()}
     for name, row in results.items():
         centimetres = [row[whose][key] for key in ("sliding_cm", "lower_toe_cm") for whose in ("sampled", "real")]
         cells = ["" if value is None else f"{value:.1f}" for value in centimetres]
         factors = ["" if ratio is None else f"{ratio:.2f}" for ratio in ratios[name].values()]
-        table.add_row(name, *(format_percent(row[column]) for column in shares), *cells, *factors)
+        success.add_row(name, *(format_percent(row[column]) for column in shares))
+        life.add_row(name, *cells, *factors)
     columns = [[row[column] for row in results.values() if row[column] is not None] for column in shares]
-    table.add_row("mean", *(format_percent(fmean(column) if column else None) for column in columns))
-    console.print(table)
+    success.add_row("mean", *(format_percent(fmean(column) if column else None) for column in columns))
+    console.print(success)
+    console.print(life)
     for whose in ("sampled", "real"):
         console.print(
             f"largest hand step, {whose}: {max(row[whose]['hand_step_cm'] for row in results.values()):.0f} cm"
@@ -49,6 +51,8 @@ def print_report(results: dict, console: Console) -> None:
     for which in ("whole", "calmest", "after"):
         other = [name for name, each in ratios.items() if (ratio := each[which]) is not None and not is_lively(ratio)]
         console.print(f"energy ({which}) beyond a factor of {LIVELY:g} of recordings: {', '.join(other) or 'none'}")
+    expected = sum(row["lively"] or 0 for row in results.values())
+    console.print(f"as many recordings, drawn at random, are within this factor in {expected:.0f} of {len(results)}")
     heights = {name: row["sampled"]["lower_toe_cm"] - row["real"]["lower_toe_cm"] for name, row in results.items()}
     floating = [name for name, height in heights.items() if height > FLOATING_CM]
     console.print(f"floating by more than {FLOATING_CM:g} cm: {', '.join(floating) or 'none'}")
@@ -60,11 +64,6 @@ def compare_energies(row: Mapping) -> dict[str, float | None]:
     pairs = {"whole": "energy", "calmest": "rest_energy"}
     ratios = {name: sampled[key] / real[key] if real[key] else None for name, key in pairs.items()}
     return {**ratios, "after": row["after"]}
-
-
-def is_lively(ratio: float) -> bool:
-    """Return whether an energy is within a factor of `LIVELY` of that of recordings."""
-    return 1 / LIVELY <= ratio <= LIVELY
 
 
 def format_percent(share: float | None) -> str:

@@ -24,7 +24,13 @@ from rich.progress import track
 from rich.table import Table
 
 import stmc
-from stmc.cli.action_plausibility import has_frozen, measure_plausibility, measure_rest, split_rest
+from stmc.cli.action_plausibility import (
+    has_frozen,
+    measure_plausibility,
+    measure_rest,
+    share_lively,
+    split_rest,
+)
 from stmc.cli.action_reports import CONFUSED, print_by_distance, print_report, print_texts
 from stmc.cli.commands import command
 from stmc.cli.shared_settings import OnModel
@@ -120,7 +126,7 @@ def main(config: DictConfig) -> None:
         plausible = {"sampled": measure_plausibility(sampled), "real": measure_plausibility(real[name])}
         found = {text: finder.finds(name, several) for text, several in motions.items()}
         retrieval = {"found": fmean(chain(*found.values())), "real_found": fmean(finder.finds(name, real[name]))}
-        results[name] = answers | retrieval | plausible
+        results[name] = answers | retrieval | plausible | {"lively": share_lively(real[name], len(sampled))}
         energy = plausible["real"]["energy"]
         assert energy is not None  # only sliding may be
         for text, several in motions.items():
