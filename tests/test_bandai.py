@@ -22,6 +22,8 @@ from stmc.data.sources.bandai import bandai_clips
 from stmc.data.sources.bandai import recordings as bandai
 from stmc.data.sources.bandai.bandai_clips import BandaiClips
 from stmc.data.sources.contents import CONTENTS, STYLES, describe
+from stmc.data.sources.segments import read_segments
+from stmc.evaluation.metrics.liveliness import motion_energy
 from stmc.formats.bvh_parser import Bvh, BvhError, parse_bvh
 from stmc.io.untrusted import UnreadableError
 from stmc.motion.body import JOINTS, MIRROR, NUM_ROTATIONS, PARENTS
@@ -439,13 +441,16 @@ FIGURES = {
 """Metres a second along the heading and degrees turned to the left: the means over all clips of each content."""
 
 
+DANCE = "dataset-1_dance-short_normal_001"
+
+
 @pytest.fixture(scope="module")
 def real() -> dict[str, Bvh]:
     """Those above and every two-hundredth clip: the archive has to be read through once, which takes its time."""
     archive = data_file("bandai/Bandai-Namco-Research-Motiondataset.tar.xz")
     chosen = {}
     for number, (name, text) in enumerate(bandai.read_sources(archive)):
-        if name in FIGURES or number % 200 == 50:
+        if name in FIGURES or name == DANCE or number % 200 == 50:
             chosen[name] = parse_bvh(text)
     assert number + 1 == bandai.CLIPS
     assert set(FIGURES) <= set(chosen)
@@ -517,6 +522,19 @@ def test_real_raises_lift_the_hand_that_their_name_says_and_lower_it_again(real)
         assert height[0] < -0.2
         assert height[-1] < -0.2
         assert wrist_height(motion, other, "shoulder").max() < -0.2
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_the_dance_is_labelled_without_the_seconds_in_which_its_dancer_waits(real):
+    """A model whose "dance" began with them stood still."""
+    motion = bandai.retarget(real[DANCE], Skeleton.default()).resampled(FPS)
+    [segment] = read_segments("bandai")[DANCE]
+    first, last = round(segment.start * FPS), round(segment.end * FPS)
+    dance = motion_energy(motion.trimmed(first, last))
+    assert motion_energy(motion.trimmed(0, first - FPS)) < 0.001 * dance
+    for begin in (first, last - FPS):
+        assert motion_energy(motion.trimmed(begin, begin + FPS)) > 0.05 * dance
 
 
 @pytest.mark.data

@@ -31,7 +31,7 @@ MAX_DRAWS = 40
 """Maximum number of draws of one clip."""
 SHORTEST = 1.5
 """Minimum duration of a clip in seconds."""
-CACHE_VERSION = 4
+CACHE_VERSION = 5
 """Version of the conversion of the same caches. Raise it by one with every change that produces other clips, features
 or texts: caches of earlier versions are then prepared again."""
 
