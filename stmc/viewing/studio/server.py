@@ -172,7 +172,7 @@ class Answers:
         films: Films,
         sessions: Sessions,
         steps: int | None,
-        find_missed: FindMissed,
+        find_missed: FindMissed = find_none,
     ) -> None:
         self.model, self.motions, self.documents, self.characters = model, motions, documents, characters
         self.films = films
