@@ -8,6 +8,7 @@ import pytest
 import torch
 from helpers.motions import standing_still, walking
 from helpers.scripts import run as in_this_process
+from helpers.studio import studio
 from helpers.tiny_model import Hashes, tiny
 
 import stmc
@@ -84,6 +85,18 @@ def test_a_motion_is_that_of_the_words_that_are_read(model):
         )
     )
     assert torch.equal(*streams)
+
+
+def test_the_studio_s_check_has_the_words_that_the_model_reads(model, tmp_path):
+    prompts = [{"text": text, "start": 0, "end": 2, "parts": ["legs"]} for text in ("stroll along", "walk", "juggle")]
+    for confidence, expected in ((0.5, ["walk", None, None]), (None, [None, None, None])):
+        usual = replace(model, sampling=stmc.Sampling(restate_from=confidence))
+        with studio(usual, tmp_path / str(confidence)) as client:
+            told = [
+                client.post("/api/check", json={"timeline": {"prompts": [prompt]}}).json()["prompts"][0]
+                for prompt in prompts
+            ]
+        assert [each["read_as"] for each in told] == expected
 
 
 def test_a_stream_reads_what_is_added_in_its_own_words(model):

@@ -3,7 +3,6 @@
 import json
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 import torch
 from helpers.scripts import loaded
 from helpers.studio import PORT, WALK, bearer, draw_nothing, entered, knowing, studio
-from helpers.tiny_model import Hashes, tiny
+from helpers.tiny_model import tiny
 from hypothesis import given
 from hypothesis import strategies as st
 from starlette.testclient import TestClient
@@ -20,7 +19,6 @@ import stmc
 from stmc.data.sources.contents import CONTENTS
 from stmc.evaluation.verification import Missed
 from stmc.motion.body import JOINTS
-from stmc.text.vocabulary import Content, Sentence, build_vocabulary
 from stmc.viewing.studio import Documents, Jobs, Motions, Sessions, application
 from stmc.viewing.studio.auth import MOST_BYTES
 from stmc.viewing.studio.job_queue import MOST_WAITING
@@ -284,24 +282,6 @@ def test_motions_of_the_last_stage_are_judged_by_their_own_timelines(model, tmp_
     assert [missed["text"] for _, _, each in found[2:] for missed in each] == ["walk", "wave"]
     assert "does not show from 0 to 2 s" in found[2][2][0]["sentence"]
     assert asked == [("walk", 40), ("wave", 20)]
-
-
-def test_a_checked_prompt_has_the_words_that_the_model_reads(model, monkeypatch, tmp_path):
-    monkeypatch.setattr("stmc.text.vocabulary.recogniser.sentence_encoder", lambda own: Hashes())
-    walk = Content("walk", frozenset({stmc.BodyPart.LEGS}), True)
-    wave = Content("wave-left-hand", frozenset({stmc.BodyPart.LEFT_ARM}))
-    heard = {Sentence("walk", walk): 1.0, Sentence("stroll along", walk): 1.0, Sentence("wave", wave): 1.0}
-    vocabulary = build_vocabulary(heard, Hashes())
-    sampling = stmc.Sampling(restate_from=0.5)
-    prompts = [{"text": text, "start": 0, "end": 2, "parts": ["legs"]} for text in ("stroll along", "walk", "juggle")]
-    for restates, expected in ((sampling, ["walk", None, None]), (stmc.Sampling(), [None, None, None])):
-        own = replace(model, vocabulary=vocabulary, sampling=restates)
-        with studio(own, tmp_path / str(restates.restate_from)) as client:
-            told = [
-                client.post("/api/check", json={"timeline": {"prompts": [prompt]}}).json()["prompts"][0]
-                for prompt in prompts
-            ]
-        assert [each["read_as"] for each in told] == expected
 
 
 def test_what_is_kept_stays_and_only_the_change_is_made_anew(client):

@@ -42,7 +42,7 @@ KEY = "{ headers: { Authorization: 'Bearer ' + localStorage.getItem('stmc-studio
 BARS = "[...document.querySelectorAll('.bar')].map(bar => bar.getAttribute('aria-label').split('. ').slice(0, 2))"
 
 
-def find_missed(timeline: stmc.Timeline, motion: stmc.Motion) -> list[Missed]:
+def find_missed(model: stmc.Model, timeline: stmc.Timeline, motion: stmc.Motion) -> list[Missed]:
     """No motion shows a somersault."""
     return [Missed(each.text, each.start, each.end, "leap") for each in timeline.prompts if "somersault" in each.text]
 
@@ -54,10 +54,8 @@ def serving(folder: Path, port: int = 0, steps: int = 12) -> Iterator[int]:
         Documents(folder / "documents").put("old", 0, {"name": "Of before"})
     with loaded("studio").listen(port) as listening:
         port = listening.getsockname()[1]
-        model, sessions = (
-            replace(knowing(), sampling=stmc.Sampling(restate_from=0.7)),
-            SESSIONS.setdefault(port, Sessions()),
-        )
+        sessions = SESSIONS.setdefault(port, Sessions())
+        model = replace(knowing(), sampling=stmc.Sampling(restate_from=0.7))
         server = server_of(application(model, folder, sessions, port, steps, find_missed))
         thread = Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()

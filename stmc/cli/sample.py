@@ -158,7 +158,7 @@ def print_own_words(
     """Print the prompts that the model reads in words of its own, each once."""
     texts = [prompt.text for timeline in timelines for prompt in timeline.prompts]
     for each in model.recognise(texts):
-        read = each.read_from(1 if confidence is None else confidence)
+        read = each.read_from(confidence)
         if read != each.text:
             console.print(f"{quote(each.text)} is read as {quote(read)}", markup=False)
 

@@ -15,7 +15,6 @@ import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from threading import Timer
 from typing import cast, get_args
@@ -74,7 +73,7 @@ def serve(settings: Settings, folder: Path, listening: socket.socket) -> None:
     sessions.allow(program_token(folder))
     with console.status("loading the model"):
         model = load_model(settings)
-    app = application(model, folder, sessions, port, settings.steps, partial(find_missed, model))
+    app = application(model, folder, sessions, port, settings.steps, find_missed)
     console.print(
         f"the studio is at http://127.0.0.1:{port}/#token={sessions.invite()}\n"
         f"the address can be opened once; motions and documents are kept in {settings.folder}; Ctrl-C ends it\n"

@@ -84,11 +84,15 @@ class Recognition:
         """Whether the prompt is in the vocabulary, and does not rarely work."""
         return self.known and (self.rate is None or self.rate >= RARELY)
 
-    def read_from(self, confidence: float | int) -> str:
-        """Return the text that a model reads instead of the prompt from a `confidence` on; 1: always the prompt."""
-        return (
-            self.words if self.known and self.words and confidence < 1 and self.confidence >= confidence else self.text
-        )
+    def read_from(self, confidence: float | int | None) -> str:
+        """Return the text that a model reads.
+
+        It is `words` if the prompt is known and its action has a probability of at least `confidence`. Otherwise, and
+        with a `confidence` of 1 or None, it is the prompt itself.
+        """
+        if confidence is None or confidence >= 1 or not self.known:
+            return self.text
+        return self.words if self.words and self.confidence >= confidence else self.text
 
     @property
     def happens_once(self) -> bool:

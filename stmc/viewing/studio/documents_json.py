@@ -179,9 +179,9 @@ def check_timeline(timeline: Timeline, model: Model, suggest: Suggest) -> Checke
         except TimelineError as error:
             raise RequestError(422, str(error), prompt=None) from None
     recognitions = {each.text: each for each in model.recognise(texts)}
-    confidence = model.own_sampling.restate_from
+    restate_from = model.own_sampling.restate_from
     prompts = [
-        _describe_prompt(prompt, row, suggestions[prompt.text], not listed, recognitions.get(prompt.text), confidence)
+        _describe_prompt(prompt, row, suggestions[prompt.text], not listed, recognitions.get(prompt.text), restate_from)
         for prompt, row, listed in zip(timeline.prompts, timeline.rows, own, strict=True)
     ]
     owned = owned_seconds(timeline, model.fps, timeline.frames(model.fps), model.own_sampling.overlap or 0.0)
@@ -204,7 +204,7 @@ def _describe_prompt(
     restate_from: float | int | None,
 ) -> CheckedPrompt:
     doubt = None if recognition is None or recognition.works else recognition
-    read = prompt.text if recognition is None else recognition.read_from(1 if restate_from is None else restate_from)
+    read = prompt.text if recognition is None else recognition.read_from(restate_from)
     return {
         "read_as": None if read == prompt.text else read,
         "parts": sort_parts(prompt.claims),

@@ -56,12 +56,7 @@ Sample = Callable[[GenerateRequest, Progress], Sequence[Motion]]
 """`Model.sample`, or a function like it."""
 
 FindMissed = Callable[[Timeline, Motion], Sequence[Doubtful]]
-"""(timeline, motion) → prompts that the motion does not show, such as `stmc.evaluation.verification.find_missed`."""
-
-
-def find_none(timeline: Timeline, motion: Motion) -> Sequence[Doubtful]:
-    """Judge no motion."""
-    return ()
+"""(timeline, motion) → prompts that the motion does not show."""
 
 
 class CheckedOperations(TorchFunctionMode):
@@ -85,7 +80,7 @@ class Jobs(JobQueue):
     """The queue of requests to sample, which its thread runs with `sample`, a method of a model.
 
     Between their steps, jobs give way to streams with the same `turns`. Motions of the last stage are judged with
-    `find_missed`.
+    `find_missed`; None: no motion is judged.
 
     Examples:
         >>> jobs = stmc.viewing.studio.Jobs(stmc.load().sample, stmc.viewing.studio.Motions("motions"))
@@ -97,7 +92,7 @@ class Jobs(JobQueue):
     """
 
     def __init__(
-        self, sample: Sample, motions: Motions, turns: Turns | None = None, find_missed: FindMissed = find_none
+        self, sample: Sample, motions: Motions, turns: Turns | None = None, find_missed: FindMissed | None = None
     ) -> None:
         self.sample, self.motions, self._turns, self._find_missed = sample, motions, turns or Turns(), find_missed
         super().__init__("studio jobs")
@@ -116,10 +111,11 @@ class Jobs(JobQueue):
         """Sample the stages, store the motions, and emit them."""
         try:
             for stage in stages:
+                judge = self._find_missed if stage is stages[-1] else None
                 for one, motion in zip(request.split(), self._sample_stage(request, stage, job), strict=True):
                     described = self.motions.describe(self.motions.add(motion))
                     demands = [each.measure(motion) for each in request.constraints]
-                    found = self._find_missed(one.timelines[0], motion) if stage is stages[-1] else ()
+                    found = judge(one.timelines[0], motion) if judge else ()
                     missed = [{"text": each.text, "sentence": each.advice} for each in found]
                     job.emit(
                         "motion",

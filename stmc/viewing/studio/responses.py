@@ -125,7 +125,7 @@ class MotionEvent(TypedDict):
     stage: Literal["preview", "full"]
     motion: MotionData
     demands: list[Demand]
-    missed: Annotated[list[MissedPrompt], "of the last stage; previews are not judged"]
+    missed: Annotated[list[MissedPrompt], "of the job's last stage; a preview before a motion is not judged"]
 
 
 class FailedEvent(TypedDict):

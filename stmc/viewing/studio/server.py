@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from functools import cache, partial
 from importlib.resources import files
@@ -30,9 +30,11 @@ from stmc.editing.constraints import Constraint, constraint_of
 from stmc.editing.generate_request import GenerateRequest
 from stmc.formats.characters import retarget
 from stmc.model import Model
+from stmc.motion.motion import Motion
 from stmc.run.suggestions import suggester, with_suggestions
 from stmc.text import Cached, TextEncoder
 from stmc.text.vocabulary import sentence_encoder
+from stmc.timeline import Timeline
 from stmc.viewing.exports import CHARACTER_EXPORTS, EXPORTS
 from stmc.viewing.studio.api_page import render_api
 from stmc.viewing.studio.auth import AccessControl, error_response
@@ -56,7 +58,7 @@ from stmc.viewing.studio.character_storage import Characters
 from stmc.viewing.studio.documents_json import as_data, check_timeline, read_timelines, write_timeline
 from stmc.viewing.studio.films import Films
 from stmc.viewing.studio.job_queue import Job, JobQueue
-from stmc.viewing.studio.jobs import FULL_STEPS, OWN, FindMissed, Jobs, Stage, find_none, stages_by_quality
+from stmc.viewing.studio.jobs import FULL_STEPS, OWN, Jobs, Stage, stages_by_quality
 from stmc.viewing.studio.model_json import describe_model
 from stmc.viewing.studio.openapi import openapi_document
 from stmc.viewing.studio.operations import GLTF, OPERATIONS, PUBLIC, UPLOADS, Operation
@@ -67,6 +69,7 @@ from stmc.viewing.studio.sessions import Sessions
 from stmc.viewing.studio.skeletons_json import MOST_KEY_FRAMES, character_of, describe_keys, describe_map
 from stmc.viewing.studio.storage import Documents, Motions, private_folder
 from stmc.viewing.studio.streams import Streams, mannequin_file
+from stmc.viewing.web import Doubtful
 
 logger = logging.getLogger(__name__)
 
@@ -76,6 +79,9 @@ TYPES = {each.name: each.media_type for each in (*EXPORTS, *CHARACTER_EXPORTS)}
 
 Handler = Callable[..., Awaitable[Response]]
 
+FindMissed = Callable[[Model, Timeline, Motion], Sequence[Doubtful]]
+"""`stmc.evaluation.verification.find_missed`, or a function like it."""
+
 
 def application(
     model: Model,
@@ -83,7 +89,7 @@ def application(
     sessions: Sessions,
     port: int,
     steps: int | None = None,
-    find_missed: FindMissed = find_none,
+    find_missed: FindMissed | None = None,
 ) -> Starlette:
     """Build the studio as an ASGI application.
 
@@ -94,7 +100,7 @@ def application(
         sessions: Sessions that may use the application.
         port: Port of the application, at 127.0.0.1.
         steps: Denoising steps of a motion; None: 50, or the model's own few. Previews have fewer.
-        find_missed: Function that finds the prompts that a motion does not show; by default, none is found.
+        find_missed: Function that finds the prompts that a motion does not show; None: no motion is judged.
 
     Examples:
         >>> app = stmc.viewing.studio.application(stmc.load(), "studio", stmc.viewing.studio.Sessions(), port=8686)
@@ -172,7 +178,7 @@ class Answers:
         films: Films,
         sessions: Sessions,
         steps: int | None,
-        find_missed: FindMissed = find_none,
+        find_missed: FindMissed | None = None,
     ) -> None:
         self.model, self.motions, self.documents, self.characters = model, motions, documents, characters
         self.films = films
@@ -180,7 +186,7 @@ class Answers:
         self.sessions, self.api = sessions, openapi_document(OPERATIONS, stmc.__version__)
         self._retargeting = Lock()
         self.suggest, turns = suggester(sentence_encoder(model.text_encoder)), Turns()
-        self.jobs = Jobs(model.sample, motions, turns, find_missed)
+        self.jobs = Jobs(model.sample, motions, turns, find_missed and partial(find_missed, model))
         self.mannequin = cache(partial(mannequin_file, model.skeleton, model.fps))
         self.streams = Streams(model.stream, self.stages["preview"][-1].steps, self.suggest, turns)
 
