@@ -260,7 +260,7 @@ def words(text: str) -> tuple[str, ...]:
     return tuple(sorted(set(re.findall(r"[a-z0-9']+", text.lower())) - UNTOLD))
 
 
-@pytest.fixture(params=["mtt_paraphrases.json", "mtt_paraphrases_second.json"])
+@pytest.fixture(params=["mtt_paraphrases.json", "mtt_paraphrases_second.json", "mtt_paraphrases_third.json"])
 def paraphrases(request) -> dict[str, str]:
     """One for each text of MTT, written by somebody who saw those texts alone."""
     return json.loads((ROOT / "tests/helpers" / request.param).read_text("utf-8"))

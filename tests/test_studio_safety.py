@@ -58,6 +58,7 @@ from pathlib import Path
 from stmc.viewing.studio.request_errors import RequestError
 from stmc.viewing.studio.storage import Documents
 documents, me, gate = Documents(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
+gate.with_name(me).touch()
 while not gate.exists():
     time.sleep(0.001)
 for base in range(25):
@@ -77,7 +78,9 @@ def test_of_two_processes_that_save_one_version_only_one_is_told_that_it_is_kept
         subprocess.Popen([*command, name, str(gate)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         for name in "ab"
     ]
-    time.sleep(5)
+    while not all((tmp_path / name).exists() for name in "ab"):
+        assert [each.poll() for each in both] == [None, None], [each.communicate() for each in both]
+        time.sleep(0.01)
     gate.touch()
     outputs = [each.communicate(timeout=120) for each in both]
     assert [each.returncode for each in both] == [0, 0], outputs
