@@ -127,8 +127,8 @@ def test_a_draw_that_is_not_usable_is_drawn_again_and_a_clip_that_never_is_gets_
 
     rows, skipped = make(dataclasses.replace(SLOW, make=moody, clips=2), bases, bases.splits, 20)
     assert len(rows) == 4 and not skipped and len(seen) == 6
-    never = dataclasses.replace(SLOW, accept=lambda motion: False, clips=1)
-    with pytest.raises(ValueError, match="none of 1 clips could be made: none of 40 draws is usable"):
+    never = dataclasses.replace(SLOW, accept=lambda motion: False, clips=2)
+    with pytest.raises(ValueError, match="none of 2 clips could be made: none of 40 draws is usable"):
         make(never, bases, bases.splits, 20)
 
 
