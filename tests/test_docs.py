@@ -75,11 +75,11 @@ def test_lines_of_prose_have_at_most_120_characters(page):
     assert [line for line in prose(page).splitlines() if len(line) > 120 and not line.startswith("|")] == []
 
 
-def test_every_row_of_a_table_has_as_many_cells_as_its_head():
-    for page in [*ALL, *sorted((ROOT / "stmc/assets").glob("*/README.md"))]:
-        for table in re.findall(r"(?:^\|.*\|\n)+", text(page), re.MULTILINE):
-            cells = [len(re.findall(r"(?<!\\)\|", row)) for row in table.splitlines()]
-            assert len(set(cells)) == 1, f"{page}: {table[:80]}"
+@pytest.mark.parametrize("page", ALL, ids=name)
+def test_every_row_of_a_table_has_as_many_cells_as_its_head(page):
+    for table in re.findall(r"(?:^\|.*\|\n)+", text(page), re.MULTILINE):
+        cells = [len(re.findall(r"(?<!\\)\|", row)) for row in table.splitlines()]
+        assert len(set(cells)) == 1, table[:80]
 
 
 @pytest.mark.parametrize("page", ALL, ids=name)
